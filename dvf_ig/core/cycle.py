@@ -1,0 +1,55 @@
+"""When in the cardiac cycle each phase of a 4-D data set was taken."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .arrays import FloatArray, frozen_floats
+from .errors import InvalidInputError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CycleTiming:
+    """Phase times of a cyclic series.
+
+    Attributes:
+        fractions: (n,) strictly increasing in [0, 1); 0 is the R peak. Spacing may be unequal.
+        rr_s: RR interval at which the series was acquired.
+        rr_assumed: True where `rr_s` was not recorded but assumed.
+        timing_assumed: True where `fractions` are i/N because no times were recorded.
+    """
+
+    fractions: FloatArray
+    rr_s: float
+    rr_assumed: bool = False
+    timing_assumed: bool = False
+
+    def __post_init__(self) -> None:
+        fractions = frozen_floats(self.fractions, "phase fractions", (None,))
+        if len(fractions) < 2:
+            raise InvalidInputError(f"a cycle has {len(fractions)} phases; needed at least 2")
+        if fractions[0] < 0 or fractions[-1] >= 1 or (np.diff(fractions) <= 0).any():
+            raise InvalidInputError(
+                f"phase fractions run from {fractions[0]:g} to {fractions[-1]:g}; "
+                "they must increase strictly within [0, 1)"
+            )
+        if not 0.2 <= self.rr_s <= 3.0:
+            raise InvalidInputError(f"RR interval is {self.rr_s:g} s; needed 0.2 to 3.0 s (is it in ms?)")
+        object.__setattr__(self, "fractions", fractions)
+
+    def __len__(self) -> int:
+        return len(self.fractions)
+
+    @classmethod
+    def uniform(cls, phases: int, rr_s: float, *, rr_assumed: bool = False) -> "CycleTiming":
+        """Phase i at i/N of the cycle."""
+        return cls(np.arange(phases) / phases, rr_s, rr_assumed, timing_assumed=True)
+
+    def bracket(self, phi: float) -> tuple[int, int, float]:
+        """Neighbouring phases of `phi` (cyclic) and the weight of the second: eq. 10's i, i+1 and α."""
+        phi = phi % 1.0
+        count = len(self.fractions)
+        after = int(np.searchsorted(self.fractions, phi, side="right"))
+        first, second = (after - 1) % count, after % count
+        width = (self.fractions[second] - self.fractions[first]) % 1.0
+        return first, second, float(((phi - self.fractions[first]) % 1.0) / width)

@@ -1,0 +1,27 @@
+"""Names of coordinate frames.
+
+A frame is a lower-case identifier: "mr", "tracker", "probe", "tool", "tool_tip", "image", "phantom".
+Transforms are named target_from_source, so adjacent names cancel:
+`mr_from_probe = mr_from_tracker @ tracker_from_probe`.
+"""
+
+import re
+
+from .errors import FrameMismatchError, InvalidInputError
+
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+
+
+def check_frame(name: str) -> str:
+    """Return `name` if it is a legal frame name, else raise InvalidInputError."""
+    if not _NAME.fullmatch(name):
+        raise InvalidInputError(
+            f"'{name}' is not a frame name; use lower-case letters, digits and '_', for example 'tracker'"
+        )
+    return name
+
+
+def require_same_frame(needed: str, got: str, what: str) -> None:
+    """Raise FrameMismatchError naming both frames unless they are the same."""
+    if needed != got:
+        raise FrameMismatchError(f"{what}: needed frame '{needed}', got frame '{got}'")

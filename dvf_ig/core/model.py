@@ -1,0 +1,86 @@
+"""The dynamic virtual fixture model: one spline of signed distance per cardiac phase."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .arrays import BoolArray, FloatArray, frozen, frozen_floats
+from .cycle import CycleTiming
+from .errors import InvalidInputError
+from .frames import check_frame
+from .mesh import Mesh
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DvfModel:
+    """Signed distance d(q, phase i) = Σ p_ijk B(x) B(y) B(z), cubic (Ren 2008, eq. 1); d > 0 inside.
+
+    Attributes:
+        patient_id: whose heart.
+        surface_name: which surface, for example "EPICARDIAL".
+        frame: frame of every coordinate here, normally "mr".
+        timing: phase times and the RR interval they were acquired at.
+        es_fraction: end-systole (smallest enclosed volume) as a fraction of the cycle.
+        ed_phase: index of end-diastole (largest enclosed volume).
+        coefficients: (n, cx, cy, cz) float32 spline coefficients in mm.
+        origin_mm: (3,) where u = 0; with u = (q − origin)/knot_spacing and i = floor(u), the value at q uses
+            coefficients i … i+3, so the model is defined for 0 <= u <= c − 3 along each axis.
+        knot_spacing_mm: knot pitch, the same along each axis.
+        reference: one mesh a phase, the surface the model was fitted to.
+        reference_caps: per phase, True for triangles that close an opening and were never measured.
+        sources: what it was built from, for the record.
+    """
+
+    patient_id: str
+    surface_name: str
+    frame: str
+    timing: CycleTiming
+    es_fraction: float
+    ed_phase: int
+    coefficients: NDArray[np.float32]
+    origin_mm: FloatArray
+    knot_spacing_mm: float
+    reference: tuple[Mesh, ...]
+    reference_caps: tuple[BoolArray, ...]
+    sources: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_frame(self.frame)
+        n = len(self.timing)
+        coefficients = np.ascontiguousarray(self.coefficients, dtype=np.float32)
+        if coefficients.ndim != 4 or len(coefficients) != n or min(coefficients.shape[1:]) < 4:
+            raise InvalidInputError(
+                f"spline coefficients have shape {coefficients.shape}; needed ({n}, >=4, >=4, >=4)"
+            )
+        if not np.isfinite(coefficients).all():
+            raise InvalidInputError("spline coefficients are not all finite; build the model again")
+        if len(self.reference) != n or len(self.reference_caps) != n:
+            raise InvalidInputError(
+                f"{len(self.reference)} reference surfaces and {len(self.reference_caps)} cap lists "
+                f"for {n} phases"
+            )
+        if self.knot_spacing_mm <= 0:
+            raise InvalidInputError(f"knot spacing is {self.knot_spacing_mm:g} mm; it must be positive")
+        coefficients.setflags(write=False)
+        object.__setattr__(self, "coefficients", coefficients)
+        object.__setattr__(self, "origin_mm", frozen_floats(self.origin_mm, "model origin", (3,)))
+        caps = tuple(
+            frozen(c, "cap flags", (len(m.triangles),), np.bool_)
+            for c, m in zip(self.reference_caps, self.reference, strict=True)
+        )
+        object.__setattr__(self, "reference_caps", caps)
+
+    @property
+    def phases(self) -> int:
+        return len(self.timing)
+
+    @property
+    def upper_mm(self) -> FloatArray:
+        """(3,) far corner of the box in which the model is defined."""
+        knots = np.array(self.coefficients.shape[1:]) - 3
+        return np.asarray(self.origin_mm + knots * self.knot_spacing_mm)
+
+    @property
+    def megabytes(self) -> float:
+        return self.coefficients.nbytes / 1e6

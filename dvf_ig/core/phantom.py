@@ -1,0 +1,56 @@
+"""Geometry of calibration phantoms and what was seen of them."""
+
+from dataclasses import dataclass
+
+from .arrays import FloatArray, frozen_floats
+from .errors import InvalidInputError
+from .stream import PoseStream
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wire:
+    """A straight wire between two points of the phantom, (3,) mm each."""
+
+    name: str
+    front_mm: FloatArray
+    back_mm: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "front_mm", frozen_floats(self.front_mm, f"wire {self.name}", (3,)))
+        object.__setattr__(self, "back_mm", frozen_floats(self.back_mm, f"wire {self.name}", (3,)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NWirePhantom:
+    """N patterns: per pattern two parallel outer wires and the diagonal in the middle, in PLUS's order."""
+
+    patterns: tuple[tuple[Wire, Wire, Wire], ...]
+
+    @property
+    def wires(self) -> tuple[Wire, ...]:
+        return tuple(wire for pattern in self.patterns for wire in pattern)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NWireRecording:
+    """Wire crossings seen in tracked images of an N-wire phantom.
+
+    Attributes:
+        phantom: wire geometry in frame "phantom".
+        phantom_from_probe: (n frames) pose of the probe's sensor against the phantom.
+        points_px: (n, wires, 2) column, row of each wire in `phantom.wires` order; NaN where a frame was
+            not segmented.
+    """
+
+    phantom: NWirePhantom
+    phantom_from_probe: PoseStream
+    points_px: FloatArray
+
+    def __post_init__(self) -> None:
+        needed = (len(self.phantom_from_probe), len(self.phantom.wires), 2)
+        points = frozen_floats(self.points_px, "wire points", needed, finite=False)
+        if self.phantom_from_probe.target != "phantom":
+            raise InvalidInputError(
+                f"N-wire poses are {self.phantom_from_probe.name}; needed phantom_from_probe"
+            )
+        object.__setattr__(self, "points_px", points)

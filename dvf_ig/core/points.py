@@ -1,0 +1,51 @@
+"""Points that carry their frame, and landmarks that also carry names."""
+
+from dataclasses import dataclass
+
+from .arrays import FloatArray, frozen_floats
+from .errors import InvalidInputError
+from .frames import check_frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """(n, 3) positions in mm in one frame."""
+
+    frame: str
+    xyz_mm: FloatArray
+
+    def __post_init__(self) -> None:
+        check_frame(self.frame)
+        object.__setattr__(self, "xyz_mm", frozen_floats(self.xyz_mm, f"points in '{self.frame}'", (None, 3)))
+
+    def __len__(self) -> int:
+        return int(self.xyz_mm.shape[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmarks:
+    """Named points in one frame; names are unique."""
+
+    names: tuple[str, ...]
+    points: Points
+
+    def __post_init__(self) -> None:
+        if len(self.names) != len(self.points):
+            raise InvalidInputError(f"{len(self.names)} landmark names for {len(self.points)} points")
+        if len(set(self.names)) != len(self.names):
+            raise InvalidInputError(f"landmark names repeat: {sorted(self.names)}; each name must be unique")
+
+    @property
+    def frame(self) -> str:
+        return self.points.frame
+
+    def paired_with(self, other: "Landmarks") -> tuple[tuple[str, ...], Points, Points]:
+        """Names common to both, in this one's order, with both point sets."""
+        theirs = {name: i for i, name in enumerate(other.names)}
+        common = tuple(name for name in self.names if name in theirs)
+        mine = [self.names.index(name) for name in common]
+        return (
+            common,
+            Points(self.frame, self.points.xyz_mm[mine]),
+            Points(other.frame, other.points.xyz_mm[[theirs[name] for name in common]]),
+        )

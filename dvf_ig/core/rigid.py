@@ -1,0 +1,153 @@
+"""SE(3) between two named frames, off the hot path (scipy does the rotations)."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .arrays import FloatArray, frozen_floats
+from .errors import FrameMismatchError, InvalidInputError
+from .frames import check_frame, require_same_frame
+from .points import Points
+
+RIGID_TOLERANCE = 1e-3
+"""Largest accepted |RᵀR − I| and |det R − 1| of an imported matrix (theory: safety, shear/scale)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rigid:
+    """target_from_source: p_target = rotation @ p_source + translation_mm.
+
+    Attributes:
+        target, source: frame names.
+        rotation: (3, 3), proper orthonormal.
+        translation_mm: (3,) in the target frame.
+    """
+
+    target: str
+    source: str
+    rotation: FloatArray
+    translation_mm: FloatArray
+
+    def __post_init__(self) -> None:
+        check_frame(self.target)
+        check_frame(self.source)
+        rotation = frozen_floats(self.rotation, f"rotation of {self.name}", (3, 3))
+        defect = rigidity_defect(rotation)
+        if defect > 1e-6:
+            raise InvalidInputError(
+                f"{self.name} is not rigid: |RᵀR − I| or |det R − 1| is {defect:.2g}, needed below 1e-6; "
+                "use Rigid.from_matrix for rounded matrices read from a file"
+            )
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(
+            self, "translation_mm", frozen_floats(self.translation_mm, f"translation of {self.name}", (3,))
+        )
+
+    @property
+    def name(self) -> str:
+        return f"{self.target}_from_{self.source}"
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(4, 4) homogeneous matrix, a fresh writable copy."""
+        out = np.eye(4)
+        out[:3, :3] = self.rotation
+        out[:3, 3] = self.translation_mm
+        return out
+
+    @property
+    def angle_rad(self) -> float:
+        return float(Rotation.from_matrix(self.rotation).magnitude())
+
+    @classmethod
+    def identity(cls, target: str, source: str) -> "Rigid":
+        return cls(target, source, np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_matrix(cls, matrix: Any, target: str, source: str) -> "Rigid":
+        """From a 4×4 read from a file: digits lost in print are repaired, shear and scale are refused.
+
+        Raises:
+            InvalidInputError: not 4×4, last row not 0 0 0 1, or further than 1e-3 from a rotation.
+        """
+        m = frozen_floats(matrix, f"matrix of {target}_from_{source}", (4, 4))
+        if not np.allclose(m[3], (0, 0, 0, 1), atol=1e-9):
+            raise InvalidInputError(f"{target}_from_{source}: last row is {m[3].tolist()}, needed 0 0 0 1")
+        defect = rigidity_defect(m[:3, :3])
+        if defect > RIGID_TOLERANCE:
+            raise InvalidInputError(
+                f"{target}_from_{source} is not rigid: |RᵀR − I| or |det R − 1| is {defect:.3g}, "
+                f"needed at most {RIGID_TOLERANCE:g}; remove scale and shear or read it as an image map"
+            )
+        return cls(target, source, nearest_rotation(m[:3, :3]), m[:3, 3])
+
+    @classmethod
+    def from_rotation_vector(
+        cls, rotation_rad: Any, translation_mm: Any, target: str, source: str
+    ) -> "Rigid":
+        """From a rotation vector (rad, axis times angle) and a translation (mm)."""
+        vector = frozen_floats(rotation_rad, "rotation vector", (3,))
+        return cls(target, source, Rotation.from_rotvec(vector).as_matrix(), translation_mm)
+
+    def inverse(self) -> "Rigid":
+        """source_from_target."""
+        return Rigid(self.source, self.target, self.rotation.T, -self.rotation.T @ self.translation_mm)
+
+    def __matmul__(self, other: "Rigid") -> "Rigid":
+        if self.source != other.target:
+            raise FrameMismatchError(
+                f"cannot compose {self.name} @ {other.name}: '{self.source}' does not meet '{other.target}'"
+            )
+        return Rigid(
+            self.target,
+            other.source,
+            nearest_rotation(self.rotation @ other.rotation),
+            self.rotation @ other.translation_mm + self.translation_mm,
+        )
+
+    def apply(self, points: Points) -> Points:
+        """Points given in the source frame, in the target frame."""
+        require_same_frame(self.source, points.frame, f"{self.name}.apply")
+        return Points(self.target, self.apply_array(points.xyz_mm))
+
+    def apply_array(self, xyz_mm: FloatArray) -> FloatArray:
+        """(..., 3) source coordinates to target coordinates, for arrays whose frame the caller names."""
+        return xyz_mm @ self.rotation.T + self.translation_mm
+
+    def perturbed_left(self, rotation_rad: Any, translation_mm: Any, center_mm: Any) -> "Rigid":
+        """The pose after a small motion in the target frame: rotate about `center_mm`, then translate.
+
+        Args:
+            rotation_rad, translation_mm, center_mm: (3,) each, all in the target frame.
+        """
+        turn = Rotation.from_rotvec(np.asarray(rotation_rad, dtype=np.float64)).as_matrix()
+        center = np.asarray(center_mm, dtype=np.float64)
+        shift = turn @ (self.translation_mm - center) + center + np.asarray(translation_mm, dtype=np.float64)
+        return Rigid(self.target, self.source, nearest_rotation(turn @ self.rotation), shift)
+
+    def interpolated(self, other: "Rigid", weight: float) -> "Rigid":
+        """Pose between self (weight 0) and other (weight 1): slerp and linear translation."""
+        require_same_frame(self.target, other.target, "interpolation target")
+        require_same_frame(self.source, other.source, "interpolation source")
+        step = Rotation.from_matrix(self.rotation.T @ other.rotation).as_rotvec() * weight
+        return Rigid(
+            self.target,
+            self.source,
+            nearest_rotation(self.rotation @ Rotation.from_rotvec(step).as_matrix()),
+            (1 - weight) * self.translation_mm + weight * other.translation_mm,
+        )
+
+
+def rigidity_defect(rotation: FloatArray) -> float:
+    """Largest of |RᵀR − I| (entrywise) and |det R − 1|."""
+    gram = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    return max(gram, abs(float(np.linalg.det(rotation)) - 1.0))
+
+
+def nearest_rotation(matrix: FloatArray) -> FloatArray:
+    """The proper rotation closest to `matrix` in the Frobenius norm."""
+    u, _, vt = np.linalg.svd(matrix)
+    fix = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ vt)))])
+    return np.asarray(u @ fix @ vt, dtype=np.float64)

@@ -1,0 +1,155 @@
+"""One operating-room recording as a value: what was acquired, and (synthetic only) the truth."""
+
+from dataclasses import dataclass
+
+from .arrays import FloatArray, frozen_floats
+from .image_map import ImageMap
+from .mesh import SurfaceSeries
+from .phantom import NWireRecording
+from .points import Landmarks, Points
+from .rigid import Rigid
+from .sequence import Fan, TrackedSequence
+from .signal import Signal, Trace
+from .stream import PoseStream
+from .volume import VolumeSeries
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Preop:
+    """What was known of the heart before the intervention, in frame "mr".
+
+    Either `labels` (with or without `mr`) or `surfaces` is present.
+
+    Attributes:
+        patient_id: whose heart.
+        mr: 4-D MR intensities.
+        labels: 4-D label image, uint8.
+        label_names: value to anatomical name; 0 is background.
+        organ_labels: the labels whose union the forbidden surface encloses.
+        surfaces: corresponding surface series, each with its name.
+        surface: name of the surface that fixtures are built on (for surfaces), e.g. "EPICARDIAL".
+    """
+
+    patient_id: str
+    mr: VolumeSeries | None = None
+    labels: VolumeSeries | None = None
+    label_names: tuple[tuple[int, str], ...] = ()
+    organ_labels: tuple[int, ...] = ()
+    surfaces: tuple[SurfaceSeries, ...] = ()
+    surface: str = "EPICARDIAL"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LatencyRecording:
+    """A water-tank sweep: tracker_from_probe on the tracker clock, wall depth on the video clock."""
+
+    tracker_from_probe: PoseStream
+    wall_row_px: Trace
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolTruth:
+    """What the tool tip truly met, sampled on the tracker clock.
+
+    Attributes:
+        t_s: (n,).
+        tip_mr_mm: (n, 3) tip in frame "mr".
+        phi: (n,) true fraction of the RR interval.
+        model_phase: (n,) where in the pre-operative cycle the heart truly was, [0, 1).
+        distance_mm: (n,) signed distance to the true surface, positive inside.
+        normal: (n, 3) unit gradient of that distance (points into the organ).
+    """
+
+    t_s: FloatArray
+    tip_mr_mm: FloatArray
+    phi: FloatArray
+    model_phase: FloatArray
+    distance_mm: FloatArray
+    normal: FloatArray
+
+    def __post_init__(self) -> None:
+        t_s = frozen_floats(self.t_s, "truth times", (None,))
+        object.__setattr__(self, "t_s", t_s)
+        for name, shape in (
+            ("tip_mr_mm", (len(t_s), 3)),
+            ("phi", (len(t_s),)),
+            ("model_phase", (len(t_s),)),
+            ("distance_mm", (len(t_s),)),
+            ("normal", (len(t_s), 3)),
+        ):
+            object.__setattr__(self, name, frozen_floats(getattr(self, name), f"truth {name}", shape))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScenarioTruth:
+    """Everything planted. A replay reads it only to score what it has already estimated.
+
+    Attributes:
+        mr_from_tracker: planted poses with the times (tracker clock) from which each holds.
+        probe_from_image: planted image calibration.
+        tip: tool tip in frame "tool", one point.
+        lag_s: t_tracker(event) = t_video(event) + lag_s.
+        r_peaks_s: (k,) true R peaks on the tracker clock.
+        targets: named points in frame "mr" at which the registration error is declared.
+        surface: the true moving surface in frame "mr" (of the anatomy the tool meets).
+        tool: true contact of the tool.
+        mismatch_mm: RMS of the non-rigid difference between pre-operative and intra-operative anatomy.
+    """
+
+    mr_from_tracker: tuple[tuple[float, Rigid], ...]
+    probe_from_image: ImageMap
+    tip: Points
+    lag_s: float
+    r_peaks_s: FloatArray
+    targets: Landmarks
+    surface: SurfaceSeries
+    tool: ToolTruth
+    mismatch_mm: float
+
+    def mr_from_tracker_at(self, t_s: float) -> Rigid:
+        """The planted pose that holds at `t_s`."""
+        held = self.mr_from_tracker[0][1]
+        for start_s, pose in self.mr_from_tracker:
+            if start_s <= t_s:
+                held = pose
+        return held
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scenario:
+    """Every recording of one intervention.
+
+    Clocks: ECG and tracker share one; the video clock differs by the latency to be estimated.
+
+    Attributes:
+        name: short title.
+        preset: which synthetic preset, or "recorded".
+        preop: the heart before.
+        ecg: ECG of the live part.
+        ultrasound: images with tracker_from_probe recorded at the video time stamps.
+        fan: insonified sector, where the scanner's geometry is known.
+        tool: tracker_from_tool of the live part.
+        pivot: tracker_from_tool while pivoting.
+        nwire: probe calibration recording.
+        latency: temporal calibration recording.
+        start: coarse mr_from_tracker given by the operator; it takes precedence over landmarks.
+        landmarks_mr, landmarks_tracker: the same anatomical points on the model and touched on the patient.
+        seed: what the synthetic world was drawn from; None for recorded data.
+        truth: None for recorded data.
+    """
+
+    name: str
+    preset: str
+    preop: Preop
+    ecg: Signal
+    ultrasound: TrackedSequence
+    fan: Fan | None
+    tool: PoseStream
+    pivot: PoseStream
+    nwire: NWireRecording
+    latency: LatencyRecording
+    start: Rigid | None = None
+    landmarks_mr: Landmarks | None = None
+    landmarks_tracker: Landmarks | None = None
+    seed: int | None = None
+    truth: ScenarioTruth | None = None

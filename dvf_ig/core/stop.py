@@ -1,0 +1,18 @@
+"""How an iterative estimate ended. Expected outcomes, not exceptions."""
+
+from enum import Enum
+
+
+class Stop(Enum):
+    """Each value is the sentence a user reads."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "stopped at the iteration limit; the estimate may still be moving"
+    LOW_OVERLAP = "too little of the ultrasound falls on the model; sweep more of the heart or start closer"
+    WEAK_GEOMETRY = "the data leave a direction undetermined; add views from other angles"
+    POOR_MATCH = "image and model do not agree at the best pose found; do not guide by it"
+    DISAGREEMENT = "independent checks of the pose disagree; do not guide by it"
+
+    @property
+    def usable(self) -> bool:
+        return self is Stop.CONVERGED
