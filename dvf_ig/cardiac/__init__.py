@@ -1,1 +1,21 @@
-""" """
+"""The clock of the heart: R peaks, phase, and retiming of the pre-operative cycle. All of it causal."""
+
+from .beat_finder import RPeakOptions as RPeakOptions
+from .lead_watch import LeadChange as LeadChange
+from .lead_watch import LeadWatch as LeadWatch
+from .phase_clock import PhaseClock as PhaseClock
+from .phase_clock import PhaseClockOptions as PhaseClockOptions
+from .phase_clock import PhaseReading as PhaseReading
+from .retime import RetimeMode as RetimeMode
+from .retime import frame_period_s as frame_period_s
+from .retime import retime as retime
+from .retime import systole_share as systole_share
+from .rpeak import RPeak as RPeak
+from .rpeak import RPeakDetector as RPeakDetector
+from .rpeak import detect_r_peaks as detect_r_peaks
+from .rr_predictor import PREDICTORS as PREDICTORS
+from .rr_predictor import PredictorName as PredictorName
+from .tracking import PhaseTracking as PhaseTracking
+from .tracking import phase_from_peaks as phase_from_peaks
+from .tracking import stream_recording as stream_recording
+from .tracking import track_phase as track_phase

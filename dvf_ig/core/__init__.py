@@ -14,6 +14,7 @@ from .errors import NotConvergedError as NotConvergedError
 from .errors import OutputError as OutputError
 from .errors import QualityGateError as QualityGateError
 from .errors import UnreadableFileError as UnreadableFileError
+from .frames import require_same_frame as require_same_frame
 from .image_map import ImageMap as ImageMap
 from .mesh import Mesh as Mesh
 from .mesh import SurfaceSeries as SurfaceSeries

@@ -89,7 +89,7 @@ class Rigid:
     ) -> "Rigid":
         """From a rotation vector (rad, axis times angle) and a translation (mm)."""
         vector = frozen_floats(rotation_rad, "rotation vector", (3,))
-        return cls(target, source, Rotation.from_rotvec(vector).as_matrix(), translation_mm)
+        return cls(target, source, Rotation.from_rotvec(vector.copy()).as_matrix(), translation_mm)
 
     def inverse(self) -> "Rigid":
         """source_from_target."""

@@ -1,1 +1,41 @@
-""" """
+"""Files to core values and back: the only place that knows LPS/RAS, pixels, bytes and PLUS names."""
+
+from .atomic import make_folder as make_folder
+from .atomic import write_text as write_text
+from .ecg import read_ecg as read_ecg
+from .ecg import write_ecg_csv as write_ecg_csv
+from .ecg_extra import read_beat_annotations as read_beat_annotations
+from .json_file import read_json as read_json
+from .json_file import write_json as write_json
+from .landmarks import read_landmarks as read_landmarks
+from .landmarks import read_tag_pair as read_tag_pair
+from .landmarks import write_landmarks as write_landmarks
+from .latency import read_latency_recording as read_latency_recording
+from .latency import read_line_table as read_line_table
+from .latency import write_line_table as write_line_table
+from .mesh import read_mesh as read_mesh
+from .mesh import write_mesh as write_mesh
+from .model_file import model_digest as model_digest
+from .model_file import read_model as read_model
+from .model_file import write_model as write_model
+from .nwire import read_nwire_phantom as read_nwire_phantom
+from .nwire import read_nwire_recording as read_nwire_recording
+from .nwire import read_wire_points as read_wire_points
+from .nwire import write_nwire_phantom as write_nwire_phantom
+from .nwire import write_wire_points as write_wire_points
+from .plus_xml import CoordinateDefinition as CoordinateDefinition
+from .plus_xml import read_calibrations as read_calibrations
+from .plus_xml import read_coordinate_definitions as read_coordinate_definitions
+from .plus_xml import write_coordinate_definitions as write_coordinate_definitions
+from .poses import read_poses as read_poses
+from .sequence_read import read_sequence as read_sequence
+from .sequence_write import write_poses as write_poses
+from .sequence_write import write_sequence as write_sequence
+from .timing import read_timing as read_timing
+from .timing import write_timing as write_timing
+from .transform import read_transform as read_transform
+from .transform import write_transform as write_transform
+from .volume import read_volume as read_volume
+from .volume import read_volume_series as read_volume_series
+from .volume import write_volume as write_volume
+from .volume import write_volume_series as write_volume_series

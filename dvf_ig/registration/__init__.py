@@ -1,1 +1,29 @@
-""" """
+"""ECG-gated rigid US/MR registration: from gated, tracked slices to `mr_from_tracker` with its evidence."""
+
+from .accuracy import ErrorSummary as ErrorSummary
+from .accuracy import pose_difference as pose_difference
+from .accuracy import summarise as summarise
+from .accuracy import target_errors_mm as target_errors_mm
+from .channels import BLOOD as BLOOD
+from .channels import WALL as WALL
+from .channels import ModelChannels as ModelChannels
+from .channels import channels_from_labels as channels_from_labels
+from .channels import channels_from_mr as channels_from_mr
+from .channels import channels_from_still as channels_from_still
+from .gating import Gated as Gated
+from .gating import gate_frames as gate_frames
+from .landmarks import LandmarkStart as LandmarkStart
+from .landmarks import start_from_landmarks as start_from_landmarks
+from .pair import register_pair as register_pair
+from .rigid import Level as Level
+from .rigid import RegistrationOptions as RegistrationOptions
+from .rigid import RegistrationResult as RegistrationResult
+from .rigid import register_rigid as register_rigid
+from .rigid import update_rigid as update_rigid
+from .similarity import Lc2 as Lc2
+from .slices import SliceSet as SliceSet
+from .slices import fan_mask_from_images as fan_mask_from_images
+from .slices import prepare_slices as prepare_slices
+from .slices import root_amplitude as root_amplitude
+from .slices import slices_of_volume as slices_of_volume
+from .slices import spread as spread

@@ -1,0 +1,280 @@
+"""The contract every synthetic heart fulfils, and the closed-form phantom that fulfils it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from dvf_ig.core import FloatArray, IntArray, Landmarks, Points, Preop, Rigid
+
+from .heart import HeartShape, heart_shape, outside_layers
+from .kernels import lv
+from .mismatch import SmoothField, random_mismatch
+from .motion import ES_FRACTION, InverseMotion, MotionPreset, activation, preset_scale
+from .mr import MrProtocol, cine_preop
+from .outline import outline, project_to_outline
+from .reference import Layers, ReferenceMap, build_reference, tissue_at
+from .tissue import Tissue
+
+RR_S = 0.86
+"""RR interval of the phantom's pre-operative acquisition (about 70 per minute)."""
+
+REFERENCE_SPACING_MM = 1.25
+MOTION_SPACING_MM = 3.0
+MARGIN_MM = 32.0
+_KNOTS = 11
+
+
+class BeatingAnatomy(Protocol):
+    """One beating heart: the anatomy the intervention meets, and what was acquired of it before.
+
+    Frame "mr" throughout. `model_phase` is the fraction of the pre-operative cycle, cyclic, 0 at end-diastole.
+
+    Attributes:
+        rr_s: RR interval of the pre-operative acquisition.
+        es_fraction: end-systole as a fraction of that cycle.
+        box_mm: (2, 3) heart box.
+        surface_triangles: (m, 3) of the epicardial surface, outward, watertight.
+        reference: tissue fields at end-diastole.
+        inverse_motion: intra-operative position to reference position (motion and mismatch).
+    """
+
+    rr_s: float
+    es_fraction: float
+
+    @property
+    def box_mm(self) -> FloatArray: ...
+    @property
+    def surface_triangles(self) -> IntArray: ...
+    @property
+    def reference(self) -> ReferenceMap: ...
+    @property
+    def inverse_motion(self) -> InverseMotion: ...
+
+    def tissue(self, xyz_mm: FloatArray, model_phase: float) -> NDArray[np.uint8]:
+        """(n,) tissue codes of the intra-operative anatomy at (n, 3) points."""
+        ...
+
+    def material(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
+        """(n, 3) reference positions X = χ⁻¹(x) that scatterers ride on."""
+        ...
+
+    def surface_vertices(self, model_phase: float) -> FloatArray:
+        """(v, 3) true epicardial surface of the intra-operative anatomy."""
+        ...
+
+    def targets(self) -> Landmarks:
+        """Named points and a 27-point grid of the heart box at which registration errors are declared."""
+        ...
+
+    def landmarks(self) -> Landmarks:
+        """Points on the pre-operative end-diastolic surface that a stylus could touch."""
+        ...
+
+    def preop(self, rng: np.random.Generator) -> Preop:
+        """What was acquired before the intervention; it knows nothing of the mismatch."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhantomShapes:
+    """The heart's implicit shapes and its neighbours, in frame "mr"."""
+
+    heart: HeartShape
+    mr_from_heart: Rigid
+    center_mm: FloatArray
+    base: Tissue = Tissue.ATRIAL_WALL
+
+    def _local(self, xyz_mm: FloatArray) -> FloatArray:
+        return (xyz_mm - self.mr_from_heart.translation_mm) @ self.mr_from_heart.rotation
+
+    def organ(self, xyz_mm: FloatArray) -> FloatArray:
+        return self.heart.organ(self._local(xyz_mm))
+
+    def inside(self, xyz_mm: FloatArray, organ: FloatArray) -> Layers:
+        return self.heart.inside(self._local(xyz_mm), organ)
+
+    def inside_ultrasound_only(self, xyz_mm: FloatArray) -> Layers:
+        return self.heart.inside_ultrasound_only(self._local(xyz_mm))
+
+    def outside(self, xyz_mm: FloatArray, organ: FloatArray) -> Layers:
+        return outside_layers(xyz_mm - self.center_mm, organ)
+
+
+@dataclass(frozen=True, eq=False)
+class PhantomAnatomy:
+    """A four-chamber heart whose motion is known in closed form (see `kernels.lv`).
+
+    The left ventricle moves exactly incompressibly; the right ventricle, atria and great vessels ride on the smooth
+    extension of that map: the right ventricle is squeezed towards the septum, the atria are stretched by the base.
+
+    Attributes:
+        shapes: implicit shapes at end-diastole.
+        scale: factor on the activation.
+        mismatch: pre-operative to intra-operative difference.
+        seed: what it was drawn from.
+    """
+
+    shapes: PhantomShapes
+    scale: float
+    mismatch: SmoothField
+    ed_vertices_mm: FloatArray
+    triangles: IntArray
+    seed: int
+    rr_s: float = RR_S
+    es_fraction: float = ES_FRACTION
+
+    @property
+    def box_mm(self) -> FloatArray:
+        return np.array([self.ed_vertices_mm.min(axis=0), self.ed_vertices_mm.max(axis=0)])
+
+    @property
+    def surface_triangles(self) -> IntArray:
+        return self.triangles
+
+    @cached_property
+    def reference(self) -> ReferenceMap:
+        return build_reference(self.shapes, self._wide_box(), REFERENCE_SPACING_MM)
+
+    @cached_property
+    def inverse_motion(self) -> InverseMotion:
+        return self._tabulated(self.mismatch)
+
+    def deformed(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
+        """(n, 3) pre-operative positions at a phase of (n, 3) reference points: χ, exact, without mismatch."""
+        pose = self.shapes.mr_from_heart
+        local = np.ascontiguousarray((xyz_mm - pose.translation_mm) @ pose.rotation)
+        out = np.empty_like(local)
+        lv.forward(local, np.full(len(local), self._activation(model_phase)), out)
+        return pose.apply_array(out)
+
+    def material(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
+        guess = self.inverse_motion.pull_back(xyz_mm, model_phase)
+        return self._undeformed(self.mismatch.inverse(xyz_mm), self._activation(model_phase), guess)
+
+    def tissue(self, xyz_mm: FloatArray, model_phase: float) -> NDArray[np.uint8]:
+        return tissue_at(self.shapes, self.material(xyz_mm, model_phase))
+
+    def surface_vertices(self, model_phase: float) -> FloatArray:
+        return self.mismatch.forward(self.deformed(self.ed_vertices_mm, model_phase))
+
+    def targets(self) -> Landmarks:
+        names, points = heart_landmarks(self.shapes)
+        return with_box_grid("mr", names, points, self.box_mm)
+
+    def landmarks(self) -> Landmarks:
+        wanted = ("apex", "rv_apex", "rv_insertion_anterior", "rv_insertion_inferior", "laa_tip")
+        wanted += ("aortic_root", "pulmonary_root", "right_atrium")
+        names, points = heart_landmarks(self.shapes)
+        chosen = points[[names.index(name) for name in wanted]]
+        return Landmarks(wanted, Points("mr", project_to_outline(self.shapes.organ, chosen)))
+
+    def preop(self, rng: np.random.Generator) -> Preop:
+        zero = random_mismatch(self.box_mm, 0.0, np.random.default_rng(0))
+        motion = self.inverse_motion if self.mismatch.rms_mm == 0 else self._tabulated(zero)
+        return cine_preop(
+            f"phantom-{self.seed}", self.reference, motion, self.box_mm, self.rr_s, rng, MrProtocol()
+        )
+
+    def _activation(self, model_phase: float) -> float:
+        return self.scale * float(activation(model_phase))
+
+    def _wide_box(self) -> FloatArray:
+        return self.box_mm + np.array([[-MARGIN_MM], [MARGIN_MM]])
+
+    def _undeformed(self, xyz_mm: FloatArray, level: float, guess_mm: FloatArray) -> FloatArray:
+        pose = self.shapes.mr_from_heart
+        local = np.ascontiguousarray((xyz_mm - pose.translation_mm) @ pose.rotation)
+        guess = np.ascontiguousarray((guess_mm - pose.translation_mm) @ pose.rotation)
+        out = np.empty_like(local)
+        lv.inverse(local, np.full(len(local), level), guess, out)
+        return pose.apply_array(out)
+
+    def _tabulated(self, mismatch: SmoothField) -> InverseMotion:
+        """χ⁻¹ after the inverse mismatch, on a grid, at evenly spaced activations."""
+        box = self._wide_box()
+        count = np.ceil((box[1] - box[0]) / MOTION_SPACING_MM).astype(int) + 1
+        axes = [box[0, k] + MOTION_SPACING_MM * np.arange(count[k]) for k in range(3)]
+        nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        still = mismatch.inverse(nodes)
+        levels = np.linspace(0.0, self.scale, _KNOTS)
+        table = np.empty((_KNOTS, *count, 3), dtype=np.float32)
+        before, last = still, still
+        for k, level in enumerate(levels):
+            # the previous two knots extrapolate to an excellent first guess
+            guess = still if k == 0 else 2 * last - before
+            before, last = last, self._undeformed(still, float(level), guess)
+            table[k] = (last - nodes).reshape(*count, 3)
+        return InverseMotion(table, np.array(box[0]), MOTION_SPACING_MM, levels, self.scale)
+
+
+def phantom_anatomy(*, motion: MotionPreset, mismatch_mm: float, seed: int) -> PhantomAnatomy:
+    """The four-chamber phantom.
+
+    Args:
+        motion: "paper5mm" (largest epicardial motion 4.96 mm) or "physiological" (13.9 mm).
+        mismatch_mm: RMS over the heart box of the smooth non-rigid difference to the pre-operative anatomy.
+        seed: draws shape, place and mismatch; the same seed gives the same heart for either motion.
+    Raises:
+        InvalidInputError: unknown motion, or a mismatch outside 0 … 8 mm.
+    """
+    scale = preset_scale(motion)
+    shape_seed, place_seed, mismatch_seed = np.random.SeedSequence([seed, 0x4EA7]).spawn(3)
+    shape = heart_shape(np.random.default_rng(shape_seed))
+    pose = _place_in_thorax(np.random.default_rng(place_seed))
+    shapes = PhantomShapes(shape, pose, pose.apply_array(np.array([6.0, 2.0, 68.0])))
+    vertices, triangles = outline(shapes.organ, shapes.center_mm)
+    box = np.array([vertices.min(axis=0), vertices.max(axis=0)])
+    field = random_mismatch(box, mismatch_mm, np.random.default_rng(mismatch_seed))
+    return PhantomAnatomy(shapes, scale, field, vertices, triangles, seed)
+
+
+def _place_in_thorax(rng: np.random.Generator) -> Rigid:
+    """mr_from_heart: apex to the left, front and below (LPS), turned by a few degrees and shifted per heart."""
+    z = np.array([-0.65, 0.55, 0.52])
+    z /= np.linalg.norm(z)
+    x = np.array([-0.63, -0.77, 0.03])
+    x -= (x @ z) * z
+    x /= np.linalg.norm(x)
+    base = np.column_stack([x, np.cross(z, x), z])
+    turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-8, 8, 3))).as_matrix()
+    shift = np.array([62.0, -71.0, -38.0]) + rng.uniform(-12, 12, 3)
+    return Rigid("mr", "heart", turn @ base, shift)
+
+
+def heart_landmarks(shapes: PhantomShapes) -> tuple[tuple[str, ...], FloatArray]:
+    """Names and (n, 3) end-diastolic positions of the phantom's anatomical points, frame "mr"."""
+    h = shapes.heart
+    base = lv.BASE
+    mitral = np.array([h.la_center[0] * 0.7, h.la_center[1] * 0.7, base])
+    tricuspid = np.array([h.ra_center[0], h.ra_center[1], base])
+    points = {
+        "apex": np.zeros(3),
+        "apex_endocardial": np.array([0.0, 0.0, lv.CAVITY_APEX]),
+        "mitral_lateral": mitral + [-14.0, 0.0, 0.0],
+        "mitral_anterior": mitral + [0.0, 13.0, 0.0],
+        "mitral_inferior": mitral + [0.0, -13.0, 0.0],
+        "tricuspid_lateral": tricuspid + [13.0, 0.0, 0.0],
+        "tricuspid_septal": tricuspid + [-11.0, 0.0, 0.0],
+        "rv_apex": h.rv_center + [12.0, 0.0, -0.85 * h.rv_semi[2]],
+        "rv_insertion_anterior": np.array([11.0, 29.0, 50.0]),
+        "rv_insertion_inferior": np.array([11.0, -29.0, 50.0]),
+        "laa_ostium": h.laa_path[0],
+        "laa_tip": h.laa_path[-1] + [0.0, 4.0, -2.0],
+        "aortic_valve": np.array([h.aorta_path[0][0], h.aorta_path[0][1], base]),
+        "aortic_root": h.aorta_path[1] + [3.0, 12.0, 8.0],
+        "pulmonary_root": h.pulmonary_path[1] + [6.0, 10.0, 3.0],
+        "right_atrium": h.ra_center + [0.8 * h.ra_semi[0], -0.4 * h.ra_semi[1], 0.0],
+    }
+    return tuple(points), shapes.mr_from_heart.apply_array(np.array(list(points.values())))
+
+
+def with_box_grid(frame: str, names: tuple[str, ...], points: FloatArray, box_mm: FloatArray) -> Landmarks:
+    """Named points followed by the 27 nodes (corners, mid-edges, faces, centre) of the heart box."""
+    axes = [np.linspace(box_mm[0, k], box_mm[1, k], 3) for k in range(3)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    labels = tuple(f"box_{i}{j}{k}" for i in range(3) for j in range(3) for k in range(3))
+    return Landmarks(names + labels, Points(frame, np.concatenate([points, grid])))

@@ -1,0 +1,187 @@
+"""What a tool tip truly meets: exact signed distance to the true moving surface."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, IntArray, InvalidInputError, ToolTruth
+
+from .closest_triangle import signed_distances
+from .heart_clock import HeartClock
+
+MAX_INTERPOLATION_ERROR_MM = 0.005
+"""Cached phases are refined until linear interpolation of vertices is closer than this to the anatomy."""
+
+FIRST_PHASES = 48
+FINEST_PHASE = 1.0 / 6144
+_CLUSTER = 24
+
+
+class MovingMesh(Protocol):
+    """The part of a beating anatomy that contact needs."""
+
+    @property
+    def surface_triangles(self) -> IntArray: ...
+
+    def surface_vertices(self, model_phase: float) -> FloatArray: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingSurface:
+    """A closed mesh at any phase of the cycle, and distances to it.
+
+    Attributes:
+        phases: (p,) cached phases, increasing from 0; their spacing follows the speed of the motion.
+        vertices_mm: (p, v, 3); linear between neighbouring phases, cyclic.
+        triangles: (m, 3), outward, sorted by cluster.
+        interpolation_error_mm: bound on the vertex error of the linear interpolation.
+    """
+
+    phases: FloatArray
+    vertices_mm: FloatArray
+    triangles: IntArray
+    interpolation_error_mm: float
+    _clusters: IntArray
+    _centers: FloatArray
+    _radii: FloatArray
+    _start: IntArray
+    _around: IntArray
+    _neighbour: IntArray
+
+    @classmethod
+    def of(cls, anatomy: MovingMesh) -> "MovingSurface":
+        """Cache the surface of `anatomy`, halving intervals until interpolation is accurate enough.
+
+        The error of an interval is measured at its middle. Every middle is kept, which at least halves that
+        error, also at a kink of the motion's speed.
+
+        Raises:
+            InvalidInputError: the mesh is not closed, or moves too abruptly to be interpolated.
+        """
+        start = np.arange(FIRST_PHASES + 1) / FIRST_PHASES
+        cache = {phase: anatomy.surface_vertices(phase % 1.0) for phase in start[:-1].tolist()}
+        cache[1.0] = cache[0.0]
+        waiting = list(zip(start[:-1].tolist(), start[1:].tolist(), strict=True))
+        worst = 0.0
+        while waiting:
+            low, high = waiting.pop()
+            middle = 0.5 * (low + high)
+            cache[middle] = anatomy.surface_vertices(middle)
+            miss = cache[middle] - 0.5 * (cache[low] + cache[high])
+            error = float(np.sqrt((miss**2).sum(axis=1).max()))
+            if error <= 2 * MAX_INTERPOLATION_ERROR_MM:
+                worst = max(worst, 0.5 * error)
+                continue
+            if high - low < FINEST_PHASE:
+                raise InvalidInputError(
+                    f"the true surface jumps by {error:.3g} mm at phase {middle:.4f}; it must move smoothly"
+                )
+            waiting += [(low, middle), (middle, high)]
+        phases = np.array(sorted(cache)[:-1])
+        vertices = np.stack([cache[phase] for phase in phases.tolist()])
+        return cls._indexed(phases, vertices, np.array(anatomy.surface_triangles, dtype=np.int64), worst)
+
+    @classmethod
+    def _indexed(
+        cls, phases: FloatArray, vertices: FloatArray, triangles: IntArray, error: float
+    ) -> "MovingSurface":
+        order, clusters = _clustered(vertices[0][triangles].mean(axis=1))
+        triangles = np.ascontiguousarray(triangles[order])
+        neighbour = _neighbours(triangles)
+        start, around = _triangles_around(triangles, vertices.shape[1])
+        centers, radii = _bounding_spheres(vertices, triangles, clusters)
+        return cls(
+            phases, vertices, triangles, error, clusters, centers, radii, start, around, neighbour
+        )
+
+    def at(self, model_phase: float) -> FloatArray:
+        """(v, 3) vertices at one phase."""
+        low, high, weight = self._bracket(np.array([model_phase]))
+        return np.asarray(
+            (1 - weight[0]) * self.vertices_mm[low[0]] + weight[0] * self.vertices_mm[high[0]]
+        )
+
+    def distance(self, points_mm: FloatArray, model_phase: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Signed distance (n,) mm, positive inside, and its unit gradient (n, 3), each at its own phase."""
+        points = np.ascontiguousarray(points_mm, dtype=np.float64)
+        low, high, weight = self._bracket(np.broadcast_to(model_phase, len(points)))
+        distance, gradient = np.empty(len(points)), np.empty((len(points), 3))
+        signed_distances(
+            points, low, high, weight, self.vertices_mm, self.triangles, self._clusters, self._centers,
+            self._radii, self._start, self._around, self._neighbour, distance, gradient,
+        )  # fmt: skip
+        return distance, gradient
+
+    def _bracket(self, model_phase: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+        """Neighbouring cached phases and the weight of the second."""
+        phase = np.asarray(model_phase, dtype=np.float64) % 1.0
+        low = np.searchsorted(self.phases, phase, side="right") - 1
+        edges = np.append(self.phases, 1.0)
+        weight = (phase - edges[low]) / (edges[low + 1] - edges[low])
+        return low.astype(np.int64), ((low + 1) % len(self.phases)).astype(np.int64), weight
+
+
+def tool_truth(
+    surface: MovingSurface, clock: HeartClock, t_s: FloatArray, tip_mr_mm: FloatArray
+) -> ToolTruth:
+    """Contact of the tip at every tick."""
+    phase = clock.model_phase(t_s)
+    distance, gradient = surface.distance(tip_mr_mm, phase)
+    return ToolTruth(t_s, tip_mr_mm, clock.phi(t_s), phase, distance, gradient)
+
+
+def _clustered(centroids: FloatArray) -> tuple[IntArray, IntArray]:
+    """Triangle order and cluster offsets: median splits along the longest axis."""
+    done: list[IntArray] = []
+    waiting = [np.arange(len(centroids))]
+    while waiting:
+        members = waiting.pop()
+        if len(members) <= _CLUSTER:
+            done.append(members)
+            continue
+        axis = int(np.ptp(centroids[members], axis=0).argmax())
+        members = members[np.argsort(centroids[members, axis], kind="stable")]
+        half = len(members) // 2
+        waiting += [members[half:], members[:half]]
+    return np.concatenate(done), np.cumsum([0, *(len(members) for members in done)])
+
+
+def _bounding_spheres(
+    vertices: FloatArray, triangles: IntArray, clusters: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Sphere of each cluster at each phase; between phases the lerped centre with the larger radius bounds."""
+    centers = np.empty((len(vertices), len(clusters) - 1, 3))
+    radii = np.empty((len(vertices), len(clusters) - 1))
+    for c, (first, last) in enumerate(zip(clusters[:-1], clusters[1:], strict=True)):
+        members = vertices[:, np.unique(triangles[first:last])]
+        centers[:, c] = members.mean(axis=1)
+        radii[:, c] = np.linalg.norm(members - centers[:, c, None], axis=2).max(axis=1) + 1e-9
+    return centers, radii
+
+
+def _triangles_around(triangles: IntArray, vertices: int) -> tuple[IntArray, IntArray]:
+    corner_of = np.argsort(triangles.ravel(), kind="stable")
+    start = np.searchsorted(triangles.ravel()[corner_of], np.arange(vertices + 1))
+    return start.astype(np.int64), (corner_of // 3).astype(np.int64)
+
+
+def _neighbours(triangles: IntArray) -> IntArray:
+    """(m, 3) triangle across edge k (corner k to k+1).
+
+    Raises:
+        InvalidInputError: an edge without exactly one oppositely oriented partner.
+    """
+    big = int(triangles.max()) + 1
+    following = np.roll(triangles, -1, axis=1)
+    key, partner = (triangles * big + following).ravel(), (following * big + triangles).ravel()
+    order = np.argsort(key, kind="stable")
+    at = np.minimum(np.searchsorted(key[order], partner), len(key) - 1)
+    open_edges = int(np.count_nonzero(key[order][at] != partner))
+    repeated = len(key) - len(np.unique(key))
+    if open_edges or repeated:
+        raise InvalidInputError(
+            f"the true surface has {open_edges} open and {repeated} repeated edges; needed a closed mesh with "
+            "consistent orientation"
+        )
+    return np.asarray(order[at] // 3, dtype=np.int64).reshape(-1, 3)

@@ -1,0 +1,118 @@
+"""Trilinear lookups in the reference heart, and images made by pulling voxels back into it."""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def cell(u, count):
+    """Lower node and weight of a continuous index, clamped to the grid."""
+    u = min(max(u, 0.0), count - 1.0)
+    i = int(u)
+    if i > count - 2:
+        i = count - 2
+    return i, u - i
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def reference_point(x, y, z, displacement, origin, inverse_spacing, first, second, weight):
+    """X = χ⁻¹(x) by linear interpolation in space and between two knots."""
+    nx, ny, nz = displacement.shape[1], displacement.shape[2], displacement.shape[3]
+    i, fx = cell((x - origin[0]) * inverse_spacing, nx)
+    j, fy = cell((y - origin[1]) * inverse_spacing, ny)
+    k, fz = cell((z - origin[2]) * inverse_spacing, nz)
+    dx, dy, dz = 0.0, 0.0, 0.0
+    for knot in range(2):
+        n = first if knot == 0 else second
+        share = 1.0 - weight if knot == 0 else weight
+        if share == 0.0:
+            continue
+        for a in range(2):
+            wa = share * (fx if a else 1.0 - fx)
+            for b in range(2):
+                wb = wa * (fy if b else 1.0 - fy)
+                low = wb * (1.0 - fz)
+                high = wb * fz
+                near = displacement[n, i + a, j + b, k]
+                far = displacement[n, i + a, j + b, k + 1]
+                dx += low * near[0] + high * far[0]
+                dy += low * near[1] + high * far[1]
+                dz += low * near[2] + high * far[2]
+    return x + dx, y + dy, z + dz
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pull_back(points, displacement, origin, inverse_spacing, first, second, weight, out):
+    """Reference positions of (n, 3) points at one pair of knots."""
+    for i in range(len(points)):
+        out[i, 0], out[i, 1], out[i, 2] = reference_point(
+            points[i, 0],
+            points[i, 1],
+            points[i, 2],
+            displacement,
+            origin,
+            inverse_spacing,
+            first,
+            second,
+            weight,
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def scalar_at(x, y, z, values, origin, inverse_spacing):
+    """Trilinear value of a scalar grid, clamped at its border."""
+    i, fx = cell((x - origin[0]) * inverse_spacing, values.shape[0])
+    j, fy = cell((y - origin[1]) * inverse_spacing, values.shape[1])
+    k, fz = cell((z - origin[2]) * inverse_spacing, values.shape[2])
+    total = 0.0
+    for a in range(2):
+        wa = fx if a else 1.0 - fx
+        for b in range(2):
+            wb = wa * (fy if b else 1.0 - fy)
+            total += wb * ((1.0 - fz) * values[i + a, j + b, k] + fz * values[i + a, j + b, k + 1])
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest(u, count):
+    return min(max(int(u + 0.5), 0), count - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def image_slab(
+    start,
+    stop,
+    grid_origin,
+    grid_spacing,
+    displacement,
+    motion_origin,
+    motion_inverse_spacing,
+    first,
+    second,
+    weight,
+    organ,
+    inner,
+    outer,
+    signal,
+    map_origin,
+    map_inverse_spacing,
+    signal_out,
+    code_out,
+):
+    """MR signal and tissue code of voxels start <= i < stop along the first axis, at one pair of knots."""
+    ny, nz = signal_out.shape[1], signal_out.shape[2]
+    for i in range(start, stop):
+        x = grid_origin[0] + i * grid_spacing
+        for j in range(ny):
+            y = grid_origin[1] + j * grid_spacing
+            for k in range(nz):
+                z = grid_origin[2] + k * grid_spacing
+                u, v, w = reference_point(
+                    x, y, z, displacement, motion_origin, motion_inverse_spacing, first, second, weight
+                )
+                signal_out[i, j, k] = scalar_at(u, v, w, signal, map_origin, map_inverse_spacing)
+                depth = scalar_at(u, v, w, organ, map_origin, map_inverse_spacing)
+                a = nearest((u - map_origin[0]) * map_inverse_spacing, inner.shape[0])
+                b = nearest((v - map_origin[1]) * map_inverse_spacing, inner.shape[1])
+                c = nearest((w - map_origin[2]) * map_inverse_spacing, inner.shape[2])
+                code_out[i, j, k] = inner[a, b, c] if depth > 0.0 else outer[a, b, c]

@@ -1,0 +1,153 @@
+"""Closed-form motion of the heart about the left ventricle's axis, and its inverse.
+
+Heart frame, mm: apex at z = 0, base (mitral plane) at z = BASE, +x towards the right ventricle. `a` is activation.
+In the wall (R_i <= R <= R_o, 0 <= Z <= BASE) the map is exactly incompressible:
+    z = Z - a H Z²/L,  g' = 1 - 2aHZ/L,  r² = R²/g' + c(Z),  c = [(1 - κa)² - 1/g'] R_i²,
+    θ = Θ + a (-10° (1 - Z/L) + 4° Z/L).
+Blood scales with the endocardium, r = R r_i/R_i. Outside the epicardium the wall's motion decays with
+exp(-(R - R_o)/ℓ); on the right-ventricular side the decay is slower and the space beyond the septum is squeezed
+towards it, so that the right ventricle ejects. Above the base the motion tapers, so that the atria fill in systole.
+"""
+
+import numpy as np
+from numba import njit
+
+BASE = 85.0
+CAVITY_APEX = 12.0
+OUTER = 33.0
+INNER = 25.0
+POWER = 2.2
+H = 0.16
+KAPPA = 0.32
+TWIST_APEX = np.deg2rad(-10.0)
+TWIST_BASE = np.deg2rad(4.0)
+DECAY = 25.0
+RV_EXTRA_DECAY = 35.0
+RV_SQUEEZE = 0.30
+RV_REACH = 55.0
+AXIAL_TAPER = 45.0
+RADIAL_TAPER = 25.0
+OVERSHOOT = 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def radii(z):
+    """Epicardial and endocardial radius at ED height z; constant above the base, zero below the apices."""
+    u = min(max(1.0 - z / BASE, 0.0), 1.0)
+    s = min(max(1.0 - (z - CAVITY_APEX) / (BASE - CAVITY_APEX), 0.0), 1.0)
+    return OUTER * np.sqrt(1.0 - u**POWER), INNER * np.sqrt(1.0 - s**POWER)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _axial(z):
+    """Longitudinal shape s(Z), slope measure for incompressibility, twist (rad) and taper at height Z."""
+    if z < 0.0:
+        return 0.0, 0.0, TWIST_APEX * np.exp(-((z / 20.0) ** 2)), 1.0
+    if z <= BASE:
+        w = z / BASE
+        return z * w, 2.0 * w, TWIST_APEX * (1.0 - w) + TWIST_BASE * w, 1.0
+    u = z - BASE
+    taper = np.exp(-((u / RADIAL_TAPER) ** 2))
+    rise = 2.0 * OVERSHOOT * (1.0 - np.exp(-u / OVERSHOOT))
+    return (BASE + rise) * np.exp(-((u / AXIAL_TAPER) ** 2)), 2.0 * taper, TWIST_BASE * taper, taper
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rv_side(cos_theta, z):
+    """How far a direction and height belong to the right ventricle's side, 0…1."""
+    if z <= 0.0:
+        return 0.0
+    lobe = 0.5 * (1.0 + cos_theta)
+    lobe = lobe * lobe * (3.0 - 2.0 * lobe)
+    rise = min(z / 30.0, 1.0)
+    return lobe * rise * rise * (3.0 - 2.0 * rise)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def forward_point(x, y, z, a):
+    """χ_a of one reference point of the heart frame."""
+    radius = np.sqrt(x * x + y * y)
+    r_out, r_in = radii(z)
+    s, slope, twist, taper = _axial(z)
+    g = 1.0 - a * H * slope
+    shrink = 1.0 - KAPPA * a * taper
+    c = (shrink * shrink - 1.0 / g) * r_in * r_in
+    decay, axial_decay = 1.0, 1.0
+    if radius <= r_in:
+        r = radius * shrink
+    elif radius <= r_out:
+        r = np.sqrt(radius * radius / g + c)
+    else:
+        rho = radius - r_out
+        side = rv_side(x / radius, z)
+        squeeze = a * RV_SQUEEZE * side * taper * np.exp(-((rho / RV_REACH) ** 3))
+        moved = r_out + rho * (1.0 - squeeze)
+        decay = np.exp(-rho / DECAY)
+        axial_decay = np.exp(-rho / (DECAY + RV_EXTRA_DECAY * side))
+        wall = (1.0 / g - 1.0) * r_out * r_out + c
+        r = np.sqrt(max(moved * moved + wall * decay, 0.0))
+    turn = a * twist * decay
+    ct, st = np.cos(turn), np.sin(turn)
+    scale = r / radius if radius > 1e-12 else (shrink if r_in > 0.0 else 1.0 / np.sqrt(g))
+    return scale * (ct * x - st * y), scale * (st * x + ct * y), z - a * H * s * axial_decay
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def inverse_point(x, y, z, a, gx, gy, gz):
+    """Reference point that χ_a carries to (x, y, z), from the guess (gx, gy, gz); damped Newton, 1e-4 mm."""
+    fx, fy, fz = forward_point(gx, gy, gz, a)
+    ex, ey, ez = x - fx, y - fy, z - fz
+    worst = ex * ex + ey * ey + ez * ez
+    # χ is close to a shift: plain correction steps settle nearly everywhere and cost one evaluation each
+    for _ in range(6):
+        if worst < 1e-8:
+            return gx, gy, gz
+        tx, ty, tz = gx + ex, gy + ey, gz + ez
+        fx, fy, fz = forward_point(tx, ty, tz, a)
+        ux, uy, uz = x - fx, y - fy, z - fz
+        error = ux * ux + uy * uy + uz * uz
+        if error > 0.25 * worst:
+            break
+        gx, gy, gz, ex, ey, ez, worst = tx, ty, tz, ux, uy, uz, error
+    h = 1e-4
+    for _ in range(20):
+        if worst < 1e-8:
+            break
+        fx, fy, fz = x - ex, y - ey, z - ez
+        ax, ay, az = forward_point(gx + h, gy, gz, a)
+        bx, by, bz = forward_point(gx, gy + h, gz, a)
+        cx, cy, cz = forward_point(gx, gy, gz + h, a)
+        ax, ay, az = (ax - fx) / h, (ay - fy) / h, (az - fz) / h
+        bx, by, bz = (bx - fx) / h, (by - fy) / h, (bz - fz) / h
+        cx, cy, cz = (cx - fx) / h, (cy - fy) / h, (cz - fz) / h
+        det = ax * (by * cz - bz * cy) - bx * (ay * cz - az * cy) + cx * (ay * bz - az * by)
+        dx = (ex * (by * cz - bz * cy) - bx * (ey * cz - ez * cy) + cx * (ey * bz - ez * by)) / det
+        dy = (ax * (ey * cz - ez * cy) - ex * (ay * cz - az * cy) + cx * (ay * ez - az * ey)) / det
+        dz = (ax * (by * ez - bz * ey) - bx * (ay * ez - az * ey) + ex * (ay * bz - az * by)) / det
+        step = 1.0
+        for _ in range(6):
+            tx, ty, tz = gx + step * dx, gy + step * dy, gz + step * dz
+            fx, fy, fz = forward_point(tx, ty, tz, a)
+            ux, uy, uz = x - fx, y - fy, z - fz
+            error = ux * ux + uy * uy + uz * uz
+            if error < worst:
+                break
+            step *= 0.5
+        gx, gy, gz, ex, ey, ez, worst = tx, ty, tz, ux, uy, uz, error
+    return gx, gy, gz
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def forward(points, a, out):
+    """χ_a of (n, 3) points into `out`; `a` is (n,)."""
+    for i in range(len(points)):
+        out[i, 0], out[i, 1], out[i, 2] = forward_point(points[i, 0], points[i, 1], points[i, 2], a[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def inverse(points, a, guess, out):
+    """χ_a⁻¹ of (n, 3) points into `out`; `a` is (n,), `guess` (n, 3)."""
+    for i in range(len(points)):
+        out[i, 0], out[i, 1], out[i, 2] = inverse_point(
+            points[i, 0], points[i, 1], points[i, 2], a[i], guess[i, 0], guess[i, 1], guess[i, 2]
+        )

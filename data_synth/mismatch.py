@@ -1,0 +1,111 @@
+"""The non-rigid difference between the heart that was imaged and the heart that is operated on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, InvalidInputError
+
+CORRELATION_MM = 30.0
+MODES = 48
+_FIT_NODES = 15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothField:
+    """A smooth random displacement m(x) = Σ A cos(k·x) + B sin(k·x) − t − ω×(x − c), frame "mr".
+
+    Attributes:
+        waves: (m, 3) wave vectors, rad/mm.
+        cosine, sine: (m, 3) amplitudes, mm.
+        shift_mm: (3,) removed translation.
+        turn_rad: (3,) removed rotation vector.
+        center_mm: (3,) heart-box centre.
+        rms_mm: root mean square of |m| over the heart box.
+    """
+
+    waves: FloatArray
+    cosine: FloatArray
+    sine: FloatArray
+    shift_mm: FloatArray
+    turn_rad: FloatArray
+    center_mm: FloatArray
+    rms_mm: float
+
+    def at(self, xyz_mm: FloatArray) -> FloatArray:
+        """(n, 3) displacement at (n, 3) points."""
+        if self.rms_mm == 0:
+            return np.zeros_like(xyz_mm)
+        relative = xyz_mm - self.center_mm
+        angle = relative @ self.waves.T
+        wave = np.cos(angle) @ self.cosine + np.sin(angle) @ self.sine
+        return np.asarray(wave - self.shift_mm - np.cross(self.turn_rad, relative))
+
+    def forward(self, xyz_mm: FloatArray) -> FloatArray:
+        """Pre-operative to intra-operative positions."""
+        return np.asarray(xyz_mm + self.at(xyz_mm))
+
+    def inverse(self, xyz_mm: FloatArray) -> FloatArray:
+        """Intra-operative to pre-operative positions, by fixed-point iteration to below 1e-4 mm."""
+        out = np.array(xyz_mm, dtype=np.float64)
+        for _ in range(30):
+            correction = xyz_mm - out - self.at(out)
+            out += correction
+            if np.abs(correction).max(initial=0.0) < 1e-5:
+                break
+        return out
+
+
+def random_mismatch(
+    box_mm: FloatArray,
+    rms_mm: float,
+    rng: np.random.Generator,
+    correlation_mm: float = CORRELATION_MM,
+) -> SmoothField:
+    """A smooth random field of exactly `rms_mm` over the heart box, without any rigid part there.
+
+    The rigid part (shift and small rotation) is removed by least squares over a uniform grid of the box, so that
+    a planted pose stays the best rigid pose.
+
+    Args:
+        box_mm: (2, 3) heart box, frame "mr".
+        rms_mm: root mean square of the 3-D displacement, 0 … 8 mm.
+        rng: draws the field.
+        correlation_mm: SD of the Gaussian correlation of the field.
+    Raises:
+        InvalidInputError: negative or too large RMS.
+    """
+    if not 0 <= rms_mm <= 8:
+        raise InvalidInputError(f"mismatch is {rms_mm:g} mm RMS; needed 0 to 8 mm (more would fold space)")
+    center = box_mm.mean(axis=0)
+    waves = rng.normal(0.0, 1.0 / correlation_mm, (MODES, 3))
+    cosine, sine = rng.normal(size=(2, MODES, 3))
+    zero = np.zeros(3)
+    if rms_mm == 0:
+        return SmoothField(waves, cosine, sine, zero, zero, center, 0.0)
+    axes = [np.linspace(box_mm[0, k], box_mm[1, k], _FIT_NODES) for k in range(3)]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    raw = SmoothField(waves, cosine, sine, zero, zero, center, 1.0).at(nodes)
+    shift, turn = _rigid_part(nodes - center, raw)
+    rest = raw - shift - np.cross(turn, nodes - center)
+    gain = rms_mm / float(np.sqrt((rest**2).sum(axis=1).mean()))
+    return SmoothField(waves, cosine * gain, sine * gain, shift * gain, turn * gain, center, rms_mm)
+
+
+def _rigid_part(relative_mm: FloatArray, field_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least-squares shift (3,) and small rotation vector (3,) of a displacement field."""
+    x, y, z = relative_mm.T
+    zero = np.zeros_like(x)
+    # ω × r, one column for each component of ω
+    turn = np.stack(
+        [
+            np.column_stack([zero, -z, y]),
+            np.column_stack([z, zero, -x]),
+            np.column_stack([-y, x, zero]),
+        ],
+        axis=-1,
+    )
+    shift = np.broadcast_to(np.eye(3), (len(x), 3, 3))
+    design = np.concatenate([shift, turn], axis=-1).reshape(-1, 6)
+    solution = np.linalg.lstsq(design, field_mm.reshape(-1), rcond=None)[0]
+    return solution[:3], solution[3:]

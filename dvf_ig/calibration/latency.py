@@ -1,0 +1,258 @@
+"""Temporal calibration: the lag between the tracker's clock and the video's, from one shared motion."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import find_peaks
+from scipy.stats import t as student_t
+
+from dvf_ig.core import (
+    FloatArray,
+    InvalidInputError,
+    LatencyRecording,
+    NoOverlapError,
+    PoseStream,
+    QualityGateError,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LatencyOptions:
+    """Where the lag is sought and what is refused.
+
+    Attributes:
+        search_s: lags within ± this are tried.
+        coarse_s, fine_s: steps of the two searches; a parabola goes through the best three fine ones.
+        min_periods: fewest up-and-down movements accepted.
+        min_motion_mm: smallest accepted standard deviation of the probe's principal motion.
+        min_motion_px: the same of the line's row.
+        min_correlation: smallest accepted |correlation| at the best lag.
+        max_second_ratio: largest accepted |correlation| of another lag over that of the best one.
+        blocks: pieces of the recording whose own lags give the confidence interval.
+    """
+
+    search_s: float = 0.5
+    coarse_s: float = 0.005
+    fine_s: float = 0.001
+    min_periods: float = 3.0
+    min_motion_mm: float = 1.0
+    min_motion_px: float = 2.0
+    min_correlation: float = 0.8
+    max_second_ratio: float = 0.985
+    blocks: int = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LatencyResult:
+    """A lag with its evidence: t_tracker(event) = t_video(event) + lag_s.
+
+    Attributes:
+        lag_s: negative where the tracker leads the video.
+        interval_s: 95 % confidence interval of lag_s, from the lags of separate pieces of the recording.
+        correlation: |Pearson correlation| of the two motions at lag_s.
+        inverted: True where the row falls while the principal motion rises.
+        second_lag_s, second_peak_ratio: the best other lag and its |correlation| over the winner's.
+        halves_s: lags of the first and of the second half.
+        periods: up-and-down movements in the recording.
+        lags_s, correlations: (k,) the signed correlation over all lags tried.
+    """
+
+    lag_s: float
+    interval_s: tuple[float, float]
+    correlation: float
+    inverted: bool
+    second_lag_s: float
+    second_peak_ratio: float
+    halves_s: tuple[float, float]
+    periods: float
+    lags_s: FloatArray
+    correlations: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Motions:
+    """The tracker's principal motion (mm) and the row (px), each on its own clock."""
+
+    tracker_t_s: FloatArray
+    motion_mm: FloatArray
+    video_t_s: FloatArray
+    row_px: FloatArray
+
+    def correlation(self, lag_s: float) -> float:
+        """Signed correlation of row(t) with motion(t + lag)."""
+        moved = np.interp(self.video_t_s + lag_s, self.tracker_t_s, self.motion_mm)
+        a, b = moved - moved.mean(), self.row_px - self.row_px.mean()
+        scale = float(np.sqrt((a @ a) * (b @ b)))
+        return float(a @ b) / scale if scale > 0 else 0.0
+
+    def part(self, start: int, stop: int) -> "_Motions":
+        return _Motions(
+            self.tracker_t_s, self.motion_mm, self.video_t_s[start:stop], self.row_px[start:stop]
+        )
+
+
+def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | None = None) -> LatencyResult:
+    """The lag at which the probe's principal motion best explains the line's row, whatever the sign.
+
+    Args:
+        recording: tracker_from_probe on the tracker clock, row of the tank bottom on the video clock.
+        options: see LatencyOptions.
+    Raises:
+        NoOverlapError: the two recordings share too little time.
+        InvalidInputError: no valid pose in that time.
+        QualityGateError: no motion, too few periods, poor correlation, or a second lag that fits as well.
+    Source: PLUS temporal calibration (principal axis against line position).
+    Differs from source: of the two motion signs the better fit is kept, not the smaller lag.
+    """
+    options = options or LatencyOptions()
+    motions = _motions(recording, options)
+    periods = _periods(motions)
+    if periods < options.min_periods:
+        raise QualityGateError(
+            f"the recording holds {periods:.1f} up-and-down movements, needed at least {options.min_periods:g}; "
+            "move the probe up and down for ten seconds or more"
+        )
+    lags = np.arange(-options.search_s, options.search_s + options.coarse_s / 2, options.coarse_s)
+    correlations = np.array([motions.correlation(float(lag)) for lag in lags])
+    best = int(np.abs(correlations).argmax())
+    lag, value = _refined(motions, float(lags[best]), float(np.sign(correlations[best])), options)
+    second_lag, second = _second_peak(lags, np.abs(correlations), best)
+    ratio = second / abs(value) if value else 1.0
+    _refuse_poor(lag, abs(value), second_lag, ratio, options)
+    sign = float(np.sign(value))
+    half = len(motions.video_t_s) // 2
+    halves = (
+        _refined(motions.part(0, half), lag, sign, options)[0],
+        _refined(motions.part(half, len(motions.video_t_s)), lag, sign, options)[0],
+    )
+    return LatencyResult(
+        lag_s=lag,
+        interval_s=_interval(motions, lag, sign, options),
+        correlation=abs(value),
+        inverted=value < 0,
+        second_lag_s=second_lag,
+        second_peak_ratio=ratio,
+        halves_s=halves,
+        periods=periods,
+        lags_s=lags,
+        correlations=correlations,
+    )
+
+
+def principal_motion_mm(poses: PoseStream) -> FloatArray:
+    """(n valid,) translation along its axis of largest variance, mm, zero mean; direction made unique."""
+    translations = poses.translations_mm[poses.valid]
+    centred = translations - translations.mean(axis=0)
+    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+    axis = axis * np.sign(axis[int(np.abs(axis).argmax())])
+    return np.asarray(centred @ axis)
+
+
+def _motions(recording: LatencyRecording, options: LatencyOptions) -> _Motions:
+    poses, rows = recording.tracker_from_probe, recording.wall_row_px
+    first, last = rows.t_s[0] - options.search_s, rows.t_s[-1] + options.search_s
+    near = poses.valid & (poses.t_s >= first - 1.0) & (poses.t_s <= last + 1.0)
+    if near.sum() < 10:
+        raise NoOverlapError(
+            f"{poses.name} has {int(near.sum())} valid poses while the video ran ({rows.t_s[0]:.2f} to "
+            f"{rows.t_s[-1]:.2f} s), needed at least 10; its own times run from {poses.t_s[0]:.2f} to "
+            f"{poses.t_s[-1]:.2f} s: record both together on one clock"
+        )
+    kept = PoseStream(
+        poses.target, poses.source, poses.t_s[near], poses.rotations[near], poses.translations_mm[near],
+        poses.valid[near],
+    )  # fmt: skip
+    covered = _covered(rows.t_s, kept.t_s, options.search_s)
+    if covered.sum() < 20:
+        raise NoOverlapError(
+            f"only {int(covered.sum())} of {len(rows.t_s)} video frames lie within the tracked time with "
+            f"{options.search_s:g} s to spare on both sides, needed at least 20; let the tracker run longer"
+        )
+    motion = principal_motion_mm(kept)
+    row = rows.values[covered]
+    if motion.std() < options.min_motion_mm or row.std() < options.min_motion_px:
+        raise QualityGateError(
+            f"there is no motion to compare: the probe moves {motion.std():.2f} mm (needed "
+            f"{options.min_motion_mm:g}) and the line {row.std():.2f} px (needed {options.min_motion_px:g}), "
+            "standard deviations; move the probe up and down above the tank's floor"
+        )
+    return _Motions(kept.t_s, motion, rows.t_s[covered], row)
+
+
+def _covered(video_t_s: FloatArray, tracker_t_s: FloatArray, search_s: float) -> np.ndarray[
+    tuple[int], np.dtype[np.bool_]
+]:
+    """Video frames with close tracker samples at every lag tried (edges, and gaps beyond 0.25 s, left out)."""
+    inside = (video_t_s - search_s >= tracker_t_s[0]) & (video_t_s + search_s <= tracker_t_s[-1])
+    for gap in np.flatnonzero(np.diff(tracker_t_s) > 0.25):
+        inside &= (video_t_s + search_s < tracker_t_s[gap]) | (video_t_s - search_s > tracker_t_s[gap + 1])
+    return np.asarray(inside)
+
+
+def _periods(motions: _Motions) -> float:
+    """Half the number of times the row crosses its mean by more than a quarter of its spread."""
+    level = motions.row_px - np.median(motions.row_px)
+    side = np.where(np.abs(level) > 0.25 * level.std(), np.sign(level), 0.0)
+    side = side[side != 0]
+    return float(np.count_nonzero(np.diff(side)) / 2)
+
+
+def _refined(motions: _Motions, lag_s: float, sign: float, options: LatencyOptions) -> tuple[float, float]:
+    """Best lag near `lag_s` for one sign of motion, by fine steps and a parabola, with its correlation."""
+    steps = int(round(2 * options.coarse_s / options.fine_s))
+    for _ in range(20):
+        lags = lag_s + options.fine_s * np.arange(-steps, steps + 1)
+        values = sign * np.array([motions.correlation(float(lag)) for lag in lags])
+        best = int(values.argmax())
+        if 0 < best < len(lags) - 1:
+            break
+        lag_s = float(lags[best])
+    else:
+        return lag_s, sign * float(values[best])
+    below, top, above = values[best - 1 : best + 2]
+    bend = below - 2 * top + above
+    offset = 0.5 * (below - above) / bend if bend < 0 else 0.0
+    return float(lags[best] + offset * options.fine_s), sign * float(top - 0.25 * (below - above) * offset)
+
+
+def _second_peak(lags: FloatArray, strength: FloatArray, best: int) -> tuple[float, float]:
+    """Lag and |correlation| of the strongest other local maximum (0 where there is none)."""
+    padded = np.concatenate([[-1.0], strength, [-1.0]])
+    peaks = find_peaks(padded)[0] - 1
+    others = peaks[np.abs(peaks - best) > 2]
+    if len(others) == 0:
+        return float("nan"), 0.0
+    second = int(others[strength[others].argmax()])
+    return float(lags[second]), float(strength[second])
+
+
+def _interval(motions: _Motions, lag_s: float, sign: float, options: LatencyOptions) -> tuple[float, float]:
+    """95 % interval about the lag from the scatter of the lags of separate pieces (Student's t)."""
+    edges = np.linspace(0, len(motions.video_t_s), options.blocks + 1).astype(int)
+    lags = [
+        _refined(motions.part(int(a), int(b)), lag_s, sign, options)[0]
+        for a, b in zip(edges[:-1], edges[1:], strict=True)
+    ]
+    error = float(np.std(lags, ddof=1) / np.sqrt(options.blocks))
+    reach = float(student_t.ppf(0.975, options.blocks - 1)) * error
+    return lag_s - reach, lag_s + reach
+
+
+def _refuse_poor(
+    lag_s: float, correlation: float, second_lag_s: float, ratio: float, options: LatencyOptions
+) -> None:
+    if correlation < options.min_correlation:
+        raise QualityGateError(
+            f"probe and line move together with correlation {correlation:.2f} at best, needed at least "
+            f"{options.min_correlation:g}; check the line detection and that both belong to one recording"
+        )
+    if ratio > options.max_second_ratio:
+        raise QualityGateError(
+            f"two lags fit equally well ({lag_s:+.3f} s and {second_lag_s:+.3f} s, ratio {ratio:.3f}); record "
+            "again with movements of uneven pace so that only one can match"
+        )
+    if abs(lag_s) >= options.search_s - options.coarse_s:
+        raise QualityGateError(
+            f"the best lag lies at the end of the search (±{options.search_s:g} s); check that both clocks "
+            "are the same, or widen the search"
+        )

@@ -1,0 +1,154 @@
+"""Which humps of the QRS envelope are beats: adaptive threshold, refractory time, search-back."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .lead_levels import LeadLevels
+
+
+@dataclass(frozen=True, slots=True)
+class RPeakOptions:
+    """Thresholds are shares of the level of recent complexes.
+
+    Attributes:
+        learning_s: signal seen before the first decision; its beats come with the honest late time.
+        refractory_s: no second beat within this time, unless it is `override` times as high as the first.
+        t_wave_s: until this time after a beat the threshold falls from `t_wave_share` to `share`.
+        share: normal threshold.
+        late_share: the threshold falls to this while the next beat is overdue.
+        search_back_share: smallest complex accepted when looking back.
+        search_back_rr: look back when no beat came for this many RR intervals.
+        close_share: a complex is over when the envelope falls to this share of its top.
+        close_s: or when its top lies this far back.
+        override: height against the previous beat at which a second complex replaces it.
+        clip: no lead counts for more than this many times its level.
+    """
+
+    learning_s: float = 2.0
+    refractory_s: float = 0.22
+    t_wave_s: float = 0.40
+    t_wave_share: float = 0.75
+    share: float = 0.35
+    late_share: float = 0.18
+    search_back_share: float = 0.16
+    search_back_rr: float = 1.5
+    close_share: float = 0.6
+    close_s: float = 0.09
+    override: float = 1.8
+    clip: float = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class Complex:
+    """A hump of the envelope: sample of its top, sample at which it was judged, its height."""
+
+    top: int
+    judged: int
+    height: float
+
+
+class BeatFinder:
+    """Takes one envelope sample of all leads at a time, in order; returns the beats that this one decided."""
+
+    def __init__(self, rate_hz: float, leads: int, options: RPeakOptions) -> None:
+        self._rate = rate_hz
+        self._options = options
+        self._levels = LeadLevels(rate_hz, leads, options.clip)
+        self._learning: list[tuple[Sequence[float], Sequence[bool]]] = []
+        self._learnt = False
+        self._history: deque[Sequence[float]] = deque(maxlen=round(4.0 * rate_hz))
+        self._now = -1
+        self._top, self._top_at = 0.0, 0
+        self._last: int | None = None
+        self._last_height = 0.0
+        self._rr = 0.8 * rate_hz
+        self._intervals: deque[int] = deque(maxlen=8)
+        self._candidates: list[Complex] = []
+
+    def step(self, row: Sequence[float], off: Sequence[bool]) -> list[Complex]:
+        """Envelope values and "lead off" flags of the next sample."""
+        if self._learnt:
+            return self._decide(row, off)
+        self._learning.append((row, off))
+        if len(self._learning) < self._options.learning_s * self._rate:
+            return []
+        return self._finish_learning()
+
+    def _finish_learning(self) -> list[Complex]:
+        """Judge the first seconds once their levels are known; everything found is known only now."""
+        self._learnt = True
+        rows = np.array([row for row, _ in self._learning])
+        self._levels.learn(rows, self._rate)
+        found = [beat for row, off in self._learning for beat in self._decide(row, off)]
+        self._learning = []
+        return [Complex(beat.top, self._now, beat.height) for beat in found]
+
+    def _decide(self, row: Sequence[float], off: Sequence[bool]) -> list[Complex]:
+        self._now += 1
+        self._history.append(row)
+        height = self._levels.combined(row, off)
+        found: list[Complex] = []
+        if height > self._top:
+            self._top, self._top_at = height, self._now
+        elif (
+            height < self._options.close_share * self._top
+            or self._now - self._top_at > self._options.close_s * self._rate
+        ):
+            self._judge(found)
+            self._top, self._top_at = height, self._now
+        self._look_back(found)
+        return found
+
+    def _judge(self, found: list[Complex]) -> None:
+        """The hump that just ended is a beat, a candidate for later, or nothing."""
+        hump = Complex(self._top_at, self._now, self._top)
+        options = self._options
+        since = np.inf if self._last is None else (hump.top - self._last) / self._rate
+        if since <= options.refractory_s:
+            if since > 0.08 and hump.height > max(options.override * self._last_height, 0.6):
+                self._accept(hump, found, regular=False)
+        elif hump.height > self._threshold(since):
+            self._accept(hump, found)
+        else:
+            self._candidates.append(hump)
+
+    def _threshold(self, since_s: float) -> float:
+        """Share of the level that a complex must reach `since_s` after the last beat."""
+        options, rr_s = self._options, self._rr / self._rate
+        if since_s < options.t_wave_s:
+            fallen = (since_s - options.refractory_s) / (options.t_wave_s - options.refractory_s)
+            return options.t_wave_share + (options.share - options.t_wave_share) * fallen
+        overdue = min(1.0, max(0.0, (since_s - rr_s) / rr_s))
+        return options.share + (options.late_share - options.share) * overdue
+
+    def _look_back(self, found: list[Complex]) -> None:
+        """Accept the highest passed-over complex when a beat is overdue; after 2 s expect smaller ones."""
+        if self._last is None:
+            return
+        waited = self._now - self._last
+        options = self._options
+        if self._candidates and waited > options.search_back_rr * self._rr:
+            late = [c for c in self._candidates if c.top - self._last > options.t_wave_s * self._rate]
+            best = max(late, key=lambda c: (c.height, c.top), default=None)
+            if best is not None and best.height > options.search_back_share:
+                self._accept(Complex(best.top, self._now, best.height), found)
+                self._candidates = [
+                    c for c in late if c.top > best.top + options.refractory_s * self._rate
+                ]
+        second = round(self._rate)
+        if waited > 2 * second and waited % second == 0:
+            self._levels.silence()
+
+    def _accept(self, beat: Complex, found: list[Complex], *, regular: bool = True) -> None:
+        if self._last is not None and regular and beat.top - self._last < 2 * self._rate:
+            self._intervals.append(beat.top - self._last)
+            self._rr = sorted(self._intervals)[len(self._intervals) // 2]
+        self._last, self._last_height = beat.top, beat.height
+        self._candidates = []
+        back = self._now - beat.top
+        if back < len(self._history):
+            self._levels.beat(self._history[-1 - back])
+        found.append(beat)

@@ -1,0 +1,46 @@
+"""Phase of moments that lie between two known R peaks: what gating uses, once the beat is over."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import BoolArray, FloatArray
+
+MAX_RR_DEVIATION = 0.2
+"""A beat is regular when its RR is within this share of the median of its neighbourhood."""
+NEIGHBOURS = 4
+"""Beats on each side that make the neighbourhood."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeatPhase:
+    """Attributes:
+    phi: (n,) fraction of the enclosing RR interval, [0, 1); 0 where there is none.
+    rr_s: (n,) length of that interval; NaN where there is none.
+    regular: (n,) True where the beat is finished and neither early nor late, nor follows one that was.
+    """
+
+    phi: FloatArray
+    rr_s: FloatArray
+    regular: BoolArray
+
+
+def beat_phase(r_peaks_s: FloatArray, t_s: FloatArray) -> BeatPhase:
+    """Phase at `t_s` from R peaks before and after it.
+
+    Args:
+        r_peaks_s: (k,) increasing, all known at the moment of asking.
+        t_s: (n,) moments to place.
+    """
+    n = len(t_s)
+    if len(r_peaks_s) < 2:
+        return BeatPhase(np.zeros(n), np.full(n, np.nan), np.zeros(n, dtype=np.bool_))
+    rr = np.diff(r_peaks_s)
+    usual = np.array([np.median(rr[max(0, k - NEIGHBOURS) : k + NEIGHBOURS + 1]) for k in range(len(rr))])
+    regular = np.abs(rr - usual) <= MAX_RR_DEVIATION * usual
+    regular[1:] &= np.abs(rr[:-1] - usual[:-1]) <= MAX_RR_DEVIATION * usual[:-1]
+    beat = np.searchsorted(r_peaks_s, t_s, side="right") - 1
+    inside = (beat >= 0) & (beat < len(rr))
+    safe = np.clip(beat, 0, len(rr) - 1)
+    phi = np.where(inside, (t_s - r_peaks_s[safe]) / rr[safe], 0.0)
+    return BeatPhase(phi, np.where(inside, rr[safe], np.nan), inside & regular[safe])

@@ -1,0 +1,104 @@
+"""From phase to the pre-operative cycle: what the heart looks like at this moment of a beat of this length."""
+
+from typing import Literal
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, InvalidInputError
+
+RetimeMode = Literal["uniform", "two-segment"]
+
+SYSTOLE_SLOPE_S_PER_BPM = 0.002
+"""k: how much systole shortens per beat/min (Weissler: LVET 1.7 ms, QS2 2.1 ms per beat/min in men)."""
+SYSTOLE_BOUNDS = (0.25, 0.65)
+"""Systole stays within these shares of the predicted RR interval."""
+
+
+def retime(
+    phi: FloatArray | float,
+    rr_s: FloatArray | float,
+    timing_rr_s: float,
+    es_fraction: float,
+    mode: RetimeMode = "uniform",
+    *,
+    slope_s_per_bpm: float = SYSTOLE_SLOPE_S_PER_BPM,
+) -> FloatArray:
+    """Model phase at fraction `phi` of a beat that lasts `rr_s`.
+
+    Args:
+        phi: (...) in [0, 1), share of the running RR interval since R.
+        rr_s: (...) its predicted length.
+        timing_rr_s: RR interval at which the model was acquired.
+        es_fraction: end-systole as a share of that interval, measured in the model's own images.
+        mode: "uniform" stretches the whole cycle (Ren 2008, Section VII); "two-segment" shortens systole by
+            `slope_s_per_bpm` and lets diastole take the rest, joined by a monotone periodic cubic.
+    Returns:
+        (...) model phase in [0, 1), increasing with phi; equal to phi where rr_s equals timing_rr_s.
+    Raises:
+        InvalidInputError: unknown mode, or an RR interval or end-systole out of range.
+    Source: theory of Section VII; Weissler 1968 for the slope.
+    """
+    if mode not in ("uniform", "two-segment"):
+        raise InvalidInputError(f"retiming '{mode}' is unknown; choose uniform or two-segment")
+    if not timing_rr_s > 0 or not 0.05 < es_fraction < 0.95:
+        raise InvalidInputError(
+            f"the model was acquired at RR {timing_rr_s:g} s with end-systole at {es_fraction:g} of the cycle; "
+            "needed RR above 0 and end-systole within 0.05 to 0.95"
+        )
+    phase, rr = np.broadcast_arrays(np.asarray(phi, dtype=np.float64) % 1.0, np.asarray(rr_s, dtype=np.float64))
+    if not (rr > 0).all():
+        raise InvalidInputError("retiming needs an RR interval above 0 s; use phase only where it is valid")
+    if mode == "uniform":
+        return np.array(phase)
+    systole = systole_share(rr, timing_rr_s, es_fraction, slope_s_per_bpm=slope_s_per_bpm)
+    return _joined(phase, systole, es_fraction)
+
+
+def systole_share(
+    rr_s: FloatArray | float,
+    timing_rr_s: float,
+    es_fraction: float,
+    *,
+    slope_s_per_bpm: float = SYSTOLE_SLOPE_S_PER_BPM,
+) -> FloatArray:
+    """(...) share of a beat of length `rr_s` that systole takes: S/RR with S = S0 + k(HR0 − HR), bounded."""
+    rr = np.asarray(rr_s, dtype=np.float64)
+    systole_s = es_fraction * timing_rr_s + slope_s_per_bpm * (60.0 / timing_rr_s - 60.0 / rr)
+    low, high = min(SYSTOLE_BOUNDS[0], es_fraction), max(SYSTOLE_BOUNDS[1], es_fraction)
+    return np.asarray(np.clip(systole_s / rr, low, high))
+
+
+def frame_period_s(rr_s: float, frames: int) -> float:
+    """T_d = RR / N: how long each of the model's N frames is shown in a beat of length `rr_s` (Section VII).
+
+    Raises:
+        InvalidInputError: no frames, or an RR interval that is not positive.
+    """
+    if frames < 1 or not rr_s > 0:
+        raise InvalidInputError(f"T_d of {frames} frames at RR {rr_s:g} s; needed at least 1 frame and RR above 0")
+    return rr_s / frames
+
+
+def _joined(phase: FloatArray, systole: FloatArray, es_fraction: float) -> FloatArray:
+    """Monotone cubic through (0, 0), (systole, es), (1, 1), continued periodically on both sides.
+
+    With three knots a period PCHIP's slopes have a closed form, so that every beat may have its own systole.
+    """
+    rise, rest = es_fraction / systole, (1.0 - es_fraction) / (1.0 - systole)
+    at_knee = _pchip_slope(systole, 1.0 - systole, rise, rest)
+    at_r = _pchip_slope(1.0 - systole, systole, rest, rise)
+    early = phase <= systole
+    width = np.where(early, systole, 1.0 - systole)
+    u = np.where(early, phase, phase - systole) / width
+    bottom = np.where(early, 0.0, es_fraction)
+    height = np.where(early, es_fraction, 1.0 - es_fraction)
+    first = np.where(early, at_r, at_knee) * width
+    last = np.where(early, at_knee, at_r) * width
+    cubic = bottom + height * u * u * (3 - 2 * u) + first * u * (1 - u) ** 2 - last * u * u * (1 - u)
+    return np.asarray(np.clip(cubic, 0.0, np.nextafter(1.0, 0.0)))
+
+
+def _pchip_slope(before: FloatArray, after: FloatArray, rise: FloatArray, fall: FloatArray) -> FloatArray:
+    """Slope between two intervals of widths `before`, `after` and chords `rise`, `fall` (Fritsch–Butland)."""
+    first, second = 2 * after + before, after + 2 * before
+    return np.asarray((first + second) / (first / rise + second / fall))

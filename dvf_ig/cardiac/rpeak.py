@@ -1,0 +1,136 @@
+"""R peaks from a live ECG: samples in, peaks out, each with the moment at which it became known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, Signal
+
+from .beat_finder import BeatFinder, RPeakOptions
+from .lead_watch import LeadChange, LeadWatch
+from .qrs_feature import QrsFeature
+from .r_locator import RLocator
+
+CHUNK_S = 1.0
+"""How much of a whole recording is streamed at a time; the peaks do not depend on it."""
+
+
+@dataclass(frozen=True, slots=True)
+class RPeak:
+    """One R peak.
+
+    Attributes:
+        t_s: when the R wave peaked.
+        detected_at_s: time of the last sample that was needed to know it; never before t_s.
+        quality: 0 to 1, height of the complex against the recent ones; small for search-back finds.
+    """
+
+    t_s: float
+    detected_at_s: float
+    quality: float
+
+
+class RPeakDetector:
+    """Causal detector. Feeding the same samples in any chunks gives the same peaks, bit for bit."""
+
+    def __init__(self, rate_hz: float, leads: int = 1, options: RPeakOptions | None = None) -> None:
+        """Sampling rate and number of leads; R is timed in the first lead unless that is a weak one.
+
+        Raises:
+            InvalidInputError: a rate below 100 Hz, or no lead.
+        """
+        if leads < 1:
+            raise InvalidInputError(f"an ECG of {leads} leads was announced; needed at least 1")
+        self.rate_hz = rate_hz
+        self.leads = leads
+        self._options = options or RPeakOptions()
+        self._origin_s: float | None = None
+        self._watch = LeadWatch(rate_hz, leads)
+        self._changes: list[LeadChange] = []
+        self._on = True
+        self._restart()
+
+    def push(self, samples: FloatArray, start_s: float) -> list[RPeak]:
+        """Take the next samples and return the peaks that they made known.
+
+        Args:
+            samples: (n, leads), in any unit; NaN where the recorder delivered nothing.
+            start_s: time of the first of them; after a gap the detector learns anew.
+        Raises:
+            InvalidInputError: wrong number of leads, or samples that go back in time.
+        """
+        chunk = np.asarray(samples, dtype=np.float64)
+        if chunk.ndim != 2 or chunk.shape[1] != self.leads:
+            raise InvalidInputError(f"ECG samples have shape {chunk.shape}; needed (n, {self.leads})")
+        if len(chunk) == 0:
+            return []
+        self._place(start_s)
+        filled, off = self._watch.push(chunk)
+        envelope = self._feature.push(filled)
+        self._locator.push(filled)
+        self._note_changes(off.all(axis=1))
+        found = []
+        for row, flags in zip(envelope.tolist(), off.tolist(), strict=True):
+            self._count += 1
+            for beat in self._finder.step(row, flags):
+                found.append(self._peak(beat.top, beat.judged, beat.height))
+        self._locator.forget()
+        return found
+
+    def take_lead_changes(self) -> list[LeadChange]:
+        """Losses and returns of the whole ECG since the last call, in order of time."""
+        changes, self._changes = self._changes, []
+        return changes
+
+    def _restart(self) -> None:
+        self._feature = QrsFeature(self.rate_hz, self.leads)
+        self._locator = RLocator(self.rate_hz, self.leads)
+        self._finder = BeatFinder(self.rate_hz, self.leads, self._options)
+        self._count = 0
+
+    def _peak(self, top: int, judged: int, height: float) -> RPeak:
+        at = self._locator.locate(top - self._feature.delay, judged)
+        return RPeak(self._time(at), self._time(judged), min(1.0, height))
+
+    def _note_changes(self, lost: BoolArray) -> None:
+        for index in np.flatnonzero(np.diff(np.concatenate([[not self._on], lost]).astype(np.int8))):
+            self._on = not lost[index]
+            self._changes.append(LeadChange(self._time(self._count + int(index)), self._on))
+
+    def _place(self, start_s: float) -> None:
+        """Check that the chunk continues the last one; follow slow drift of the recorder's clock."""
+        if self._origin_s is None:
+            self._origin_s = start_s
+        expected = self._time(self._count)
+        slip = (start_s - expected) * self.rate_hz
+        if slip < -1.5:
+            raise InvalidInputError(
+                f"ECG samples from {start_s:.4f} s came after samples up to {expected:.4f} s; feed them in "
+                "order of time and once only"
+            )
+        if slip > 1.5:
+            self._changes.append(LeadChange(expected, False))
+            self._changes.append(LeadChange(start_s, True))
+            self._on = True
+            self._restart()
+            self._origin_s = start_s
+        elif abs(slip) > 0.5:
+            self._origin_s += slip / self.rate_hz
+
+    def _time(self, index: float) -> float:
+        return (self._origin_s or 0.0) + index / self.rate_hz
+
+
+def detect_r_peaks(signal: Signal, options: RPeakOptions | None = None) -> tuple[RPeak, ...]:
+    """All R peaks of a recording, found as they would be live.
+
+    Raises:
+        InvalidInputError: sampled below 100 Hz.
+    """
+    detector = RPeakDetector(signal.rate_hz, len(signal.leads), options)
+    step = max(1, round(CHUNK_S * signal.rate_hz))
+    found: list[RPeak] = []
+    for first in range(0, len(signal), step):
+        chunk = signal.samples[first : first + step]
+        found.extend(detector.push(chunk, signal.start_s + first / signal.rate_hz))
+    return tuple(found)

@@ -1,0 +1,87 @@
+"""`dvf-ig doctor`: what is missing on this machine, and how to get it."""
+
+import ctypes.util
+import importlib.metadata
+import platform
+import sys
+from dataclasses import dataclass
+
+import typer
+
+from .shell import JsonFlag, command, emit
+
+REQUIRED = (
+    "numpy",
+    "scipy",
+    "SimpleITK",
+    "scikit-image",
+    "open3d",
+    "opencv-contrib-python-headless",
+    "numba",
+    "typer",
+    "rich",
+    "pydantic",
+    "PyYAML",
+    "jsonschema",
+    "matplotlib",
+)
+EXTRAS = {"wfdb": "ecg", "edfio": "ecg"}
+SYSTEM_LIBRARIES = {
+    "EGL": "libegl1",
+    "GL": "libgl1",
+    "X11": "libx11-6",
+    "usb-1.0": "libusb-1.0-0",
+    "gomp": "libgomp1",
+}
+"""Shared libraries that open3d loads, with the Debian package of each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing looked for: what it is, what was found, and how to get it if it is missing."""
+
+    what: str
+    found: str | None
+    remedy: str
+    needed: bool = True
+
+
+def checks() -> list[Check]:
+    """Every check, in the order in which a user would mend them."""
+    python = platform.python_version()
+    out = [Check("Python >= 3.11", python if sys.version_info >= (3, 11) else None, "install Python 3.11")]
+    if sys.platform.startswith("linux"):
+        for library, package in SYSTEM_LIBRARIES.items():
+            found = ctypes.util.find_library(library)
+            out.append(Check(f"system library {package}", found, f"sudo apt-get install {package}"))
+    remedy = "run scripts/setup, or pip install dvf-ig"
+    out += [Check(f"package {name}", _version(name), remedy) for name in REQUIRED]
+    out += [
+        Check(f"optional package {name}", _version(name), f'pip install "dvf-ig[{extra}]"', needed=False)
+        for name, extra in EXTRAS.items()
+    ]
+    return out
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def doctor(as_json: JsonFlag = False) -> None:
+    """Say what is missing on this machine and how to get it (exit 2 if something needed is missing)."""
+    with command():
+        results = checks()
+        missing = [c for c in results if c.found is None and c.needed]
+        rows = [(c.what, c.found if c.found else f"MISSING: {c.remedy}") for c in results]
+        payload = {
+            "ok": not missing,
+            "checks": [
+                {"what": c.what, "found": c.found, "needed": c.needed, "remedy": c.remedy} for c in results
+            ],
+        }
+        emit(payload, rows, as_json=as_json)
+        if missing:
+            raise typer.Exit(2)

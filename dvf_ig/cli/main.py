@@ -1,0 +1,49 @@
+"""`dvf-ig`: parse, call, print; nothing else. Each command is one file of this folder."""
+
+from typing import Annotated
+
+import typer
+
+import dvf_ig
+from dvf_ig.cli import calibrate, doctor, evaluate, force, gate, inspect, model, register, replay, synth
+
+app = typer.Typer(
+    name="dvf-ig",
+    help="Dynamic virtual fixtures for beating-heart intervention: from raw OR streams to a haptic force.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+app.command("doctor")(doctor.doctor)
+app.command("inspect")(inspect.inspect)
+app.add_typer(synth.app, name="synth")
+app.add_typer(model.app, name="model")
+app.command("force")(force.force)
+app.add_typer(calibrate.app, name="calibrate")
+app.command("gate")(gate.gate)
+app.command("register")(register.register)
+app.command("evaluate")(evaluate.evaluate)
+app.command("replay")(replay.replay)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"dvf-ig {dvf_ig.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Exit codes: 0 ok, 2 usage, 3 bad input, 4 cannot write, 5 no overlap, 6 not converged, 7 quality gate
+    failed, 8 partial batch."""
+
+
+def run() -> None:
+    """Entry point of the `dvf-ig` command."""
+    app()

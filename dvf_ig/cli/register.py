@@ -1,0 +1,148 @@
+"""`dvf-ig register`: where the patient is, from gated ultrasound or from a pair of images."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
+
+if TYPE_CHECKING:
+    from dvf_ig.registration import RegistrationResult
+
+
+def register(
+    scenario: Annotated[
+        Path | None, typer.Argument(help="Scenario folder; or give --fixed and --moving.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder, or a .tfm file, for the transform.")
+    ] = None,
+    fixed: Annotated[Path | None, typer.Option("--fixed", help="3-D ultrasound image.")] = None,
+    moving: Annotated[Path | None, typer.Option("--moving", help="3-D MR or CT image.")] = None,
+    init: Annotated[Path | None, typer.Option("--init", help="Start pose, ITK .tfm.")] = None,
+    mask: Annotated[Path | None, typer.Option("--mask", help="Mask on the fixed image's grid.")] = None,
+    as_json: JsonFlag = False,
+    seed: SeedOption = 0,
+    threads: ThreadsOption = None,
+) -> None:
+    """Register ultrasound to the pre-operative model, and say whether the result may be used.
+
+    A scenario gives mr_from_tracker from its gated, tracked frames; an image pair gives moving_from_fixed.
+    The evidence is written in any case; exits 5, 6 or 7 when the pose must not be used.
+    """
+    with command(threads):
+        if out is None:
+            raise typer.BadParameter("say where to write: -o OUT")
+        if (scenario is None) == (fixed is None and moving is None):
+            raise typer.BadParameter("give either a scenario folder, or --fixed US and --moving MR")
+        if scenario is not None:
+            result, name = _scenario(scenario, init, seed), "mr_from_tracker"
+        else:
+            if fixed is None or moving is None:
+                raise typer.BadParameter("an image pair needs both --fixed US and --moving MR")
+            result, name = _pair(fixed, moving, init, mask, seed), "moving_from_fixed"
+        payload = _payload(result, name, seed)
+        _write(out, result, name, payload)
+        emit(payload, _rows(result, name), as_json=as_json)
+        _judge(result)
+
+
+def _scenario(folder: Path, init: Path | None, seed: int) -> "RegistrationResult":
+    from dvf_ig.io import read_scenario, read_transform
+    from dvf_ig.replay import register_scenario
+
+    start = read_transform(init, target="mr", source="tracker") if init is not None else None
+    with progress("register") as report:
+        return register_scenario(read_scenario(folder), start, seed=seed, progress=report)
+
+
+def _pair(fixed: Path, moving: Path, init: Path | None, mask: Path | None, seed: int) -> "RegistrationResult":
+    import numpy as np
+
+    from dvf_ig.core import Rigid
+    from dvf_ig.io import read_transform, read_volume
+    from dvf_ig.registration import register_pair
+
+    ultrasound, anatomy = read_volume(fixed, frame="fixed"), read_volume(moving, frame="moving")
+    start = (
+        read_transform(init, target="moving", source="fixed")
+        if init is not None
+        else Rigid.identity("moving", "fixed")
+    )
+    allowed = read_volume(mask, frame="fixed") if mask is not None else None
+    with progress("register") as report:
+        rng = np.random.default_rng(seed)
+        return register_pair(ultrasound, anatomy, start, rng=rng, mask=allowed, progress=report)
+
+
+def _payload(result: "RegistrationResult", name: str, seed: int) -> dict[str, Any]:
+    import numba
+    import numpy as np
+
+    finite = bool(np.isfinite(result.covariance).all())
+    return {
+        name: result.mr_from_tracker.matrix.tolist(),
+        "stop": result.stop.name,
+        "reason": result.stop.value,
+        "success_probability": result.success_probability,
+        "covariance": result.covariance.tolist() if finite else None,
+        "covariance_about_mm": result.center_mm.tolist(),
+        "similarity": result.similarity,
+        "start_similarity": result.start_similarity,
+        "contrast": result.contrast,
+        "overlap": result.overlap,
+        "disagreement_mm": result.disagreement_mm,
+        "moved_mm": result.moved_mm,
+        "slices": result.slices,
+        "seconds": round(result.seconds, 3),
+        "threads": numba.get_num_threads(),
+        "seed": seed,
+    }
+
+
+def _write(out: Path, result: "RegistrationResult", name: str, payload: dict[str, Any]) -> None:
+    from dvf_ig.io import make_folder, write_json, write_transform
+
+    if out.suffix == ".tfm":
+        transform, evidence = out, out.with_name(f"{out.stem}.result.json")
+    else:
+        transform, evidence = out / f"{name}.tfm", out / "result.json"
+    make_folder(transform.parent)
+    write_json(evidence, payload)
+    write_transform(result.mr_from_tracker, transform)
+    wrote(transform, name)
+    wrote(evidence)
+
+
+def _rows(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
+    import numpy as np
+
+    sd = np.sqrt(np.diag(result.covariance))
+    rotation, shift = np.degrees(sd[:3]), sd[3:]
+    return [
+        (name, " ".join(f"{v:.3f}" for v in result.mr_from_tracker.matrix[:3].ravel())),
+        ("outcome", result.stop.value),
+        ("success probability", f"{result.success_probability:.2f}"),
+        ("moved from start", f"{result.moved_mm:.1f} mm"),
+        ("similarity", f"{result.start_similarity:.3f} at the start, {result.similarity:.3f} now"),
+        ("halves disagree by", f"{result.disagreement_mm:.2f} mm"),
+        ("overlap", f"{100 * result.overlap:.0f} % of {result.slices} slices' pixels"),
+        ("standard deviation", f"{_triple(rotation)} deg, {_triple(shift)} mm (x, y, z)"),
+        ("time", f"{result.seconds:.1f} s, {result.evaluations} evaluations"),
+    ]
+
+
+def _triple(values: Any) -> str:
+    return ", ".join(f"{v:.2f}" for v in values)
+
+
+def _judge(result: "RegistrationResult") -> None:
+    from dvf_ig.core import NoOverlapError, NotConvergedError, QualityGateError, Stop
+
+    if result.stop is Stop.MAX_ITERATIONS:
+        raise NotConvergedError(f"the registration must not be used: {result.stop.value}")
+    if result.stop is Stop.LOW_OVERLAP:
+        raise NoOverlapError(f"the registration must not be used: {result.stop.value}")
+    if not result.stop.usable:
+        raise QualityGateError(f"the registration must not be used: {result.stop.value}")

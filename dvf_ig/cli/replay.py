@@ -1,0 +1,44 @@
+"""`dvf-ig replay`: a scenario folder from raw streams to force."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
+
+
+def replay(
+    scenario: Annotated[Path, typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`).")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for result.json and report.html.")],
+    as_json: JsonFlag = False,
+    seed: SeedOption = 0,
+    threads: ThreadsOption = None,
+) -> None:
+    """Replay a recorded or synthetic intervention from raw streams to force, in time order.
+
+    Calibrates tool, probe and latency, follows the heart, registers ultrasound to the model and evaluates
+    the fixture at the tool tip every millisecond. Where the folder holds the truth, every error is printed.
+    Exits 7 after writing its evidence when no registration could be used.
+    """
+    with command(threads):
+        from dvf_ig.core import QualityGateError
+        from dvf_ig.io import make_folder, read_scenario, write_json, write_text
+        from dvf_ig.replay import result_of, run_replay, table
+        from dvf_ig.replay.report import report_html
+
+        recorded = read_scenario(scenario)
+        with progress("replay") as report:
+            done = run_replay(recorded, seed=seed, progress=report)
+        result = result_of(done)
+        page = report_html(done, result)
+        make_folder(out)
+        result_path, report_path = out / "result.json", out / "report.html"
+        write_json(result_path, result)
+        write_text(report_path, page)
+        emit(result, table(result), as_json=as_json)
+        wrote(result_path)
+        wrote(report_path)
+        if not done.poses:
+            reason = result["registrations"][-1]["reason"] if done.attempts else "the recording is too short"
+            raise QualityGateError(f"no registration could be used, so no force was given: {reason}")

@@ -1,0 +1,103 @@
+"""What every command shares: options, exit codes, where output goes.
+
+Results go to stdout (a table, or one JSON value with --json); messages, progress and the list of written
+files go to stderr.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from dvf_ig.core.errors import (
+    DvfIgError,
+    InvalidInputError,
+    MissingDependencyError,
+    NoOverlapError,
+    NotConvergedError,
+    OutputError,
+    QualityGateError,
+)
+
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of every random choice.")]
+ThreadsOption = Annotated[
+    int | None, typer.Option("--threads", min=1, help="Threads to use (default: all cores).")
+]
+
+EXIT_CODES: tuple[tuple[type[DvfIgError], int], ...] = (
+    (MissingDependencyError, 2),
+    (InvalidInputError, 3),
+    (OutputError, 4),
+    (NoOverlapError, 5),
+    (NotConvergedError, 6),
+    (QualityGateError, 7),
+)
+
+
+def exit_code(error: DvfIgError) -> int:
+    """Exit code of an error: 2 usage, 3 bad input, 4 cannot write, 5 no overlap, 6 not converged, 7 gate."""
+    for kind, code in EXIT_CODES:
+        if isinstance(error, kind):
+            return code
+    return 3
+
+
+@contextmanager
+def command(threads: int | None = None) -> Iterator[None]:
+    """Body of a command: limits threads and turns a DvfIgError into one sentence and its exit code."""
+    if threads is not None:
+        limit_threads(threads)
+    try:
+        yield
+    except DvfIgError as error:
+        typer.secho(f"error: {error}", err=True, fg=typer.colors.RED)
+        raise typer.Exit(exit_code(error)) from error
+
+
+def limit_threads(threads: int) -> None:
+    """Use at most `threads` threads; must run before numba is loaded."""
+    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[name] = str(threads)
+
+
+def emit(result: Mapping[str, Any], rows: Sequence[tuple[str, str]], *, as_json: bool) -> None:
+    """Print a result: one JSON object, or its rows as two aligned columns."""
+    if as_json:
+        json.dump(result, sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+        return
+    width = max((len(label) for label, _ in rows), default=0)
+    for label, value in rows:
+        print(f"{label:<{width}}  {value}")
+
+
+def wrote(path: Path, frame: str | None = None) -> None:
+    """Tell the user about a file and the frame of what is in it."""
+    note = f"  (frame {frame})" if frame else ""
+    typer.echo(f"wrote {path}{note}", err=True)
+
+
+def warn(message: str) -> None:
+    """One sentence that the user should know although the command goes on."""
+    typer.secho(f"note: {message}", err=True, fg=typer.colors.YELLOW)
+
+
+@contextmanager
+def progress(title: str) -> Iterator[Callable[[float], None]]:
+    """A progress bar on stderr where it is a terminal; yields `report(fraction done)`."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(f"{title:<28}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=1.0)
+        yield lambda fraction: bar.update(task, completed=fraction)

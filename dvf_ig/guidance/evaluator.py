@@ -1,0 +1,103 @@
+"""Force of a dynamic virtual fixture at given points and phases of the model."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError
+from dvf_ig.core.arrays import check_shape
+from dvf_ig.kernels.dynamic import force_batch
+
+from .blend import BLEND_CODES, Blend
+from .laws import Law
+from .status import Status
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceSamples:
+    """What the fixture answers at n points; vectors are in the frame in which the points were given.
+
+    Attributes:
+        force_n: (n, 3) N; zero unless the status is OK.
+        distance_mm: (n,) signed distance, positive inside, blended between phases; NaN unless OK.
+        gradient: (n, 3) its gradient, pointing into the organ; NaN unless OK.
+        status: (n,) `Status` values.
+    """
+
+    force_n: FloatArray
+    distance_mm: FloatArray
+    gradient: FloatArray
+    status: IntArray
+
+    def __post_init__(self) -> None:
+        for array in (self.force_n, self.distance_mm, self.gradient, self.status):
+            array.setflags(write=False)
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+
+class Evaluator:
+    """A model, a law and a blend, ready to be asked for forces.
+
+    Args:
+        model: the dynamic fixture.
+        law: force law; see DeviceLimits.checked for what a device can render.
+        blend: "force" (corrected eq. 10) or "distance" (one potential per instant).
+    Raises:
+        InvalidInputError: unknown blend.
+    """
+
+    def __init__(self, model: DvfModel, law: Law, *, blend: Blend = "force") -> None:
+        if blend not in BLEND_CODES:
+            raise InvalidInputError(f"unknown blend '{blend}'; choose one of {', '.join(BLEND_CODES)}")
+        self.model = model
+        self.law = law
+        self.blend: Blend = blend
+        self._fixture = (
+            model.coefficients,
+            model.origin_mm,
+            float(model.knot_spacing_mm),
+            model.timing.fractions,
+            law.parameters,
+            BLEND_CODES[blend],
+        )
+
+    @property
+    def fixture(self) -> tuple[NDArray[np.float32], FloatArray, float, FloatArray, FloatArray, int]:
+        """Leading arguments of `dvf_ig.kernels.dynamic.force_tick` and `force_batch`."""
+        return self._fixture
+
+    def force(self, xyz_mm: Any, model_phase: Any) -> ForceSamples:
+        """Forces in the model's frame.
+
+        Args:
+            xyz_mm: (n, 3) points in the model's frame.
+            model_phase: (n,) place in the model's cycle, taken modulo 1; one number serves all points.
+        Raises:
+            InvalidInputError: shapes that do not fit.
+        """
+        return self.force_through(np.eye(3, 4), xyz_mm, model_phase)
+
+    def force_through(
+        self, model_from_query: FloatArray, xyz_mm: Any, model_phase: Any, status: IntArray | None = None
+    ) -> ForceSamples:
+        """Forces in a query frame whose rigid map into the model's frame is (3, 4) `model_from_query`.
+
+        Args:
+            status: (n,) what is known beforehand; entries that are not OK get no force. None: all OK.
+        """
+        xyz = np.ascontiguousarray(xyz_mm, dtype=np.float64)
+        check_shape(xyz, "points", (None, 3))
+        n = len(xyz)
+        phase = np.asarray(model_phase, dtype=np.float64)
+        if phase.ndim == 0:
+            phase = np.full(n, phase)
+        check_shape(phase, "model phase", (n,))
+        known = np.full(n, int(Status.OK)) if status is None else np.array(status, dtype=np.int64)
+        check_shape(known, "status", (n,))
+        buffers = (np.empty((n, 3)), np.empty(n), np.empty((n, 3)), known)
+        force_batch(*self._fixture, model_from_query, xyz, np.ascontiguousarray(phase), *buffers)
+        return ForceSamples(*buffers)

@@ -1,0 +1,125 @@
+"""Force laws: how hard the fixture pushes at a signed distance (Ren 2008, Sections IV and V).
+
+Every law is F = −cap·f(s)·n with s = d − depth, d > 0 inside the organ and n = ∇d/|∇d|. The readable form of
+f is here; `dvf_ig.kernels.laws` holds the same formula for the servo loop.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.kernels.laws import GAUSSIAN, SIGMOID
+
+
+@dataclass(frozen=True, slots=True)
+class Sigmoid:
+    """Forbidden region (eqs 4–6): pushes out of the organ, half of the cap at the guarded depth.
+
+    Attributes:
+        gamma_per_mm: steepness γ.
+        cap_n: largest force F.
+        depth_mm: how far below the surface the guarded surface lies (negative: above it).
+    """
+
+    gamma_per_mm: float = 1.0
+    cap_n: float = 0.6
+    depth_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require_positive("sigmoid steepness gamma_per_mm", self.gamma_per_mm, "1/mm")
+        _require_positive("force cap cap_n", self.cap_n, "N")
+        _require_finite("guarded depth depth_mm", self.depth_mm)
+
+    def potential(self, distance_mm: FloatArray) -> FloatArray:
+        """f in (0, 1) at signed distances."""
+        s = np.asarray(distance_mm, dtype=np.float64) - self.depth_mm
+        return np.asarray(0.5 * (1.0 + np.tanh(0.5 * self.gamma_per_mm * s)))
+
+    @property
+    def stiffness_n_per_mm(self) -> float:
+        """Largest |dF/dd|: γF/4, at the guarded depth."""
+        return self.gamma_per_mm * self.cap_n / 4.0
+
+    @property
+    def parameters(self) -> FloatArray:
+        """(5,) kind, scale, exponent, cap, depth: what the kernels take."""
+        return np.array([SIGMOID, self.gamma_per_mm, 1.0, self.cap_n, self.depth_mm])
+
+
+@dataclass(frozen=True, slots=True)
+class Gaussian:
+    """Guidance to a surface (eqs 7–9): pulls back to the guarded depth from either side.
+
+    Attributes:
+        delta_mm: width δ at which the force reaches 63 % of the cap.
+        m: exponent; the larger, the flatter the free zone and the steeper its wall.
+        cap_n: largest force F.
+        depth_mm: depth of the target surface below the organ's.
+    """
+
+    delta_mm: float = 3.0
+    m: float = 1.0
+    cap_n: float = 0.6
+    depth_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require_positive("Gaussian width delta_mm", self.delta_mm, "mm")
+        _require_positive("Gaussian exponent m", self.m, "")
+        _require_positive("force cap cap_n", self.cap_n, "N")
+        _require_finite("guarded depth depth_mm", self.depth_mm)
+
+    def potential(self, distance_mm: FloatArray) -> FloatArray:
+        """f(s)·sign(s) in (−1, 1) at signed distances."""
+        s = np.asarray(distance_mm, dtype=np.float64) - self.depth_mm
+        return np.asarray(np.sign(s) * -np.expm1(-(((s / self.delta_mm) ** 2) ** self.m)))
+
+    @property
+    def stiffness_n_per_mm(self) -> float:
+        """Largest |dF/dd|: c_m·F/δ with n = 2m, u = (n−1)/n, c_m = n·u^u·e^(−u); infinite for m < 1/2."""
+        n = 2.0 * self.m
+        if n < 1.0:
+            return math.inf
+        u = (n - 1.0) / n
+        return float(n * u**u * math.exp(-u) * self.cap_n / self.delta_mm)
+
+    @classmethod
+    def with_free_zone(
+        cls,
+        half_width_mm: float,
+        felt_below_n: float,
+        *,
+        m: float = 2.0,
+        cap_n: float = 0.6,
+        depth_mm: float = 0.0,
+    ) -> "Gaussian":
+        """The law whose force stays under `felt_below_n` within `half_width_mm` of its target.
+
+        δ = w/[−ln(1 − f_t/F)]^(1/2m) (theory: fixtures, free-zone design).
+        """
+        _require_positive("free zone half_width_mm", half_width_mm, "mm")
+        if not 0.0 < felt_below_n < cap_n:
+            raise InvalidInputError(
+                f"threshold force is {felt_below_n:g} N; it must lie between 0 and the cap of {cap_n:g} N"
+            )
+        delta_mm = half_width_mm / (-math.log1p(-felt_below_n / cap_n)) ** (1.0 / (2.0 * m))
+        return cls(delta_mm, m, cap_n, depth_mm)
+
+    @property
+    def parameters(self) -> FloatArray:
+        """(5,) kind, scale, exponent, cap, depth: what the kernels take."""
+        return np.array([GAUSSIAN, self.delta_mm, self.m, self.cap_n, self.depth_mm])
+
+
+Law = Sigmoid | Gaussian
+
+
+def _require_positive(what: str, value: float, unit: str) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise InvalidInputError(f"{what} is {value:g} {unit}".rstrip() + "; it must be positive and finite")
+
+
+def _require_finite(what: str, value: float) -> None:
+    if not math.isfinite(value):
+        raise InvalidInputError(f"{what} is {value:g} mm; it must be finite")

@@ -1,0 +1,21 @@
+"""Why a force was, or was not, produced."""
+
+from enum import IntEnum
+
+from dvf_ig.kernels import status as code
+
+
+class Status(IntEnum):
+    """Anything but OK goes with zero force."""
+
+    OK = code.OK
+    OUT_OF_VOLUME = code.OUT_OF_VOLUME
+    """The tool is outside the box in which the model is defined: unprotected."""
+    NO_PHASE = code.NO_PHASE
+    """The heart's clock is not locked."""
+    NO_POSE = code.NO_POSE
+    """The patient is not registered, or the registration must not be used."""
+    STALE_TOOL = code.STALE_TOOL
+    """The tool's pose is too old, or the tracker does not see it."""
+    FAULT = code.FAULT
+    """A number that is not finite came in or would have gone out."""

@@ -1,0 +1,175 @@
+"""Landmarks: 3D Slicer markups (`.mrk.json`, `.fcsv`) and MNI `.tag` files, to LPS and back."""
+
+import csv
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.arrays import FloatArray
+from ..core.errors import OutputError, UnreadableFileError
+from ..core.points import Landmarks, Points
+from .json_file import read_json, write_json
+from .reading import read_text, reading
+
+_SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    "markups-schema-v1.0.3.json#"
+)
+_TO_LPS = {"LPS": (1.0, 1.0, 1.0), "1": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0), "0": (-1.0, -1.0, 1.0)}
+_TAG_ROW = re.compile(r'((?:[-+\d.eE]+\s+)*[-+\d.eE]+)\s*(?:"([^"]*)")?')
+
+
+def read_landmarks(path: Path | str, frame: str) -> Landmarks:
+    """Read named points; coordinates stored as RAS are converted to LPS.
+
+    Args:
+        path: `.mrk.json`, `.fcsv` (both name their coordinate system), or a `.tag` with one volume.
+        frame: name of the frame that the points are given in.
+    Raises:
+        UnreadableFileError: absent, another format, no points, repeated names, or no coordinate system.
+    """
+    path = Path(path)
+    name = path.name.lower()
+    with reading(path, "landmarks"):
+        if name.endswith(".json"):
+            names, xyz = _from_markups(path)
+        elif name.endswith(".fcsv"):
+            names, xyz = _from_fcsv(path)
+        elif name.endswith(".tag"):
+            names, sides = _from_tag(path)
+            if len(sides) != 1:
+                raise UnreadableFileError(f"{path} pairs the points of two volumes; read it as a pair")
+            xyz = sides[0]
+        else:
+            raise UnreadableFileError(f"{path} has no landmark ending; needed .mrk.json, .fcsv or .tag")
+        return _landmarks(path, names, xyz, frame)
+
+
+def read_tag_pair(path: Path | str, frame_first: str, frame_second: str) -> tuple[Landmarks, Landmarks]:
+    """Read an MNI `.tag` file of two volumes: the same points in both, under the same names.
+
+    MNI world coordinates are RAS; both sides come back in LPS.
+
+    Raises:
+        UnreadableFileError: absent, not a tag file, or one volume only.
+    """
+    path = Path(path)
+    with reading(path, "an MNI tag file"):
+        names, sides = _from_tag(path)
+        if len(sides) != 2:
+            raise UnreadableFileError(f"{path} holds one volume's points; needed those of two volumes")
+        first, second = sides
+        return _landmarks(path, names, first, frame_first), _landmarks(path, names, second, frame_second)
+
+
+def write_landmarks(landmarks: Landmarks, path: Path | str) -> None:
+    """Write 3D Slicer markups (`.mrk.json`), LPS, mm, every digit kept.
+
+    Raises:
+        OutputError: another ending, or not writable.
+    """
+    path = Path(path)
+    if not path.name.lower().endswith(".json"):
+        raise OutputError(f"cannot write {path}: landmarks are written as .mrk.json; change the ending")
+    points = [
+        {
+            "id": str(i + 1),
+            "label": name,
+            "description": "",
+            "position": xyz,
+            "selected": True,
+            "locked": False,
+            "visibility": True,
+            "positionStatus": "defined",
+        }
+        for i, (name, xyz) in enumerate(zip(landmarks.names, landmarks.points.xyz_mm.tolist(), strict=True))
+    ]
+    markup = {
+        "type": "Fiducial",
+        "coordinateSystem": "LPS",
+        "coordinateUnits": "mm",
+        "controlPoints": points,
+    }
+    write_json(path, {"@schema": _SCHEMA, "markups": [markup]})
+
+
+def _landmarks(path: Path, names: list[str], xyz: FloatArray, frame: str) -> Landmarks:
+    if not names:
+        raise UnreadableFileError(f"{path} holds no points")
+    return Landmarks(tuple(names), Points(frame, xyz))
+
+
+def _to_lps(path: Path, system: Any) -> FloatArray:
+    signs = _TO_LPS.get(str(system).strip().upper())
+    if signs is None:
+        raise UnreadableFileError(f"{path}: coordinate system is '{system}'; needed LPS or RAS")
+    return np.array(signs)
+
+
+def _from_markups(path: Path) -> tuple[list[str], FloatArray]:
+    try:
+        markups = read_json(path, "3D Slicer markups")["markups"]
+        names: list[str] = []
+        rows: list[FloatArray] = []
+        for markup in markups:
+            if markup.get("coordinateUnits", "mm") != "mm":
+                raise UnreadableFileError(f"{path}: units are '{markup['coordinateUnits']}'; needed mm")
+            signs = _to_lps(path, markup.get("coordinateSystem", "LPS"))
+            for point in markup["controlPoints"]:
+                if point.get("positionStatus", "defined") == "defined":
+                    names.append(str(point.get("label") or point.get("id") or len(names) + 1))
+                    rows.append(np.array(point["position"], dtype=np.float64) * signs)
+        return names, np.array(rows).reshape(-1, 3)
+    except (KeyError, TypeError, AttributeError) as exc:
+        raise UnreadableFileError(f"{path} is not a 3D Slicer markups file (no {exc})") from exc
+    except ValueError as exc:
+        if isinstance(exc, UnreadableFileError):
+            raise
+        raise UnreadableFileError(f"{path}: a position is not three numbers ({exc})") from exc
+
+
+def _from_fcsv(path: Path) -> tuple[list[str], FloatArray]:
+    lines = read_text(path, "3D Slicer fiducials").splitlines()
+    header = dict(line[1:].split("=", 1) for line in lines if line.startswith("#") and "=" in line)
+    fields = {key.strip(): value.strip() for key, value in header.items()}
+    if "CoordinateSystem" not in fields:
+        raise UnreadableFileError(
+            f"{path} names no CoordinateSystem; needed '# CoordinateSystem = LPS' or RAS"
+        )
+    signs = _to_lps(path, fields["CoordinateSystem"])
+    columns = fields.get("columns", "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label").split(",")
+    try:
+        at, label = [columns.index(axis) for axis in "xyz"], columns.index("label")
+        table = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
+        names = [row[label] if label < len(row) and row[label] else row[0] for row in table]
+        xyz = np.array([[float(row[i]) for i in at] for row in table]).reshape(-1, 3)
+    except (ValueError, IndexError) as exc:
+        raise UnreadableFileError(f"{path} is not a 3D Slicer fiducial list ({exc})") from exc
+    return names, xyz * signs
+
+
+def _from_tag(path: Path) -> tuple[list[str], list[FloatArray]]:
+    """Names and one (n, 3) LPS array a volume."""
+    text = read_text(path, "an MNI tag file")
+    volumes = re.search(r"Volumes\s*=\s*(\d+)\s*;", text)
+    body = re.search(r"Points\s*=(.*?);", text, re.DOTALL)
+    if not text.startswith("MNI Tag Point File") or volumes is None or body is None:
+        raise UnreadableFileError(f"{path} is not an MNI tag file (no Volumes and Points)")
+    count = int(volumes[1])
+    names: list[str] = []
+    rows: list[list[float]] = []
+    for line in body[1].splitlines():
+        row = _TAG_ROW.fullmatch(line.strip())
+        if row is None and line.strip() and not line.lstrip().startswith("%"):
+            raise UnreadableFileError(f"{path}: '{line.strip()[:60]}' is not a row of numbers and a name")
+        if row is not None:
+            rows.append([float(number) for number in row[1].split()[: 3 * count]])
+            names.append(row[2] or str(len(rows)))
+    if count not in (1, 2) or any(len(row) != 3 * count for row in rows):
+        raise UnreadableFileError(f"{path}: {count} volumes; needed 1 or 2 with 3 coordinates each a row")
+    if len(set(names)) < len(names):
+        names = [str(i + 1) for i in range(len(rows))]
+    table = np.array(rows).reshape(-1, count, 3) * _TO_LPS["RAS"]
+    return names, [table[:, side] for side in range(count)]

@@ -1,0 +1,44 @@
+"""Turn whatever goes wrong while a file is read into one sentence that names the file."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..core.errors import InvalidInputError, UnreadableFileError
+
+
+@contextmanager
+def reading(path: Path, what: str) -> Iterator[None]:
+    """Wrap a block that opens and interprets `path`.
+
+    Args:
+        path: the file or folder.
+        what: what it should be, with its article, for example "a tracked sequence".
+    Raises:
+        UnreadableFileError: the file is absent, unreadable, or its content breaks an invariant of the value
+            it should become. Errors that are this class already pass unchanged.
+    """
+    try:
+        yield
+    except UnreadableFileError:
+        raise
+    except FileNotFoundError as exc:
+        raise UnreadableFileError(f"{path} does not exist; needed {what}") from exc
+    except OSError as exc:
+        raise UnreadableFileError(f"cannot read {path} as {what}: {exc.strerror or exc}") from exc
+    except UnicodeDecodeError as exc:
+        raise UnreadableFileError(f"{path} is not {what}: it holds bytes that are not text") from exc
+    except InvalidInputError as exc:
+        raise UnreadableFileError(f"{path}: {exc}") from exc
+
+
+def read_bytes(path: Path, what: str) -> bytes:
+    """The whole file, or UnreadableFileError naming it."""
+    with reading(path, what):
+        return path.read_bytes()
+
+
+def read_text(path: Path, what: str) -> str:
+    """The whole file as UTF-8 text without a byte-order mark, or UnreadableFileError naming it."""
+    with reading(path, what):
+        return path.read_text(encoding="utf-8-sig")

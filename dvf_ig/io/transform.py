@@ -1,0 +1,135 @@
+"""Rigid transforms as ITK files with a JSON sidecar that names their frames."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.arrays import FloatArray
+from ..core.errors import FrameMismatchError, InvalidInputError, OutputError, UnreadableFileError
+from ..core.rigid import Rigid, rigidity_defect
+from .atomic import write_text
+from .json_file import read_json, write_json
+from .reading import read_bytes, reading
+
+CONVENTION = "ITK: maps points of 'from' (fixed image) to 'to' (moving image); LPS, mm"
+_AFFINE = ("AffineTransform", "MatrixOffsetTransformBase")
+
+
+def read_transform(path: Path | str, target: str | None = None, source: str | None = None) -> Rigid:
+    """Read target_from_source from an ITK transform file (`.tfm`, `.txt`, `.h5`, `.mat`).
+
+    Direction: an ITK transform takes points of the *fixed* image to the *moving* image, both LPS in mm; that
+    is how resampling filters use it. Here fixed is the source frame and moving the target frame, so the
+    matrix in the file is target_from_source itself, p_target = A (p_source − c) + t + c. (3D Slicer shows
+    the inverse, because its "transform to parent" runs from moving to fixed, in RAS.)
+
+    Args:
+        path: the transform; its frames are read from the sidecar `<stem>.json` beside it.
+        target, source: needed where there is no sidecar; where there is one they must agree with it.
+    Raises:
+        UnreadableFileError: absent, not a linear ITK transform, or not rigid.
+        FrameMismatchError: the sidecar names other frames.
+        InvalidInputError: no sidecar and no frames given.
+    """
+    path = Path(path)
+    sidecar = path.with_suffix(".json")
+    recorded = _sidecar_frames(sidecar) if sidecar.is_file() and sidecar != path else None
+    if recorded is not None:
+        recorded_target, recorded_source = recorded
+        wanted = (target or recorded_target, source or recorded_source)
+        if wanted != (recorded_target, recorded_source):
+            raise FrameMismatchError(
+                f"{path} is {recorded_target}_from_{recorded_source}; needed {wanted[0]}_from_{wanted[1]}"
+            )
+        target, source = wanted
+    elif path.is_file() and (target is None or source is None):
+        raise InvalidInputError(
+            f"{path}: its frames are not known; put beside it a file {sidecar.name} with "
+            '{"from": "<fixed frame>", "to": "<moving frame>"}'
+        )
+    with reading(path, "an ITK transform"):
+        matrix = _matrix(path)
+        return rigid_from_matrix(matrix, target or "target", source or "source")
+
+
+def write_transform(rigid: Rigid, path: Path | str, error_mm: float | None = None) -> None:
+    """Write target_from_source as an ITK text transform and its sidecar `<stem>.json`.
+
+    Raises:
+        OutputError: an ending other than `.tfm` or `.txt`, or not writable.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".tfm", ".txt"):
+        raise OutputError(f"cannot write {path}: transforms are written as .tfm; change the ending")
+    numbers = " ".join(map(repr, [*rigid.rotation.ravel().tolist(), *rigid.translation_mm.tolist()]))
+    write_text(
+        path,
+        "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\n"
+        f"Parameters: {numbers}\nFixedParameters: 0 0 0\n",
+    )
+    sidecar = {"from": rigid.source, "to": rigid.target, "convention": CONVENTION, "error_mm": error_mm}
+    write_json(path.with_suffix(".json"), sidecar)
+
+
+def rigid_from_matrix(matrix: Any, target: str, source: str) -> Rigid:
+    """A Rigid with the digits of `matrix` kept where it is rigid to full precision, else repaired.
+
+    Raises:
+        InvalidInputError: not 4×4 or further than 1e-3 from rigid.
+    """
+    array = np.asarray(matrix, dtype=np.float64)
+    exact = array.shape == (4, 4) and np.isfinite(array).all() and rigidity_defect(array[:3, :3]) <= 1e-9
+    if exact and np.array_equal(array[3], (0, 0, 0, 1)):
+        return Rigid(target, source, array[:3, :3], array[:3, 3])
+    return Rigid.from_matrix(array, target, source)
+
+
+def _sidecar_frames(path: Path) -> tuple[str, str] | None:
+    """Target and source that a sidecar names; None where the JSON beside the transform is something else."""
+    document = read_json(path, "a transform sidecar")
+    if not isinstance(document, dict) or not {"from", "to"} <= document.keys():
+        return None
+    return str(document["to"]), str(document["from"])
+
+
+def _matrix(path: Path) -> FloatArray:
+    """(4, 4) LPS matrix of a linear ITK transform, source to target."""
+    head = read_bytes(path, "an ITK transform")
+    exact = _affine_text(head.decode("ascii", "replace")) if head.startswith(b"#Insight") else None
+    return exact if exact is not None else _through_itk(path)
+
+
+def _affine_text(text: str) -> FloatArray | None:
+    """The matrix of a text file with one affine transform, with all its digits; None for anything else."""
+    values = dict(line.split(":", 1) for line in text.splitlines() if ":" in line and line[0] != "#")
+    if text.count("Transform:") != 1 or not values.get("Transform", "").strip().startswith(_AFFINE):
+        return None
+    try:
+        numbers = np.array(values["Parameters"].split(), dtype=np.float64)
+        center = np.array(values["FixedParameters"].split(), dtype=np.float64)
+    except (KeyError, ValueError):
+        return None
+    if numbers.size != 12 or center.size != 3:
+        return None
+    matrix = np.eye(4)
+    matrix[:3, :3] = numbers[:9].reshape(3, 3)
+    matrix[:3, 3] = numbers[9:] + center - matrix[:3, :3] @ center
+    return matrix
+
+
+def _through_itk(path: Path) -> FloatArray:
+    import SimpleITK
+
+    try:
+        transform = SimpleITK.ReadTransform(str(path))
+    except RuntimeError as exc:
+        raise UnreadableFileError(f"{path} is not a readable ITK transform; write it as .tfm again") from exc
+    if transform.GetDimension() != 3 or not transform.IsLinear():
+        raise UnreadableFileError(f"{path} is not a linear 3-D transform; needed a rigid one")
+    matrix = np.eye(4)
+    origin = np.array(transform.TransformPoint((0.0, 0.0, 0.0)))
+    corners = [transform.TransformPoint(tuple(row)) for row in np.eye(3).tolist()]
+    matrix[:3, :3] = (np.array(corners) - origin).T
+    matrix[:3, 3] = origin
+    return matrix

@@ -1,0 +1,70 @@
+"""The two model channels that ultrasound is explained by, one pair of volumes a cardiac phase."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dvf_ig.core import AnyArray, FloatArray, Grid, InvalidInputError, Volume, VolumeSeries
+
+WALL, BLOOD = 1, 2
+"""Values of a label map made from surfaces."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelChannels:
+    """Attributes:
+    grid: where the volumes lie, frame "mr".
+    values: (n, nx, ny, nz, 2) float32, each channel scaled to zero mean and unit variance.
+    fractions: (n,) when in the cycle each volume was taken; (0,) for a still image.
+    """
+
+    grid: Grid
+    values: NDArray[np.float32]
+    fractions: FloatArray
+
+    def nearest_phase(self, model_phase: NDArray[np.float64]) -> NDArray[np.int64]:
+        """(s,) index of the volume nearest in the cycle to each model phase."""
+        away = np.abs(model_phase[:, None] - self.fractions[None, :])
+        return np.asarray(np.minimum(away, 1 - away).argmin(axis=1), dtype=np.int64)
+
+
+def channels_from_mr(mr: VolumeSeries, *, smoothing_mm: float) -> ModelChannels:
+    """MR intensity and its gradient magnitude, smoothed to what the slices resolve."""
+    return _intensity_channels(mr.grid, mr.values, mr.timing.fractions, smoothing_mm)
+
+
+def channels_from_still(image: Volume, *, smoothing_mm: float) -> ModelChannels:
+    """The same for one image of an organ that does not beat."""
+    return _intensity_channels(image.grid, image.values[None], np.zeros(1), smoothing_mm)
+
+
+def _intensity_channels(
+    grid: Grid, values: AnyArray, fractions: FloatArray, smoothing_mm: float
+) -> ModelChannels:
+    sigma = [0.0, *(smoothing_mm / grid.spacing_mm)]
+    smooth = ndimage.gaussian_filter(values.astype(np.float32), sigma, mode="nearest")
+    gradient = np.zeros_like(smooth)
+    for axis, step in enumerate(grid.spacing_mm, start=1):
+        gradient += np.square(np.gradient(smooth, float(step), axis=axis))
+    return ModelChannels(grid, _stacked(smooth, np.sqrt(gradient)), fractions)
+
+
+def channels_from_labels(labels: VolumeSeries, *, smoothing_mm: float) -> ModelChannels:
+    """Soft blood and wall maps of a label series (0 outside, 1 wall, 2 blood)."""
+    if not (labels.values == BLOOD).any() or not (labels.values == WALL).any():
+        raise InvalidInputError("the label map has no wall or no blood; needed labels 1 (wall) and 2 (blood)")
+    sigma = [0.0, *(smoothing_mm / labels.grid.spacing_mm)]
+    soft = [
+        ndimage.gaussian_filter((labels.values == value).astype(np.float32), sigma, mode="nearest")
+        for value in (BLOOD, WALL)
+    ]
+    return ModelChannels(labels.grid, _stacked(soft[0], soft[1]), labels.timing.fractions)
+
+
+def _stacked(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:
+    out = np.empty((*first.shape, 2), dtype=np.float32)
+    for i, channel in enumerate((first, second)):
+        out[..., i] = (channel - channel.mean()) / max(float(channel.std()), 1e-12)
+    return out

@@ -1,0 +1,165 @@
+"""Tracked ultrasound slices prepared for registration: amplitude, pitch, fan mask, place and phase."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core import BoolArray, FloatArray, ImageMap, IntArray, InvalidInputError
+
+DYNAMIC_RANGE_DB = 60.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SliceSet:
+    """Slices at one pixel pitch that share one unknown pose.
+
+    Attributes:
+        frame: frame in which the slices lie, e.g. "tracker".
+        images: (s, rows, columns) float32, square root of the echo amplitude, 0 outside the mask.
+        masks: (s, rows, columns), the insonified sector, eroded.
+        frame_from_pixel: (s, 3, 3) mm from (column, row, 1) of this pitch.
+        model_phase: (s,) where in the model's cycle each slice was seen, [0, 1).
+        t_s: (s,) event times.
+    """
+
+    frame: str
+    images: NDArray[np.float32]
+    masks: BoolArray
+    frame_from_pixel: FloatArray
+    model_phase: FloatArray
+    t_s: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def subset(self, index: IntArray) -> "SliceSet":
+        return SliceSet(
+            self.frame,
+            self.images[index],
+            self.masks[index],
+            self.frame_from_pixel[index],
+            self.model_phase[index],
+            self.t_s[index],
+        )
+
+    def centers_mm(self) -> FloatArray:
+        """(s, 3) centre of each slice's mask."""
+        out = np.empty((len(self), 3))
+        for s, mask in enumerate(self.masks):
+            row, col = np.nonzero(mask)
+            out[s] = self.frame_from_pixel[s] @ np.array([col.mean(), row.mean(), 1.0])
+        return out
+
+
+def fan_mask_from_images(images: NDArray[np.uint8]) -> BoolArray:
+    """(rows, columns) pixels that were ever lit: the sector, where the scanner's geometry is not known."""
+    return np.asarray(images.max(axis=0) > 0)
+
+
+def root_amplitude(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Square root of the echo amplitude behind log-compressed grey levels (60 dB shown in 255 levels)."""
+    levels = np.arange(256) / 255.0
+    table = np.where(levels > 0, 10 ** (DYNAMIC_RANGE_DB * (levels - 1) / 40), 0).astype(np.float32)
+    return np.asarray(table[grey])
+
+
+def prepare_slices(
+    images: NDArray[np.uint8],
+    mask: BoolArray,
+    probe_from_image: ImageMap,
+    rotations: FloatArray,
+    translations_mm: FloatArray,
+    model_phase: FloatArray,
+    t_s: FloatArray,
+    *,
+    pitch_mm: float,
+    frame: str = "tracker",
+) -> SliceSet:
+    """Average log-compressed frames down to `pitch_mm` and place them in the tracker's frame.
+
+    Args:
+        images: (s, rows, columns) B-mode.
+        mask: (rows, columns) insonified sector.
+        probe_from_image: calibration of the probe.
+        rotations, translations_mm: (s, 3, 3), (s, 3) tracker_from_probe at each frame's event time.
+        model_phase, t_s: (s,).
+    Raises:
+        InvalidInputError: nothing of the sector is left at this pitch.
+    """
+    step_c, step_r = (max(1, round(pitch_mm / s)) for s in probe_from_image.scale_mm_per_px)
+    shares = _block_mean(mask.astype(np.float32)[None], step_r, step_c)[0]
+    small_mask = shares > 0.999
+    if not small_mask.any():
+        raise InvalidInputError(f"no pixel of the ultrasound sector is left at a pitch of {pitch_mm:g} mm")
+    small = np.stack([_block_mean(root_amplitude(f)[None], step_r, step_c)[0] for f in images])
+    small[:, ~small_mask] = 0
+    pixel = np.array(
+        [[step_c, 0, (step_c - 1) / 2], [0, step_r, (step_r - 1) / 2], [0, 0, 0], [0, 0, 1]], dtype=np.float64
+    )
+    probe_from_pixel = (probe_from_image.matrix @ pixel)[:3]
+    frame_from_pixel = rotations @ probe_from_pixel
+    frame_from_pixel[:, :, 2] += translations_mm
+    masks = np.broadcast_to(small_mask, small.shape).copy()
+    return SliceSet(frame, small.astype(np.float32), masks, frame_from_pixel, model_phase, t_s)
+
+
+def _block_mean(images: NDArray[np.float32], step_r: int, step_c: int) -> NDArray[np.float32]:
+    rows, cols = images.shape[1] // step_r * step_r, images.shape[2] // step_c * step_c
+    cut = images[:, :rows, :cols].reshape(len(images), rows // step_r, step_r, cols // step_c, step_c)
+    return np.asarray(cut.mean(axis=(2, 4), dtype=np.float32))
+
+
+def slices_of_volume(
+    values: NDArray[np.float32], axes_mm: FloatArray, origin_mm: FloatArray, *, every: int, frame: str
+) -> SliceSet:
+    """Planes of a 3-D ultrasound image along its three axes, padded to one size.
+
+    Args:
+        values: (nx, ny, nz) root amplitude; NaN where nothing was insonified.
+        axes_mm: (3, 3) mm per voxel step; origin_mm: (3,).
+        every: keep each `every`-th plane along each axis.
+    """
+    size = max(values.shape)
+    images: list[NDArray[np.float32]] = []
+    maps: list[FloatArray] = []
+    for axis in range(3):
+        across = [a for a in range(3) if a != axis]
+        for i in range(every // 2, values.shape[axis], every):
+            plane = np.full((size, size), np.nan, dtype=np.float32)
+            cut = np.take(values, i, axis=axis)
+            plane[: cut.shape[0], : cut.shape[1]] = cut
+            if np.isfinite(plane).sum() < 0.05 * size * size:
+                continue
+            images.append(plane)
+            maps.append(
+                np.column_stack(
+                    [axes_mm[:, across[1]], axes_mm[:, across[0]], origin_mm + i * axes_mm[:, axis]]
+                )
+            )
+    if not images:
+        raise InvalidInputError("the ultrasound volume has no plane with enough insonified voxels")
+    stack = np.stack(images)
+    masks = np.isfinite(stack)
+    zeros = np.zeros(len(stack))
+    return SliceSet(frame, np.where(masks, stack, 0).astype(np.float32), masks, np.stack(maps), zeros, zeros)
+
+
+def spread(count: int, wanted: int) -> IntArray:
+    """Indices of `wanted` of `count` items, evenly spread, in order."""
+    if count <= wanted:
+        return np.arange(count, dtype=np.int64)
+    return np.unique(np.round(np.linspace(0, count - 1, wanted)).astype(np.int64))
+
+
+def joined(sets: Sequence[SliceSet]) -> SliceSet:
+    """Slices of several sets of one pitch and frame, in order."""
+    return SliceSet(
+        sets[0].frame,
+        np.concatenate([s.images for s in sets]),
+        np.concatenate([s.masks for s in sets]),
+        np.concatenate([s.frame_from_pixel for s in sets]),
+        np.concatenate([s.model_phase for s in sets]),
+        np.concatenate([s.t_s for s in sets]),
+    )

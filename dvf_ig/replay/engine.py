@@ -1,0 +1,252 @@
+"""The replay on one screen: from raw recordings to a force a millisecond, in time order, never looking ahead.
+
+    pre-op   build the distance model and the registration channels           Sections III, VI
+    before   calibrate tool tip, probe image and latency                      calibration
+    live     R peaks → phase, T_d → gate → register → pose and phase → force  Sections VI, VII
+
+The planted truth is not read here; `score` does that with what this returns.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from dvf_ig.cardiac import PhaseTracking, retime, track_phase
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, NoOverlapError, Rigid, Scenario
+from dvf_ig.guidance import DeviceLimits, Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Status
+from dvf_ig.registration import RegistrationResult
+
+from .heart import Heart, build_heart
+from .locate import Sight, locate, look, start_pose
+from .rulers import Rulers, calibrate
+from .ticks import TipTrack, predict_tip
+
+RATE_HZ = 1000.0
+FIRST_ATTEMPT_S = 8.0
+RETRY_S = 4.0
+REFRESH_S = 12.0
+MEMORY_S = 30.0
+"""How far back a registration looks."""
+COMPUTE_S = 3.0
+"""A pose enters guidance this long after its last frame: a fixed allowance for computing it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attempt:
+    """One registration: when it was asked for, from when it could be used, what it saw and what it gave.
+
+    `result` is None where too few frames passed the gate; `refusal` then says why.
+    """
+
+    asked_s: float
+    ready_s: float
+    sight: Sight
+    result: RegistrationResult | None
+    refusal: str = ""
+
+    @property
+    def usable(self) -> bool:
+        return self.result is not None and self.result.stop.usable
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replay:
+    """Everything a replay estimated. Arrays have one row a tick.
+
+    Attributes:
+        start: coarse mr_from_tracker that registration started from.
+        attempts: registrations in time order.
+        tip: predicted tool tip.
+        model_phase: (n,) retimed phase; valid where `tracking.track.valid`.
+        samples: force in frame "tracker", distance, gradient and status.
+        valid: (n,) ticks with tracked tool, locked phase, a usable pose and the tool inside the model's box.
+    """
+
+    scenario: Scenario
+    heart: Heart
+    rulers: Rulers
+    tracking: PhaseTracking
+    start: Rigid
+    attempts: tuple[Attempt, ...]
+    tip: TipTrack
+    model_phase: FloatArray
+    samples: ForceSamples
+    valid: BoolArray
+    seconds: float
+
+    @property
+    def poses(self) -> list[tuple[float, Rigid]]:
+        """(time from which it was used, mr_from_tracker) of every usable registration."""
+        return [
+            (a.ready_s, a.result.mr_from_tracker) for a in self.attempts if a.result and a.result.stop.usable
+        ]
+
+
+def run_replay(
+    scenario: Scenario, *, seed: int = 0, progress: Callable[[float], None] | None = None
+) -> Replay:
+    """Replay a scenario from raw streams to force.
+
+    Raises:
+        InvalidInputError: a recording cannot be used (no heart beats, no tracked pose, …).
+        QualityGateError: a calibration refused its recording.
+    """
+    tell = progress or (lambda _: None)
+    began = perf_counter()
+    start = start_pose(scenario)
+    _refuse_untracked(scenario)
+    rulers = calibrate(scenario, seed)
+    tell(0.05)
+    t_s = _tick_times(scenario)
+    tracking = track_phase(scenario.ecg, t_s)
+    _refuse_beatless(tracking, scenario)
+    heart = build_heart(scenario.preop, progress=lambda f: tell(0.05 + 0.35 * f))
+    attempts = _registrations(
+        scenario, heart, rulers, tracking, start, float(t_s[-1]), seed, lambda f: tell(0.4 + 0.5 * f)
+    )
+    track, timing = tracking.track, heart.model.timing
+    model_phase = retime(track.phi, track.rr_s, timing.rr_s, heart.model.es_fraction, mode="two-segment")
+    tip = predict_tip(scenario.tool, rulers.pivot.tip.xyz_mm[0], t_s)
+    samples, valid = _forces(heart, attempts, tip, model_phase, track.valid)
+    tell(1.0)
+    return Replay(
+        scenario=scenario,
+        heart=heart,
+        rulers=rulers,
+        tracking=tracking,
+        start=start,
+        attempts=attempts,
+        tip=tip,
+        model_phase=model_phase,
+        samples=samples,
+        valid=valid,
+        seconds=perf_counter() - began,
+    )
+
+
+def _tick_times(scenario: Scenario) -> FloatArray:
+    """Every millisecond in which ECG and tool were both recorded."""
+    ecg_s = scenario.ecg.t_s
+    begin = max(float(ecg_s[0]), float(scenario.tool.t_s[0]))
+    end = min(float(ecg_s[-1]), float(scenario.tool.t_s[-1]))
+    count = int((end - begin) * RATE_HZ)
+    if count < RATE_HZ:
+        raise NoOverlapError(
+            f"ECG ({ecg_s[0]:.1f} to {ecg_s[-1]:.1f} s) and tool ({scenario.tool.t_s[0]:.1f} to "
+            f"{scenario.tool.t_s[-1]:.1f} s) share less than a second; they must be on one clock"
+        )
+    return begin + np.arange(count) / RATE_HZ
+
+
+def _refuse_untracked(scenario: Scenario) -> None:
+    probe = scenario.ultrasound.stream("tracker", "probe")
+    for stream, name in ((probe, "ultrasound.igs.mha"), (scenario.tool, "tool.igs.mha")):
+        if not stream.valid.any():
+            raise InvalidInputError(
+                f"{name}: none of the {len(stream)} poses of {stream.name} has status OK; "
+                "check the line of sight and record again"
+            )
+
+
+def _refuse_beatless(tracking: PhaseTracking, scenario: Scenario) -> None:
+    if len(tracking.peaks) < 2:
+        ecg = scenario.ecg
+        raise InvalidInputError(
+            f"the ECG has {len(tracking.peaks)} R peaks in {len(ecg) / ecg.rate_hz:.0f} s on lead(s) "
+            f"{', '.join(ecg.leads)}; check the electrodes and the lead"
+        )
+
+
+def _registrations(
+    scenario: Scenario,
+    heart: Heart,
+    rulers: Rulers,
+    tracking: PhaseTracking,
+    start: Rigid,
+    end_s: float,
+    seed: int,
+    tell: Callable[[float], None],
+) -> tuple[Attempt, ...]:
+    """Attempts on a fixed timetable: retry until one is usable, then refresh from the pose in use."""
+    begin_s = float(scenario.ultrasound.t_s[0]) + rulers.latency.lag_s
+    attempts: list[Attempt] = []
+    now, pose = begin_s + FIRST_ATTEMPT_S, start
+    while now + COMPUTE_S < end_s:
+        sight = look(
+            scenario,
+            heart,
+            tracking.peaks,
+            rulers.latency.lag_s,
+            from_s=now - MEMORY_S,
+            until_s=now,
+        )
+        try:
+            result = locate(scenario, heart, sight, rulers.probe.probe_from_image, pose, seed=seed)
+            attempts.append(Attempt(now, now + COMPUTE_S, sight, result))
+        except NoOverlapError as error:
+            attempts.append(Attempt(now, now + COMPUTE_S, sight, None, str(error)))
+        if attempts[-1].usable and attempts[-1].result is not None:
+            pose = attempts[-1].result.mr_from_tracker
+        now += REFRESH_S if attempts[-1].usable else RETRY_S
+        tell(min(1.0, (now - begin_s) / (end_s - begin_s)))
+    return tuple(attempts)
+
+
+def _forces(
+    heart: Heart,
+    attempts: tuple[Attempt, ...],
+    tip: TipTrack,
+    model_phase: FloatArray,
+    phase_valid: BoolArray,
+) -> tuple[ForceSamples, BoolArray]:
+    """Force at every tick through the pose then in use, in frame "tracker", and which ticks were valid."""
+    evaluator = Evaluator(heart.model, DeviceLimits().checked(Sigmoid()))
+    usable = [(a.ready_s, a.result.mr_from_tracker) for a in attempts if a.result and a.result.stop.usable]
+    which = np.searchsorted([ready_s for ready_s, _ in usable], tip.t_s, side="right") - 1
+    refusal = np.where(which < 0, Status.NO_POSE, np.where(phase_valid, Status.STALE_TOOL, Status.NO_PHASE))
+    valid = (which >= 0) & phase_valid & tip.valid
+    n = len(tip.t_s)
+    force, gradient = np.zeros((n, 3)), np.full((n, 3), np.nan)
+    distance, status = np.full(n, np.nan), refusal.astype(np.int64)
+    for k, (_, mr_from_tracker) in enumerate(usable):
+        here = which == k
+        part = PoseAndPhase(mr_from_tracker).evaluate(
+            evaluator, tip.tip_tracker_mm[here], model_phase[here], valid[here], refusal=refusal[here]
+        )
+        force[here], gradient[here] = part.force_n, part.gradient
+        distance[here], status[here] = part.distance_mm, part.status
+    return ForceSamples(force, distance, gradient, status), status == Status.OK
+
+
+def register_scenario(
+    scenario: Scenario,
+    start: Rigid | None = None,
+    *,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> RegistrationResult:
+    """One registration on the whole recording, from the scenario's own start unless one is given.
+
+    Raises:
+        NoOverlapError: too few frames can be compared with the model.
+        InvalidInputError, QualityGateError: as `run_replay`.
+    """
+    tell = progress or (lambda _: None)
+    pose = start if start is not None else start_pose(scenario)
+    _refuse_untracked(scenario)
+    rulers = calibrate(scenario, seed)
+    tracking = track_phase(scenario.ecg, _tick_times(scenario))
+    _refuse_beatless(tracking, scenario)
+    heart = build_heart(scenario.preop, progress=lambda f: tell(0.6 * f))
+    sight = look(scenario, heart, tracking.peaks, rulers.latency.lag_s, from_s=-np.inf, until_s=np.inf)
+    return locate(
+        scenario,
+        heart,
+        sight,
+        rulers.probe.probe_from_image,
+        pose,
+        seed=seed,
+        progress=lambda f: tell(0.6 + 0.4 * f),
+    )

@@ -1,0 +1,75 @@
+"""What the pre-operative data give: the fixture model and the channels that ultrasound is compared with."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import DvfModel, FloatArray, Grid, InvalidInputError, Preop, SurfaceSeries, VolumeSeries
+from dvf_ig.preop import close_surface, model_from_labels, model_from_surfaces, rasterise
+from dvf_ig.registration import BLOOD, WALL, ModelChannels, channels_from_labels, channels_from_mr
+
+COARSE_PITCH_MM = 3.0
+FINE_PITCH_MM = 1.5
+LABEL_VOXEL_MM = 2.0
+LABEL_MARGIN_MM = 20.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Heart:
+    """Attributes:
+    model: signed distance per phase.
+    coarse, fine: channels at the two pitches of registration.
+    center_mm: (3,) centre of the heart box.
+    """
+
+    model: DvfModel
+    coarse: ModelChannels
+    fine: ModelChannels
+    center_mm: FloatArray
+
+
+def build_heart(preop: Preop, progress: Callable[[float], None] | None = None) -> Heart:
+    """Build model and channels from a 4-D image with labels, or from surfaces alone.
+
+    Raises:
+        InvalidInputError: neither labels nor surfaces, or the named surface is missing.
+    """
+    if preop.labels is not None:
+        model = model_from_labels(preop, progress=progress)
+    else:
+        model = model_from_surfaces(_fixture_surface(preop), progress=progress)
+    vertices = model.reference[model.ed_phase].vertices_mm
+    center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    if preop.mr is not None:
+        coarse = channels_from_mr(preop.mr, smoothing_mm=2.0)
+        fine = channels_from_mr(preop.mr, smoothing_mm=1.0)
+    else:
+        labels = _label_map(preop)
+        coarse = channels_from_labels(labels, smoothing_mm=2.5)
+        fine = channels_from_labels(labels, smoothing_mm=1.2)
+    return Heart(model, coarse, fine, center)
+
+
+def _fixture_surface(preop: Preop) -> SurfaceSeries:
+    for series in preop.surfaces:
+        if series.name == preop.surface:
+            return series
+    known = ", ".join(s.name for s in preop.surfaces) or "none"
+    raise InvalidInputError(f"the pre-operative data have no surface '{preop.surface}'; they have {known}")
+
+
+def _label_map(preop: Preop) -> VolumeSeries:
+    """Wall and blood (1, 2) of the heart, from its label image or by rasterising its surfaces."""
+    if preop.labels is not None:
+        names = dict(preop.label_names)
+        table = np.zeros(256, dtype=np.uint8)
+        for value in preop.organ_labels:
+            table[value] = BLOOD if "blood" in names.get(value, "") else WALL
+        return VolumeSeries(preop.labels.grid, table[preop.labels.values], preop.labels.timing)
+    closed = {s.name: close_surface(s) for s in preop.surfaces}
+    vertices = closed[preop.surface].vertices_mm.reshape(-1, 3)
+    low, high = vertices.min(axis=0) - LABEL_MARGIN_MM, vertices.max(axis=0) + LABEL_MARGIN_MM
+    nx, ny, nz = (int(n) for n in np.ceil((high - low) / LABEL_VOXEL_MM) + 1)
+    grid = Grid.axis_aligned(closed[preop.surface].frame, (nx, ny, nz), low, LABEL_VOXEL_MM)
+    return rasterise(closed, grid)

@@ -1,0 +1,149 @@
+"""ECG-gated registration on the ultrasound that has arrived by some moment."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.cardiac import RPeak, retime
+from dvf_ig.cardiac.beats import beat_phase
+from dvf_ig.core import (
+    FloatArray,
+    ImageMap,
+    IntArray,
+    InvalidInputError,
+    NoOverlapError,
+    Rigid,
+    Scenario,
+)
+from dvf_ig.registration import (
+    Gated,
+    Level,
+    RegistrationResult,
+    fan_mask_from_images,
+    gate_frames,
+    prepare_slices,
+    register_rigid,
+    spread,
+    start_from_landmarks,
+)
+
+from .heart import COARSE_PITCH_MM, FINE_PITCH_MM, Heart
+
+SLICES = 48
+MIN_SLICES = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """Ultrasound frames that can be compared with the model at one moment.
+
+    Attributes:
+        gated: which frames were kept and why others were not.
+        used: (k,) the kept frames that registration looks at.
+        event_s: (n,) event time of every frame on the tracker clock.
+        model_phase: (n,) place of every frame in the model's cycle.
+        rotations, translations_mm: (n, 3, 3), (n, 3) tracker_from_probe at the event times.
+    """
+
+    gated: Gated
+    used: IntArray
+    event_s: FloatArray
+    model_phase: FloatArray
+    rotations: FloatArray
+    translations_mm: FloatArray
+
+
+def look(
+    scenario: Scenario,
+    heart: Heart,
+    peaks: tuple[RPeak, ...],
+    lag_s: float,
+    *,
+    from_s: float,
+    until_s: float,
+) -> Sight:
+    """Gate the frames whose event lies in [from_s, until_s), by R peaks known at `until_s`."""
+    event_s = scenario.ultrasound.t_s + lag_s
+    stream = scenario.ultrasound.stream("tracker", "probe")
+    rotations, translations, tracked = stream.at_many(event_s)
+    known = np.array([p.t_s for p in peaks if p.detected_at_s <= until_s])
+    beat = beat_phase(known, event_s)
+    timing = heart.model.timing
+    model_phase = retime(beat.phi, beat.rr_s, timing.rr_s, heart.model.es_fraction, mode="two-segment")
+    in_time = (event_s >= from_s) & (event_s < until_s)
+    gated = gate_frames(
+        model_phase,
+        heart.fine.fractions,
+        image_valid=scenario.ultrasound.image_valid & in_time,
+        pose_valid=tracked,
+        beat_valid=beat.regular,
+    )
+    used = gated.index[spread(len(gated.index), SLICES)]
+    return Sight(gated, used, event_s, model_phase, rotations, translations)
+
+
+def start_pose(scenario: Scenario) -> Rigid:
+    """The operator's coarse pose, else the landmark fit.
+
+    Raises:
+        InvalidInputError: the scenario holds neither.
+    """
+    if scenario.start is not None:
+        return scenario.start
+    if scenario.landmarks_mr is not None and scenario.landmarks_tracker is not None:
+        return start_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker).mr_from_tracker
+    raise InvalidInputError(
+        "the scenario has neither a start pose nor landmarks; add start.tfm, or landmarks_mr.mrk.json and "
+        "landmarks_tracker.mrk.json"
+    )
+
+
+def locate(
+    scenario: Scenario,
+    heart: Heart,
+    sight: Sight,
+    probe_from_image: ImageMap,
+    start: Rigid,
+    *,
+    seed: int,
+    progress: Callable[[float], None] | None = None,
+) -> RegistrationResult:
+    """Register the frames of `sight` to the model from `start`.
+
+    Raises:
+        InvalidInputError: the recording has no images.
+        NoOverlapError: too few frames passed the gate; says why.
+    """
+    images = scenario.ultrasound.images
+    if images is None:
+        raise InvalidInputError("the ultrasound recording has no images; registration needs them")
+    if len(sight.used) < MIN_SLICES:
+        reasons = ", ".join(f"{count} {reason}" for reason, count in sight.gated.rejected.items() if count)
+        raise NoOverlapError(
+            f"{len(sight.used)} ultrasound frames can be compared with the model ({reasons}); "
+            f"needed at least {MIN_SLICES}: check probe tracking and ECG"
+        )
+    rows, columns = images.shape[1:]
+    fan = scenario.fan
+    mask = fan.mask(rows, columns) if fan is not None else fan_mask_from_images(images[sight.used])
+    levels = [
+        Level(
+            prepare_slices(
+                images[sight.used],
+                mask,
+                probe_from_image,
+                sight.rotations[sight.used],
+                sight.translations_mm[sight.used],
+                sight.model_phase[sight.used],
+                sight.event_s[sight.used],
+                pitch_mm=pitch,
+            ),
+            channels,
+            pitch,
+        )
+        for pitch, channels in ((COARSE_PITCH_MM, heart.coarse), (FINE_PITCH_MM, heart.fine))
+    ]
+    return register_rigid(
+        levels[0], levels[1], start, heart.center_mm, rng=np.random.default_rng(seed), progress=progress
+    )

@@ -1,0 +1,302 @@
+"""What a replay reports: `result.json`, its schema, and the table that a user reads."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib import resources
+from typing import Any
+
+import jsonschema
+import numpy as np
+
+from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.guidance import Sigmoid, Status
+from dvf_ig.guidance.blend import static_force
+from dvf_ig.registration import summarise, target_errors_mm
+
+from .engine import Attempt, Replay
+from .score import (
+    CONTACT_MM,
+    far_corner_error_mm,
+    score_force,
+    score_phase,
+    score_poses,
+)
+
+SCHEMA = "dvf_ig.replay/1"
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema of result.json."""
+    text = resources.files(__package__).joinpath("result.schema.json").read_text(encoding="utf-8")
+    loaded: dict[str, Any] = json.loads(text)
+    return loaded
+
+
+def validate(result: dict[str, Any]) -> None:
+    """Raise InvalidInputError unless `result` fits the schema."""
+    try:
+        jsonschema.validate(result, schema())
+    except jsonschema.ValidationError as exc:
+        raise InvalidInputError(f"result.json does not fit {SCHEMA}: {exc.message}") from exc
+
+
+def result_of(replay: Replay) -> dict[str, Any]:
+    """Every estimate of a replay, and beside it its error where the scenario carries its truth."""
+    track, force = replay.tracking.track, replay.samples.force_n
+    magnitude = np.linalg.norm(force, axis=1)
+    valid = replay.valid
+    out: dict[str, Any] = {
+        "schema": SCHEMA,
+        "scenario": replay.scenario.name,
+        "preset": replay.scenario.preset,
+        "seed": replay.scenario.seed,
+        "patient_id": replay.scenario.preop.patient_id,
+        "ticks": len(track.t_s),
+        "valid_ticks": int(valid.sum()),
+        "refused_ticks": int((~valid).sum()),
+        "refused_by_status": _refusals(replay),
+        "nonfinite_ticks": int((~np.isfinite(force).all(axis=1)).sum()),
+        "valid_phase_share": float(track.valid.mean()),
+        "force_n": {
+            "max": float(np.nanmax(magnitude)),
+            "mean": float(magnitude[valid].mean()) if valid.any() else 0.0,
+        },
+        "seconds": round(replay.seconds, 3),
+        "estimates": _estimates(replay),
+        "registrations": [_attempt(a) for a in replay.attempts],
+        **dict.fromkeys(
+            (
+                "tre_mm",
+                "start_tre_mm",
+                "phase_error_percent_rr",
+                "model_phase_error_mm",
+                "force_error_n",
+                "contact",
+                "lag_error_s",
+                "probe_error_mm",
+                "tip_error_mm",
+            )
+        ),
+    }
+    out.update(_errors(replay))
+    validate(out)
+    return out
+
+
+def _refusals(replay: Replay) -> dict[str, int]:
+    return {
+        status.name.lower(): int((replay.samples.status == status).sum())
+        for status in Status
+        if status is not Status.OK
+    }
+
+
+def _estimates(replay: Replay) -> dict[str, Any]:
+    rulers, track = replay.rulers, replay.tracking.track
+    locked = track.valid
+    rr_s = float(np.median(track.rr_s[locked])) if locked.any() else None
+    model = replay.heart.model
+    poses = replay.poses
+    return {
+        "tip_mm": rulers.pivot.tip.xyz_mm[0].tolist(),
+        "pivot_rms_3d_mm": rulers.pivot.rms_3d_mm,
+        "probe_from_image": rulers.probe.probe_from_image.matrix.tolist(),
+        "probe_calibration_mean95_mm": rulers.probe.calibration.mean95_mm,
+        "lag_s": rulers.latency.lag_s,
+        "lag_correlation": rulers.latency.correlation,
+        "beats": len(replay.tracking.peaks),
+        "rr_s": rr_s,
+        "frame_period_s": rr_s / model.phases if rr_s else None,
+        "model_rr_s": model.timing.rr_s,
+        "phases": model.phases,
+        "model_megabytes": model.megabytes,
+        "start_mr_from_tracker": replay.start.matrix.tolist(),
+        "mr_from_tracker": poses[-1][1].matrix.tolist() if poses else None,
+    }
+
+
+def _attempt(attempt: Attempt) -> dict[str, Any]:
+    result = attempt.result
+    out: dict[str, Any] = {
+        "asked_s": attempt.asked_s,
+        "ready_s": attempt.ready_s,
+        "usable": attempt.usable,
+        "frames": len(attempt.sight.used),
+        "frames_rejected": attempt.sight.gated.rejected,
+        "stop": result.stop.name if result else "TOO_FEW_FRAMES",
+        "reason": result.stop.value if result else attempt.refusal,
+    }
+    if result is not None:
+        finite = np.isfinite(result.covariance).all()
+        out |= {
+            "mr_from_tracker": result.mr_from_tracker.matrix.tolist(),
+            "success_probability": result.success_probability,
+            "covariance": result.covariance.tolist() if finite else None,
+            "similarity": result.similarity,
+            "start_similarity": result.start_similarity,
+            "contrast": result.contrast,
+            "overlap": result.overlap,
+            "disagreement_mm": result.disagreement_mm,
+            "moved_mm": result.moved_mm,
+            "seconds": round(result.seconds, 3),
+        }
+    return out
+
+
+def _errors(replay: Replay) -> dict[str, Any]:
+    """Estimates against the planted truth; empty where there is none."""
+    truth = replay.scenario.truth
+    if truth is None:
+        return {}
+    track, valid = replay.tracking.track, replay.valid
+    start_errors = target_errors_mm(replay.start, truth.mr_from_tracker_at(0.0), truth.targets.points)
+    out: dict[str, Any] = {
+        "start_tre_mm": asdict(summarise(start_errors)),
+        "lag_error_s": replay.rulers.latency.lag_s - truth.lag_s,
+        "tip_error_mm": float(np.linalg.norm(replay.rulers.pivot.tip.xyz_mm[0] - truth.tip.xyz_mm[0])),
+    }
+    images = replay.scenario.ultrasound.images
+    if images is not None:
+        out["probe_error_mm"] = far_corner_error_mm(
+            replay.rulers.probe.probe_from_image, truth.probe_from_image, *images.shape[1:]
+        )
+    poses = score_poses(replay.poses, track.t_s, valid, truth)
+    if poses is not None:
+        out["tre_mm"] = asdict(poses[0])
+    phi, model_phase = true_phases(replay)
+    locked = track.valid
+    if locked.any():
+        score = score_phase(
+            track.phi[locked], replay.model_phase[locked], phi[locked], model_phase[locked], truth.surface
+        )
+        out["phase_error_percent_rr"] = {"mean": score.percent_mean, "p95": score.percent_p95}
+        out["model_phase_error_mm"] = {"mean": score.surface_mm_mean, "p95": score.surface_mm_p95}
+    distance, true_force = true_contact(replay)
+    contact = distance >= CONTACT_MM
+    force = score_force(replay.samples.force_n, valid, true_force, contact)
+    out["contact"] = {
+        "ticks": int(contact.sum()),
+        "share": float(contact.mean()),
+        "served_share": force.served_ticks / force.contact_ticks if force else 0.0,
+    }
+    if force is not None:
+        out["force_error_n"] = {"median": force.error_n_median, "p95": force.error_n_p95}
+    return out
+
+
+def true_phases(replay: Replay) -> tuple[FloatArray, FloatArray]:
+    """(n,) true fraction of RR and true model phase at each tick (nearest truth sample)."""
+    truth = replay.scenario.truth
+    if truth is None:
+        raise InvalidInputError("the scenario carries no truth")
+    nearest = _nearest(truth.tool.t_s, replay.tracking.track.t_s)
+    return truth.tool.phi[nearest], truth.tool.model_phase[nearest]
+
+
+def true_contact(replay: Replay) -> tuple[FloatArray, FloatArray]:
+    """(n,) true distance and (n, 3) true force in the tracker's frame at each tick."""
+    truth = replay.scenario.truth
+    if truth is None:
+        raise InvalidInputError("the scenario carries no truth")
+    t_s = replay.tracking.track.t_s
+    nearest = _nearest(truth.tool.t_s, t_s)
+    distance, normal = truth.tool.distance_mm[nearest], truth.tool.normal[nearest]
+    force_mr = static_force(Sigmoid(), distance, normal)
+    force = np.empty_like(force_mr)
+    for start_s, pose in truth.mr_from_tracker:
+        later = t_s >= start_s
+        force[later] = force_mr[later] @ pose.rotation
+    return distance, force
+
+
+def _nearest(times: FloatArray, wanted: FloatArray) -> np.ndarray[Any, np.dtype[np.intp]]:
+    right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    return right - (wanted - times[right - 1] < times[right] - wanted)
+
+
+def table(result: dict[str, Any]) -> list[tuple[str, str]]:
+    """The short table: every estimate, beside its error where the truth is known."""
+    est, rows = result["estimates"], []
+    tip = ", ".join(f"{v:.2f}" for v in est["tip_mm"])
+    rows.append(("tool tip", f"({tip}) mm" + _beside("error", result["tip_error_mm"], "mm")))
+    rows.append(
+        (
+            "probe",
+            f"N-wire residual {est['probe_calibration_mean95_mm']:.2f} mm"
+            + _beside("error at the far corner", result["probe_error_mm"], "mm"),
+        )
+    )
+    lag_error = result["lag_error_s"]
+    error_ms = None if lag_error is None else 1000 * lag_error
+    rows.append(("latency", f"{1000 * est['lag_s']:.1f} ms" + _beside("error", error_ms, "ms")))
+    rows += _clock_rows(result)
+    rows += _pose_rows(result)
+    rows += _force_rows(result)
+    rows.append(("time", f"{result['seconds']:.1f} s"))
+    return rows
+
+
+def _beside(what: str, value: float | None, unit: str) -> str:
+    return "" if value is None else f"   {what} {value:.2f} {unit}"
+
+
+def _clock_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
+    est = result["estimates"]
+    beats = f"{est['beats']} beats, phase locked {100 * result['valid_phase_share']:.0f} % of the time"
+    if est["rr_s"]:
+        beats += f", RR {est['rr_s']:.3f} s, T_d {1000 * est['frame_period_s']:.1f} ms × {est['phases']}"
+    rows = [("heart", beats)]
+    phase, surface = result["phase_error_percent_rr"], result["model_phase_error_mm"]
+    if phase is not None and surface is not None:
+        rows.append(
+            (
+                "phase error",
+                f"{phase['mean']:.2f} % of RR mean, {phase['p95']:.2f} % p95; "
+                f"{surface['mean']:.2f} mm mean at the surface",
+            )
+        )
+    return rows
+
+
+def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
+    attempts: Sequence[dict[str, Any]] = result["registrations"]
+    usable = [a for a in attempts if a["usable"]]
+    if usable:
+        text = (
+            f"{len(usable)} of {len(attempts)} usable, first in use at {usable[0]['ready_s']:.1f} s, "
+            f"last success probability {usable[-1]['success_probability']:.2f}"
+        )
+    else:
+        text = f"none of {len(attempts)} usable" + (f": {attempts[-1]['reason']}" if attempts else "")
+    rows = [("registration", text)]
+    start, tre = result["start_tre_mm"], result["tre_mm"]
+    if start is not None:
+        rows.append(("TRE at start", f"{start['median']:.2f} mm median, {start['max']:.2f} mm max"))
+    if tre is not None:
+        rows.append(
+            ("TRE in use", f"{tre['median']:.2f} mm median, {tre['p95']:.2f} mm p95, {tre['max']:.2f} mm max")
+        )
+    return rows
+
+
+def _force_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
+    force = result["force_n"]
+    rows = [
+        (
+            "force",
+            f"{force['mean']:.3f} N mean, {force['max']:.3f} N max over {result['valid_ticks']} valid ticks; "
+            f"{result['refused_ticks']} of {result['ticks']} refused, {result['nonfinite_ticks']} non-finite",
+        )
+    ]
+    contact, error = result["contact"], result["force_error_n"]
+    if contact is not None:
+        rows.append(
+            (
+                "contact",
+                f"{100 * contact['share']:.0f} % of ticks, served in {100 * contact['served_share']:.0f} %",
+            )
+        )
+    if error is not None:
+        rows.append(("force error", f"{error['median']:.3f} N median, {error['p95']:.3f} N p95 in contact"))
+    return rows

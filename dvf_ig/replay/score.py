@@ -1,0 +1,122 @@
+"""Estimates against the planted truth. Nothing here runs where a scenario carries none."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import BoolArray, FloatArray, ImageMap, Rigid, ScenarioTruth, SurfaceSeries
+from dvf_ig.registration import ErrorSummary, summarise, target_errors_mm
+
+CONTACT_MM = 0.0
+"""The tool is in contact where its tip truly is at or inside the true surface."""
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseScore:
+    """Phase error over valid ticks: in % of RR, and in mm of the moving surface."""
+
+    percent_mean: float
+    percent_p95: float
+    surface_mm_mean: float
+    surface_mm_p95: float
+
+
+@dataclass(frozen=True, slots=True)
+class ForceScore:
+    """Force error over ticks in contact with valid state, and how many contact ticks were served."""
+
+    error_n_median: float
+    error_n_p95: float
+    contact_ticks: int
+    served_ticks: int
+
+
+def score_poses(
+    poses: list[tuple[float, Rigid]], t_s: FloatArray, valid: BoolArray, truth: ScenarioTruth
+) -> tuple[ErrorSummary, FloatArray] | None:
+    """TRE at the declared targets over valid ticks, and the mean TRE at each tick (NaN where not valid).
+
+    Args:
+        poses: (time from which it was used, mr_from_tracker), in time order.
+    """
+    mean_mm = np.full(len(t_s), np.nan)
+    errors: list[FloatArray] = []
+    weights: list[int] = []
+    edges = sorted({start for start, _ in poses} | {start for start, _ in truth.mr_from_tracker} | {np.inf})
+    for begin, end in itertools.pairwise(edges):
+        used = [pose for start, pose in poses if start <= begin]
+        here = valid & (t_s >= begin) & (t_s < end)
+        if not used or not here.any():
+            continue
+        tre = target_errors_mm(used[-1], truth.mr_from_tracker_at(begin), truth.targets.points)
+        mean_mm[here] = tre.mean()
+        errors.append(tre)
+        weights.append(int(here.sum()))
+    if not errors:
+        return None
+    pooled = np.repeat(np.concatenate(errors), np.repeat(weights, [len(e) for e in errors]))
+    return summarise(pooled), mean_mm
+
+
+def score_phase(
+    phi: FloatArray,
+    model_phase: FloatArray,
+    true_phi: FloatArray,
+    true_model_phase: FloatArray,
+    surface: SurfaceSeries,
+) -> PhaseScore:
+    """Errors of (n,) estimated phases against the true ones at the same ticks."""
+    percent = 100 * np.abs((phi - true_phi + 0.5) % 1.0 - 0.5)
+    moved = surface_displacement_mm(surface, model_phase, true_model_phase)
+    return PhaseScore(
+        float(percent.mean()),
+        float(np.percentile(percent, 95)),
+        float(moved.mean()),
+        float(np.percentile(moved, 95)),
+    )
+
+
+def surface_displacement_mm(surface: SurfaceSeries, first: FloatArray, second: FloatArray) -> FloatArray:
+    """(n,) mean distance over the surface between its places at two sets of model phases.
+
+    At most 200 vertices and 4000 ticks, both evenly spread, are looked at.
+    """
+    vertices = surface.vertices_mm[:, :: max(1, surface.vertices_mm.shape[1] // 200)]
+    ticks = slice(None, None, max(1, len(first) // 4000))
+    apart = _interpolated(vertices, surface, first[ticks]) - _interpolated(vertices, surface, second[ticks])
+    return np.asarray(np.linalg.norm(apart, axis=2).mean(axis=1))
+
+
+def _interpolated(vertices: FloatArray, surface: SurfaceSeries, phase: FloatArray) -> FloatArray:
+    fractions = surface.timing.fractions
+    after = np.searchsorted(fractions, phase % 1.0, side="right")
+    first, second = (after - 1) % len(fractions), after % len(fractions)
+    width = (fractions[second] - fractions[first]) % 1.0
+    weight = (((phase - fractions[first]) % 1.0) / width)[:, None, None]
+    return np.asarray((1 - weight) * vertices[first] + weight * vertices[second])
+
+
+def far_corner_error_mm(estimate: ImageMap, truth: ImageMap, rows: int, columns: int) -> float:
+    """Largest distance over the image's corners between two calibrations."""
+    corners = np.array([[c, r] for c in (0, columns - 1) for r in (0, rows - 1)], dtype=np.float64)
+    apart = estimate.apply_pixels(corners).xyz_mm - truth.apply_pixels(corners).xyz_mm
+    return float(np.linalg.norm(apart, axis=1).max())
+
+
+def score_force(
+    force_n: FloatArray, valid: BoolArray, true_force_n: FloatArray, contact: BoolArray
+) -> ForceScore | None:
+    """Force error in contact with valid state.
+
+    Args:
+        force_n, true_force_n: (n, 3) in the tracker's frame.
+        valid, contact: (n,).
+    """
+    served = contact & valid & (np.linalg.norm(force_n, axis=1) > 0)
+    if not served.any():
+        return None
+    error = np.linalg.norm(force_n[served] - true_force_n[served], axis=1)
+    return ForceScore(
+        float(np.median(error)), float(np.percentile(error, 95)), int(contact.sum()), int(served.sum())
+    )
