@@ -1,1 +1,10 @@
 """The synthetic world with its truth."""
+
+from .presets import MOTIONS as MOTIONS
+from .presets import PRESETS as PRESETS
+from .presets import Motion as Motion
+from .presets import ScenarioSpec as ScenarioSpec
+from .probe_path import ReplayedPath as ReplayedPath
+from .probe_path import replayed_path as replayed_path
+from .scenario import phantom_scenario as phantom_scenario
+from .scenario import surface_scenario as surface_scenario

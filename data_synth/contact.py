@@ -91,16 +91,12 @@ class MovingSurface:
         neighbour = _neighbours(triangles)
         start, around = _triangles_around(triangles, vertices.shape[1])
         centers, radii = _bounding_spheres(vertices, triangles, clusters)
-        return cls(
-            phases, vertices, triangles, error, clusters, centers, radii, start, around, neighbour
-        )
+        return cls(phases, vertices, triangles, error, clusters, centers, radii, start, around, neighbour)
 
     def at(self, model_phase: float) -> FloatArray:
         """(v, 3) vertices at one phase."""
         low, high, weight = self._bracket(np.array([model_phase]))
-        return np.asarray(
-            (1 - weight[0]) * self.vertices_mm[low[0]] + weight[0] * self.vertices_mm[high[0]]
-        )
+        return np.asarray((1 - weight[0]) * self.vertices_mm[low[0]] + weight[0] * self.vertices_mm[high[0]])
 
     def distance(self, points_mm: FloatArray, model_phase: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Signed distance (n,) mm, positive inside, and its unit gradient (n, 3), each at its own phase."""

@@ -19,7 +19,7 @@ def tremor(rng: np.random.Generator) -> Callable[[FloatArray], FloatArray]:
     noise = smooth_noise(3, *TREMOR_HZ, rng)
 
     def displacement(t_s: FloatArray) -> FloatArray:
-        return noise(t_s) * (TREMOR_RMS_MM / np.sqrt(3))
+        return np.asarray(noise(t_s) * (TREMOR_RMS_MM / np.sqrt(3)))
 
     return displacement
 

@@ -47,11 +47,13 @@ class SmoothField:
 
     def inverse(self, xyz_mm: FloatArray) -> FloatArray:
         """Intra-operative to pre-operative positions, by fixed-point iteration to below 1e-4 mm."""
+        if self.rms_mm == 0:
+            return np.array(xyz_mm, dtype=np.float64)
         out = np.array(xyz_mm, dtype=np.float64)
         for _ in range(30):
             correction = xyz_mm - out - self.at(out)
             out += correction
-            if np.abs(correction).max(initial=0.0) < 1e-5:
+            if np.abs(correction).max(initial=0.0) < 1e-4:
                 break
         return out
 

@@ -68,9 +68,7 @@ def fcal_phantom() -> NWirePhantom:
     return NWirePhantom(tuple(patterns))
 
 
-def wire_crossings_px(
-    phantom: NWirePhantom, phantom_from_image: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def wire_crossings_px(phantom: NWirePhantom, phantom_from_image: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Where the wires pierce the image plane.
 
     Args:
@@ -142,9 +140,7 @@ def _placements(
     )
 
 
-def _random_view(
-    probe_from_image: ImageMap, fan: Fan, spec: NWireSpec, rng: np.random.Generator
-) -> Rigid:
+def _random_view(probe_from_image: ImageMap, fan: Fan, spec: NWireSpec, rng: np.random.Generator) -> Rigid:
     """phantom_from_image (image in mm from pixel 0, 0): looking down on the wires, across them."""
     middle = np.array([rng.uniform(40.0, 50.0), rng.uniform(10.0, 30.0), 20.0])
     facing = Rotation.from_matrix(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
@@ -167,5 +163,3 @@ def _in_sector(pixels: FloatArray, fan: Fan, image_size_px: tuple[int, int]) -> 
     inside = (radius > fan.start_px + 2) & (radius < fan.stop_px - 2) & (angle < 0.97 * fan.half_angle_rad)
     on_image = (pixels >= 0).all() and (pixels <= np.array(image_size_px) - 1).all()
     return bool(inside.all() and on_image)
-
-

@@ -33,9 +33,7 @@ def pivot_recording(
     return tracked(path, "tracker", "tool", true_s, stamp_s, spec, rng)
 
 
-def _pivoting(
-    offset: FloatArray, seconds: float, tip_play_mm: float, rng: np.random.Generator
-) -> PosePath:
+def _pivoting(offset: FloatArray, seconds: float, tip_play_mm: float, rng: np.random.Generator) -> PosePath:
     pivot_mm = rng.uniform((-120.0, -120.0, -900.0), (120.0, 120.0, -500.0))
     base = Rotation.random(rng=rng)
     shaft = offset / np.linalg.norm(offset)

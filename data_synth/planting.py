@@ -47,9 +47,7 @@ def plant(
     apex_in_probe = rng.uniform((-15.0, 30.0, -15.0), (15.0, 70.0, 15.0))
     rotation = mount.as_matrix() @ upright
     probe_from_plane = Rigid("probe", "plane", rotation, apex_in_probe)
-    probe_from_image = ImageMap(
-        probe_from_plane @ plane_from_image.rigid, plane_from_image.scale_mm_per_px
-    )
+    probe_from_image = ImageMap(probe_from_plane @ plane_from_image.rigid, plane_from_image.scale_mm_per_px)
     tip = rng.uniform((-20.0, -20.0, 0.95 * tool_mm), (20.0, 20.0, 1.05 * tool_mm))
     lag_s = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.02, 0.08))
     return Planted(
@@ -57,9 +55,7 @@ def plant(
     )
 
 
-def touched_landmarks(
-    landmarks_mr: Landmarks, mr_from_tracker: Rigid, rng: np.random.Generator
-) -> Landmarks:
+def touched_landmarks(landmarks_mr: Landmarks, mr_from_tracker: Rigid, rng: np.random.Generator) -> Landmarks:
     """The same points as an operator's stylus finds them, frame "tracker"."""
     exact = mr_from_tracker.inverse().apply(landmarks_mr.points).xyz_mm
     error = rng.standard_normal(exact.shape) * (LANDMARK_RMS_MM / np.sqrt(3))

@@ -14,6 +14,7 @@ from .tracker import TrackerSpec
 from .watertank import WaterTankSpec
 
 Motion = Literal["paper5mm", "physiological"]
+MOTIONS: tuple[Motion, ...] = get_args(Motion)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +81,8 @@ class ScenarioSpec:
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
             raise InvalidInputError(f"there is no preset '{self.preset}'; choose from {', '.join(PRESETS)}")
-        if self.motion not in get_args(Motion):
-            raise InvalidInputError(
-                f"there is no motion '{self.motion}'; choose from {', '.join(get_args(Motion))}"
-            )
+        if self.motion not in MOTIONS:
+            raise InvalidInputError(f"there is no motion '{self.motion}'; choose from {', '.join(MOTIONS)}")
         if not 5.0 <= self.seconds <= 3600.0:
             raise InvalidInputError(f"the scenario is to last {self.seconds:g} s; needed 5 to 3600 s")
         if not 4.0 <= self.us_rate_hz <= 60.0:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray
 
+from .kernels import lookup
 from .tissue import ACOUSTICS, BLOOD, Tissue, bssfp_signal
 
 Layers = list[tuple[Tissue, FloatArray]]
@@ -78,38 +79,41 @@ def build_reference(shapes: ReferenceShapes, box_mm: FloatArray, spacing_mm: flo
     size = np.ceil((box_mm[1] - box_mm[0]) / spacing_mm).astype(int) + 1
     shape = (int(size[0]), int(size[1]), int(size[2]))
     organ = np.empty(shape, dtype=np.float32)
-    inner, outer = np.empty(shape, dtype=np.uint8), np.empty(shape, dtype=np.uint8)
+    inner = np.full(shape, shapes.base, dtype=np.uint8)
+    outer = np.full(shape, Tissue.MEDIASTINUM, dtype=np.uint8)
     signal = np.empty(shape, dtype=np.float32)
     acoustics = np.empty((*shape, CHANNELS), dtype=np.float32)
     y = box_mm[0, 1] + spacing_mm * np.arange(shape[1])
     z = box_mm[0, 2] + spacing_mm * np.arange(shape[2])
     plane = np.stack(np.meshgrid(y, z, indexing="ij"), axis=-1).reshape(-1, 2)
-    signals = np.array([[bssfp_signal(t)] for t in Tissue])
-    properties = np.array([_acoustic_row(t) for t in Tissue])
-    row_of = {tissue: i for i, tissue in enumerate(Tissue)}
+    edge = 1.2 * spacing_mm
 
     def fill(i: int) -> None:
         points = np.column_stack([np.full(len(plane), box_mm[0, 0] + spacing_mm * i), plane])
         depth = shapes.organ(points)
-        inside, outside = shapes.inside(points, depth), shapes.outside(points, depth)
-        extra = shapes.inside_ultrasound_only(points)
-        codes = _codes(shapes, points, depth)
         organ[i] = depth.reshape(shape[1:])
-        inner[i], outer[i] = codes[0].reshape(shape[1:]), codes[1].reshape(shape[1:])
-        edge = 1.2 * spacing_mm
-        share = np.clip(0.5 + depth / edge, 0, 1)[:, None]
-        for table, layers, out in (
-            (signals, inside, signal[i][..., None]),
-            (properties, inside + extra, acoustics[i][..., : CHANNELS - 1]),
-        ):
-            within = _painted(table, row_of, shapes.base, layers, edge)
-            beyond = _painted(table, row_of, Tissue.MEDIASTINUM, outside, edge)
-            out[...] = (beyond + share * (within - beyond)).reshape(out.shape)
+        rows = np.empty((len(points), CHANNELS))
+        out = depth < edge
+        rows[out], codes = _painted(
+            shapes.outside(points[out], depth[out]), Tissue.MEDIASTINUM, int(out.sum()), edge
+        )
+        outer[i].reshape(-1)[out] = codes
+        near = depth > -max(edge, 2 * spacing_mm)
+        within, codes = _painted(
+            shapes.inside(points[near], depth[near]), shapes.base, int(near.sum()), edge
+        )
+        inner[i].reshape(-1)[near] = codes
+        mr_only = within[:, -1].copy()
+        _paint(within, codes, shapes.inside_ultrasound_only(points[near]), edge)
+        within[:, -1] = mr_only
+        share = np.clip(0.5 + depth[near] / edge, 0, 1)[:, None]
+        rows[near] = np.where(share < 1, rows[near], 0) * (1 - share) + share * within
+        acoustics[i, ..., : CHANNELS - 1] = rows[:, : CHANNELS - 1].reshape(*shape[1:], -1)
+        signal[i] = rows[:, -1].reshape(shape[1:])
 
     with ThreadPoolExecutor(_THREADS) as pool:
         list(pool.map(fill, range(shape[0])))
-    slope = np.gradient(acoustics[..., 0], spacing_mm)
-    acoustics[..., CHANNELS - 1] = np.sqrt(slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2)
+    lookup.gradient_norm(acoustics, 1.0 / spacing_mm)
     return ReferenceMap(np.array(box_mm[0]), spacing_mm, organ, inner, outer, signal, acoustics)
 
 
@@ -126,18 +130,28 @@ def _codes(
 
 
 def _painted(
-    table: FloatArray, row_of: dict[Tissue, int], base: Tissue, layers: Layers, edge_mm: float
-) -> FloatArray:
-    """(n, channels) values of `table` painted layer over layer, each edge blended over `edge_mm`."""
-    out = np.repeat(table[row_of[base]][None], len(layers[0][1]), axis=0)
+    layers: Layers, base: Tissue, count: int, edge_mm: float
+) -> tuple[FloatArray, NDArray[np.uint8]]:
+    """(count, CHANNELS) property rows and (count,) codes of layers painted over `base`."""
+    rows = np.repeat(_PROPERTIES[int(base)][None], count, axis=0)
+    codes = np.full(count, base, dtype=np.uint8)
+    _paint(rows, codes, layers, edge_mm)
+    return rows, codes
+
+
+def _paint(rows: FloatArray, codes: NDArray[np.uint8], layers: Layers, edge_mm: float) -> None:
+    """Paint layer over layer, each edge blended over `edge_mm`; codes change at depth 0."""
     for tissue, depth in layers:
         touched = np.flatnonzero(depth > -0.5 * edge_mm)
+        if not len(touched):
+            continue
         share = np.minimum(0.5 + depth[touched] / edge_mm, 1.0)[:, None]
-        out[touched] += share * (table[row_of[tissue]] - out[touched])
-    return out
+        rows[touched] += share * (_PROPERTIES[int(tissue)] - rows[touched])
+        codes[depth > 0] = tissue
 
 
-def _acoustic_row(tissue: Tissue) -> list[float]:
+def _property_row(tissue: Tissue) -> list[float]:
+    """ln Z, α, echo of tissue, echo of blood, MR signal."""
     a = ACOUSTICS[tissue]
     amplitude = 10 ** (a.echo_db / 20)
     is_blood = tissue in BLOOD
@@ -146,4 +160,16 @@ def _acoustic_row(tissue: Tissue) -> list[float]:
         a.attenuation_db,
         0.0 if is_blood else amplitude,
         amplitude if is_blood else 0.0,
+        bssfp_signal(tissue),
     ]
+
+
+def _property_table() -> FloatArray:
+    """(codes, CHANNELS) rows indexed by tissue code."""
+    table = np.zeros((max(Tissue) + 1, CHANNELS))
+    for tissue in Tissue:
+        table[int(tissue)] = _property_row(tissue)
+    return table
+
+
+_PROPERTIES = _property_table()

@@ -125,9 +125,7 @@ def surface_scenario(
     mr_from_mean_probe = view @ world.planted.probe_from_plane.inverse()
     sweep = reframed(probe_path, mr_from_mean_probe, world.planted.probe_from_plane)
     name = f"real surfaces and ECG, {spec.preset}, seed {spec.seed}"
-    return _assembled(
-        name, world, ecg.between(0.0, spec.seconds), sweep, with_start=False, progress=progress
-    )
+    return _assembled(name, world, ecg.between(0.0, spec.seconds), sweep, with_start=False, progress=progress)
 
 
 def _world(
@@ -137,7 +135,9 @@ def _world(
     resting = surface.vertices_mm[0]
     outline = HeartOutline(resting.mean(axis=0), resting)
     window = acoustic_window(
-        lambda xyz: np.isin(anatomy.tissue(xyz, 0.0), (int(Tissue.LUNG), int(Tissue.BONE))).astype(np.float64),
+        lambda xyz: np.isin(anatomy.tissue(xyz, 0.0), (int(Tissue.LUNG), int(Tissue.BONE))).astype(
+            np.float64
+        ),
         outline,
         ANTERIOR_LEFT / np.linalg.norm(ANTERIOR_LEFT),
     )

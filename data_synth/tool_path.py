@@ -67,7 +67,6 @@ class TipPath:
         return np.asarray(smooth + tremor(np.random.default_rng(self.tremor_seed))(t_s))
 
 
-
 def tip_path(
     surface: MovingSurface,
     clock: HeartClock,
@@ -149,9 +148,7 @@ def _surface_height(
     return height
 
 
-def tool_path(
-    tip: TipPath, access: FloatArray, tip_in_tool: Points, rng: np.random.Generator
-) -> PosePath:
+def tool_path(tip: TipPath, access: FloatArray, tip_in_tool: Points, rng: np.random.Generator) -> PosePath:
     """mr_from_tool of a tool whose tip follows `tip` while its handle stays about direction `access`.
 
     Args:

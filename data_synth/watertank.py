@@ -51,12 +51,12 @@ def watertank_recording(
     An event at tracker time t is stamped t − lag_s on the video clock.
     """
     apex_mm = fan.apex_px * probe_from_image.scale_mm_per_px
-    image_from_plane = Rigid(probe_from_image.rigid.source, "plane", np.eye(3), [*apex_mm, 0.0])
+    image_from_plane = Rigid(probe_from_image.rigid.source, "plane", np.eye(3), np.append(apex_mm, 0.0))
     plane_from_probe = (probe_from_image.rigid @ image_from_plane).inverse()
     tank_from_plane = _bobbing(spec, rng)
-    tracker_from_tank = Rigid(
-        "tracker", "tank", Rotation.random(rng=rng).as_matrix(), rng.uniform((-200, -200, -900), (200, 200, -500))
-    )
+    turn = Rotation.random(rng=rng).as_matrix()
+    tank_mm = rng.uniform((-200.0, -200.0, -900.0), (200.0, 200.0, -500.0))
+    tracker_from_tank = Rigid("tracker", "tank", turn, tank_mm)
     true_s, stamp_s = sampling_times(tracker, 0.0, spec.seconds, rng)
     stream = tracked(
         reframed(tank_from_plane, tracker_from_tank, plane_from_probe),

@@ -116,3 +116,19 @@ def image_slab(
                 b = nearest((v - map_origin[1]) * map_inverse_spacing, inner.shape[1])
                 c = nearest((w - map_origin[2]) * map_inverse_spacing, inner.shape[2])
                 code_out[i, j, k] = inner[a, b, c] if depth > 0.0 else outer[a, b, c]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def gradient_norm(acoustics, inverse_spacing):
+    """Write |∇ channel 0| (central differences, one-sided at the border) into the last channel."""
+    nx, ny, nz, last = acoustics.shape[0], acoustics.shape[1], acoustics.shape[2], acoustics.shape[3] - 1
+    for i in range(nx):
+        a, b = max(i - 1, 0), min(i + 1, nx - 1)
+        for j in range(ny):
+            c, d = max(j - 1, 0), min(j + 1, ny - 1)
+            for k in range(nz):
+                e, f = max(k - 1, 0), min(k + 1, nz - 1)
+                gx = (acoustics[b, j, k, 0] - acoustics[a, j, k, 0]) / (b - a)
+                gy = (acoustics[i, d, k, 0] - acoustics[i, c, k, 0]) / (d - c)
+                gz = (acoustics[i, j, f, 0] - acoustics[i, j, e, 0]) / (f - e)
+                acoustics[i, j, k, last] = np.sqrt(gx * gx + gy * gy + gz * gz) * inverse_spacing

@@ -4,6 +4,7 @@ from .landmarks import DwellOptions as DwellOptions
 from .landmarks import Dwells as Dwells
 from .landmarks import LandmarkResult as LandmarkResult
 from .landmarks import find_dwells as find_dwells
+from .landmarks import match_dwells as match_dwells
 from .landmarks import register_landmarks as register_landmarks
 from .landmarks import tip_positions as tip_positions
 from .latency import LatencyOptions as LatencyOptions
@@ -22,3 +23,7 @@ from .probe import ProbeOptions as ProbeOptions
 from .probe import ProbeResult as ProbeResult
 from .probe import calibrate_probe as calibrate_probe
 from .probe import validate_probe as validate_probe
+from .wall_line import WallLineOptions as WallLineOptions
+from .wall_line import WallLines as WallLines
+from .wall_line import find_wall_lines as find_wall_lines
+from .wall_line import wall_trace as wall_trace

@@ -1,11 +1,16 @@
 """Landmark registration: a rigid map between paired points, and finding the points in a stylus stream."""
 
 from dataclasses import dataclass
+from itertools import combinations
+from math import comb
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, Points, PoseStream, QualityGateError, Rigid
 from dvf_ig.core.paired import fit_paired_points
+
+MAX_CHOICES = 20_000
+"""Most assignments of rests to landmarks that are tried."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +113,8 @@ def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = 
         )
     centers = np.array([np.median(tip.xyz_mm[run], axis=0) for run in runs])
     spread = [
-        float(np.sqrt(((tip.xyz_mm[run] - c) ** 2).sum(axis=1).mean())) for run, c in zip(runs, centers, strict=True)
+        float(np.sqrt(((tip.xyz_mm[run] - c) ** 2).sum(axis=1).mean()))
+        for run, c in zip(runs, centers, strict=True)
     ]
     return Dwells(
         points=Points(tip.frame, centers),
@@ -119,6 +125,44 @@ def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = 
     )
 
 
+def match_dwells(dwells: Dwells, landmarks: Points) -> tuple[LandmarkResult, tuple[int, ...]]:
+    """Landmarks touched in their order, among rests that may include others (before, between, after).
+
+    Args:
+        dwells: rests in order of time.
+        landmarks: (n, 3) in the order in which they were touched.
+    Returns:
+        target_from_source with target = frame of the rests, source = frame of the landmarks, and which rest is
+        which landmark: the choice with the smallest residual.
+    Raises:
+        InvalidInputError: fewer rests than landmarks, too many to try, or landmarks on one line.
+        QualityGateError: another choice, that moves the map by more than 2 mm, fits as well.
+    """
+    count, need = len(dwells.points), len(landmarks)
+    if count < need or comb(count, need) > MAX_CHOICES:
+        raise InvalidInputError(
+            f"the tip rested in {count} places for {need} landmarks; needed {need}, or a few more: touch each "
+            "landmark once, in order, and hold still"
+        )
+    tried = []
+    for choice in combinations(range(count), need):
+        rests = Points(dwells.points.frame, dwells.points.xyz_mm[list(choice)])
+        fitted = fit_paired_points(rests, landmarks)
+        misses = fitted.apply(landmarks).xyz_mm - rests.xyz_mm
+        tried.append((float(np.sqrt((misses**2).sum(axis=1).mean())), choice, fitted))
+    tried.sort(key=lambda t: (t[0], t[1]))
+    rms, best, chosen = tried[0]
+    for other_rms, _, other in tried[1:]:
+        moved = chosen.apply(landmarks).xyz_mm - other.apply(landmarks).xyz_mm
+        if other_rms <= max(1.5 * rms, rms + 0.2) and np.linalg.norm(moved, axis=1).max() > 2.0:
+            raise QualityGateError(
+                f"two assignments of rests to landmarks fit equally well ({rms:.2f} and {other_rms:.2f} mm RMS); "
+                "touch each landmark once and rest nowhere else"
+            )
+    rests = Points(dwells.points.frame, dwells.points.xyz_mm[list(best)])
+    return register_landmarks(rests, landmarks), best
+
+
 Run = np.ndarray[tuple[int], np.dtype[np.intp]]
 
 
@@ -127,9 +171,9 @@ def _still_runs(t_s: FloatArray, xyz_mm: FloatArray, options: DwellOptions) -> l
     runs: list[Run] = []
     start, total = 0, xyz_mm[0].copy()
     for i in range(1, len(xyz_mm) + 1):
-        stays = i < len(xyz_mm) and float(
-            np.linalg.norm(xyz_mm[i] - total / (i - start))
-        ) <= options.radius_mm
+        stays = (
+            i < len(xyz_mm) and float(np.linalg.norm(xyz_mm[i] - total / (i - start))) <= options.radius_mm
+        )
         if stays:
             total += xyz_mm[i]
             continue

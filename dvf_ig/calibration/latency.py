@@ -7,6 +7,7 @@ from scipy.signal import find_peaks
 from scipy.stats import t as student_t
 
 from dvf_ig.core import (
+    BoolArray,
     FloatArray,
     InvalidInputError,
     LatencyRecording,
@@ -28,7 +29,7 @@ class LatencyOptions:
         min_motion_px: the same of the line's row.
         min_correlation: smallest accepted |correlation| at the best lag.
         max_second_ratio: largest accepted |correlation| of another lag over that of the best one.
-        blocks: pieces of the recording whose own lags give the confidence interval.
+        blocks: pieces of the recording left out in turn for the confidence interval.
     """
 
     search_s: float = 0.5
@@ -39,7 +40,7 @@ class LatencyOptions:
     min_motion_px: float = 2.0
     min_correlation: float = 0.8
     max_second_ratio: float = 0.985
-    blocks: int = 6
+    blocks: int = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,10 +86,8 @@ class _Motions:
         scale = float(np.sqrt((a @ a) * (b @ b)))
         return float(a @ b) / scale if scale > 0 else 0.0
 
-    def part(self, start: int, stop: int) -> "_Motions":
-        return _Motions(
-            self.tracker_t_s, self.motion_mm, self.video_t_s[start:stop], self.row_px[start:stop]
-        )
+    def part(self, keep: BoolArray) -> "_Motions":
+        return _Motions(self.tracker_t_s, self.motion_mm, self.video_t_s[keep], self.row_px[keep])
 
 
 def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | None = None) -> LatencyResult:
@@ -120,11 +119,8 @@ def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | N
     ratio = second / abs(value) if value else 1.0
     _refuse_poor(lag, abs(value), second_lag, ratio, options)
     sign = float(np.sign(value))
-    half = len(motions.video_t_s) // 2
-    halves = (
-        _refined(motions.part(0, half), lag, sign, options)[0],
-        _refined(motions.part(half, len(motions.video_t_s)), lag, sign, options)[0],
-    )
+    early = np.arange(len(motions.video_t_s)) < len(motions.video_t_s) // 2
+    halves = tuple(_refined(motions.part(keep), lag, sign, options)[0] for keep in (early, ~early))
     return LatencyResult(
         lag_s=lag,
         interval_s=_interval(motions, lag, sign, options),
@@ -132,7 +128,7 @@ def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | N
         inverted=value < 0,
         second_lag_s=second_lag,
         second_peak_ratio=ratio,
-        halves_s=halves,
+        halves_s=(halves[0], halves[1]),
         periods=periods,
         lags_s=lags,
         correlations=correlations,
@@ -179,9 +175,7 @@ def _motions(recording: LatencyRecording, options: LatencyOptions) -> _Motions:
     return _Motions(kept.t_s, motion, rows.t_s[covered], row)
 
 
-def _covered(video_t_s: FloatArray, tracker_t_s: FloatArray, search_s: float) -> np.ndarray[
-    tuple[int], np.dtype[np.bool_]
-]:
+def _covered(video_t_s: FloatArray, tracker_t_s: FloatArray, search_s: float) -> BoolArray:
     """Video frames with close tracker samples at every lag tried (edges, and gaps beyond 0.25 s, left out)."""
     inside = (video_t_s - search_s >= tracker_t_s[0]) & (video_t_s + search_s <= tracker_t_s[-1])
     for gap in np.flatnonzero(np.diff(tracker_t_s) > 0.25):
@@ -227,13 +221,14 @@ def _second_peak(lags: FloatArray, strength: FloatArray, best: int) -> tuple[flo
 
 
 def _interval(motions: _Motions, lag_s: float, sign: float, options: LatencyOptions) -> tuple[float, float]:
-    """95 % interval about the lag from the scatter of the lags of separate pieces (Student's t)."""
-    edges = np.linspace(0, len(motions.video_t_s), options.blocks + 1).astype(int)
-    lags = [
-        _refined(motions.part(int(a), int(b)), lag_s, sign, options)[0]
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
-    ]
-    error = float(np.std(lags, ddof=1) / np.sqrt(options.blocks))
+    """95 % interval about the lag by the jackknife: the lag again with each piece left out (Student's t)."""
+    count = len(motions.video_t_s)
+    edges = np.linspace(0, count, options.blocks + 1).astype(int)
+    index = np.arange(count)
+    without = [(index < a) | (index >= b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    lags = np.array([_refined(motions.part(keep), lag_s, sign, options)[0] for keep in without])
+    share = (options.blocks - 1) / options.blocks
+    error = float(np.sqrt(share * ((lags - lags.mean()) ** 2).sum()))
     reach = float(student_t.ppf(0.975, options.blocks - 1)) * error
     return lag_s - reach, lag_s + reach
 

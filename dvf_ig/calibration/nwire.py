@@ -98,9 +98,7 @@ def diagonal_crossings(pattern: tuple[Wire, Wire, Wire]) -> tuple[FloatArray, Fl
     return _meeting(diagonal, first), _meeting(diagonal, last)
 
 
-def measure_errors(
-    probe_from_pixel: FloatArray, seen: NWireFrames, recording: NWireRecording
-) -> WireErrors:
+def measure_errors(probe_from_pixel: FloatArray, seen: NWireFrames, recording: NWireRecording) -> WireErrors:
     """Errors of a (3, 3) map [u, v, 1] -> probe mm over the given frames."""
     errors = middle_errors_mm(probe_from_pixel, seen)
     flat = np.sort(errors.ravel())
@@ -113,21 +111,21 @@ def measure_errors(
         frames_used=len(seen.frames),
         frames=len(recording.phantom_from_probe),
         wire_names=tuple(w.name for w in recording.phantom.wires),
-        in_plane_mm=np.linalg.norm(in_plane_misses_mm(probe_from_pixel, seen, recording.phantom), axis=2).mean(
-            axis=0
-        ),
+        in_plane_mm=np.linalg.norm(
+            in_plane_misses_mm(probe_from_pixel, seen, recording.phantom), axis=2
+        ).mean(axis=0),
         errors_mm=errors,
     )
 
 
 def middle_errors_mm(probe_from_pixel: FloatArray, seen: NWireFrames) -> FloatArray:
     """(f, patterns) 3-D distance between each diagonal's dot and where it must be."""
-    return np.asarray(np.linalg.norm(_to_probe(probe_from_pixel, seen.middle_pixels) - seen.middle_probe_mm, axis=2))
+    return np.asarray(
+        np.linalg.norm(_to_probe(probe_from_pixel, seen.middle_pixels) - seen.middle_probe_mm, axis=2)
+    )
 
 
-def in_plane_misses_mm(
-    probe_from_pixel: FloatArray, seen: NWireFrames, phantom: NWirePhantom
-) -> FloatArray:
+def in_plane_misses_mm(probe_from_pixel: FloatArray, seen: NWireFrames, phantom: NWirePhantom) -> FloatArray:
     """(f, wires, 2) mm along columns and rows, from each dot to where the image plane meets its wire."""
     across, down, origin = probe_from_pixel.T
     scale = np.array([np.linalg.norm(across), np.linalg.norm(down)])

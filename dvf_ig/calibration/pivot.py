@@ -17,6 +17,7 @@ from dvf_ig.core import (
 
 from .nwire import MEDIAN_NORM_PER_SIGMA
 
+
 @dataclass(frozen=True, slots=True)
 class PivotOptions:
     """How outliers are found and what is refused (limits: theory, calibration, Pivot).
@@ -67,9 +68,7 @@ class PivotResult:
     covariance: FloatArray
 
 
-def calibrate_pivot(
-    poses: PoseStream, *, rng: Generator, options: PivotOptions | None = None
-) -> PivotResult:
+def calibrate_pivot(poses: PoseStream, *, rng: Generator, options: PivotOptions | None = None) -> PivotResult:
     """Tip and pivot point by least squares on the poses that agree with one pivot.
 
     Args:
@@ -109,7 +108,10 @@ def rotation_span_deg(rotations: FloatArray) -> float:
 
 
 def _result(
-    poses: PoseStream, valid: np.ndarray[tuple[int], np.dtype[np.intp]], keep: BoolArray, options: PivotOptions
+    poses: PoseStream,
+    valid: np.ndarray[tuple[int], np.dtype[np.intp]],
+    keep: BoolArray,
+    options: PivotOptions,
 ) -> PivotResult:
     rotations, translations = poses.rotations[valid][keep], poses.translations_mm[valid][keep]
     span = rotation_span_deg(rotations)
@@ -170,8 +172,10 @@ def _best_hypothesis(
 ) -> FloatArray:
     """(6,) tip and pivot with the smallest truncated squared residual over random three-pose fits."""
     n = len(rotations)
-    triples = rng.permuted(np.tile(np.arange(n), (options.hypotheses, 1)), axis=1)[:, :3] if n > 3 else (
-        np.array([[0, 1, 2]])
+    triples = (
+        rng.permuted(np.tile(np.arange(n), (options.hypotheses, 1)), axis=1)[:, :3]
+        if n > 3
+        else (np.array([[0, 1, 2]]))
     )
     systems = np.stack([_system(rotations[t]) for t in triples])
     right = -translations[triples].reshape(len(triples), 9)

@@ -99,7 +99,9 @@ def calibrate_probe(
     """
     options = options or ProbeOptions()
     if options.method not in PROBE_METHODS:
-        raise InvalidInputError(f"probe method '{options.method}' is unknown; choose {', '.join(PROBE_METHODS)}")
+        raise InvalidInputError(
+            f"probe method '{options.method}' is unknown; choose {', '.join(PROBE_METHODS)}"
+        )
     seen = usable_frames(recording)
     if len(seen.frames) < options.min_frames:
         raise InvalidInputError(

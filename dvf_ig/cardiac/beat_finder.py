@@ -135,9 +135,7 @@ class BeatFinder:
             best = max(late, key=lambda c: (c.height, c.top), default=None)
             if best is not None and best.height > options.search_back_share:
                 self._accept(Complex(best.top, self._now, best.height), found)
-                self._candidates = [
-                    c for c in late if c.top > best.top + options.refractory_s * self._rate
-                ]
+                self._candidates = [c for c in late if c.top > best.top + options.refractory_s * self._rate]
         second = round(self._rate)
         if waited > 2 * second and waited % second == 0:
             self._levels.silence()

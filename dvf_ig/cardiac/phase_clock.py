@@ -70,9 +70,11 @@ class PhaseClock:
         self._beats = 0
         self._intervals: deque[float] = deque(maxlen=self._options.irregular_beats)
         self._consistent = 0
-        self._latency: deque[float] = deque([0.15], maxlen=9)
+        self._latencies: deque[float] = deque(maxlen=9)
+        self._latency_s = 0.15
         self._variance = 0.05**2
         self._phase = 0.0
+        self._turns = 0.0  # whole cycles between the count of beats and unwrapped phase
         self._asked_s = -np.inf
         self._signal = True
 
@@ -95,7 +97,8 @@ class PhaseClock:
             self._replace(peak)
             return
         self._advance(peak.detected_at_s)
-        self._latency.append(max(0.0, peak.detected_at_s - peak.t_s))
+        self._latencies.append(peak.detected_at_s - peak.t_s)
+        self._latency_s = sorted(self._latencies)[len(self._latencies) // 2]
         interval = peak.t_s - self._last_r_s
         self._previous_r_s, self._last_r_s = self._last_r_s, peak.t_s
         self._beats += 1
@@ -137,17 +140,18 @@ class PhaseClock:
         """Move phase to `t_s`: towards the target, never backwards, at most at the catch-up rate."""
         if t_s <= self._asked_s:
             return
-        overdue = self._options.lost_share * self._rr_s + float(np.median(self._latency))
+        overdue = self._options.lost_share * self._rr_s + self._latency_s
         if self._beats and self._rr_s > 0 and t_s - self._last_r_s > overdue:
             self._lose()
-        target = self._target(t_s)
+        gap = self._target(t_s) + self._turns - self._phase
         if self._state != PhaseState.LOCKED:
-            # invalid anyway: jump forwards to the target's place in the cycle
-            self._phase += (target - self._phase) % 1.0 if target != self._phase else 0.0
-        elif target > self._phase:
-            elapsed = t_s - self._asked_s
-            reach = self._options.catch_up * elapsed / self._rr_s
-            self._phase = min(target, self._phase + reach) if np.isfinite(reach) else target
+            # only the place in the cycle counts now: run there forwards, or wait where that is shorter
+            whole = np.floor(gap + 0.5)
+            self._turns -= whole
+            self._phase += max(0.0, gap - whole)
+        elif gap > 0:
+            reach = self._options.catch_up * (t_s - self._asked_s) / self._rr_s
+            self._phase += min(gap, reach)
         self._asked_s = t_s
 
     def _sigma(self, t_s: float) -> float:
@@ -156,7 +160,7 @@ class PhaseClock:
             return float("nan")
         share = max(0.0, t_s - self._last_r_s) / self._rr_s
         timing = 0.005 / self._rr_s
-        behind = self._target(t_s) - self._phase if self._state == PhaseState.LOCKED else 0.0
+        behind = self._target(t_s) + self._turns - self._phase
         return float(np.sqrt(self._variance * share**2 + timing**2 + behind**2))
 
     # ------------------------------------------------------------------ state

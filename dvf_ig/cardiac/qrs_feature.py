@@ -54,9 +54,7 @@ class QrsFeature:
         return envelope
 
 
-def _sequential(
-    taps: FloatArray, samples: FloatArray, state: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _sequential(taps: FloatArray, samples: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
     """FIR filter through the recursive branch of lfilter, whose sums do not depend on the chunking."""
     out, state = lfilter(taps, [1.0, 0.0], samples, axis=0, zi=state)
     return np.asarray(out), np.asarray(state)

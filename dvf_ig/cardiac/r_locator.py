@@ -28,7 +28,7 @@ class RLocator:
     def push(self, samples: FloatArray) -> None:
         """Append (n, leads) finite samples."""
         self._samples = np.concatenate([self._samples, samples])
-        
+
     def forget(self) -> None:
         """Drop what no complex can need any more."""
         surplus = len(self._samples) - self._keep

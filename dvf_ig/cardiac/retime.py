@@ -45,7 +45,9 @@ def retime(
             f"the model was acquired at RR {timing_rr_s:g} s with end-systole at {es_fraction:g} of the cycle; "
             "needed RR above 0 and end-systole within 0.05 to 0.95"
         )
-    phase, rr = np.broadcast_arrays(np.asarray(phi, dtype=np.float64) % 1.0, np.asarray(rr_s, dtype=np.float64))
+    phase, rr = np.broadcast_arrays(
+        np.asarray(phi, dtype=np.float64) % 1.0, np.asarray(rr_s, dtype=np.float64)
+    )
     if not (rr > 0).all():
         raise InvalidInputError("retiming needs an RR interval above 0 s; use phase only where it is valid")
     if mode == "uniform":
@@ -75,7 +77,9 @@ def frame_period_s(rr_s: float, frames: int) -> float:
         InvalidInputError: no frames, or an RR interval that is not positive.
     """
     if frames < 1 or not rr_s > 0:
-        raise InvalidInputError(f"T_d of {frames} frames at RR {rr_s:g} s; needed at least 1 frame and RR above 0")
+        raise InvalidInputError(
+            f"T_d of {frames} frames at RR {rr_s:g} s; needed at least 1 frame and RR above 0"
+        )
     return rr_s / frames
 
 

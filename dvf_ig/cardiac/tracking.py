@@ -26,7 +26,9 @@ class PhaseTracking:
     track: PhaseTrack
 
 
-def track_phase(signal: Signal, t_s: FloatArray, *, options: PhaseClockOptions | None = None) -> PhaseTracking:
+def track_phase(
+    signal: Signal, t_s: FloatArray, *, options: PhaseClockOptions | None = None
+) -> PhaseTracking:
     """Detect and keep phase over a recording, each time from what was known by then.
 
     Args:

@@ -40,24 +40,25 @@ def evaluate(
 def _result(transform: Path, landmarks: Path, moving: Path | None, truth: Path | None) -> dict[str, Any]:
     import numpy as np
 
-    from dvf_ig.core import InvalidInputError
+    from dvf_ig.core import InvalidInputError, Landmarks
     from dvf_ig.io import read_landmarks, read_tag_pair, read_transform
     from dvf_ig.registration import pose_difference, summarise
 
     estimate = read_transform(_transform_file(transform))
+    moving_points: Landmarks | None
     if landmarks.suffix == ".tag":
-        fixed, paired = read_tag_pair(landmarks, estimate.source, estimate.target)
+        fixed, moving_points = read_tag_pair(landmarks, estimate.source, estimate.target)
     else:
         fixed = read_landmarks(landmarks, estimate.source)
-        paired = read_landmarks(moving, estimate.target) if moving is not None else None
+        moving_points = read_landmarks(moving, estimate.target) if moving is not None else None
     true = read_transform(truth, target=estimate.target, source=estimate.source) if truth else None
     if true is not None:
         wanted = true.apply(fixed.points).xyz_mm
         got = estimate.apply(fixed.points).xyz_mm
         turn, shift = pose_difference(estimate, true, wanted.mean(axis=0))
         difference: tuple[float | None, list[float] | None] = (turn, shift.tolist())
-    elif paired is not None:
-        _, points, targets = fixed.paired_with(paired)
+    elif moving_points is not None:
+        _, points, targets = fixed.paired_with(moving_points)
         if len(points) == 0:
             raise InvalidInputError("fixed and moving landmarks share no name; name the same points alike")
         wanted, got = targets.xyz_mm, estimate.apply(points).xyz_mm

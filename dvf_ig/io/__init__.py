@@ -2,9 +2,12 @@
 
 from .atomic import make_folder as make_folder
 from .atomic import write_text as write_text
+from .describe import Description as Description
+from .describe import describe as describe
 from .ecg import read_ecg as read_ecg
 from .ecg import write_ecg_csv as write_ecg_csv
 from .ecg_extra import read_beat_annotations as read_beat_annotations
+from .json_file import plain as plain
 from .json_file import read_json as read_json
 from .json_file import write_json as write_json
 from .landmarks import read_landmarks as read_landmarks
@@ -28,9 +31,14 @@ from .plus_xml import read_calibrations as read_calibrations
 from .plus_xml import read_coordinate_definitions as read_coordinate_definitions
 from .plus_xml import write_coordinate_definitions as write_coordinate_definitions
 from .poses import read_poses as read_poses
+from .scenario_read import read_scenario as read_scenario
+from .scenario_write import write_scenario as write_scenario
 from .sequence_read import read_sequence as read_sequence
 from .sequence_write import write_poses as write_poses
 from .sequence_write import write_sequence as write_sequence
+from .surfaces import read_surface_series as read_surface_series
+from .surfaces import surface_names as surface_names
+from .surfaces import write_surface_series as write_surface_series
 from .timing import read_timing as read_timing
 from .timing import write_timing as write_timing
 from .transform import read_transform as read_transform

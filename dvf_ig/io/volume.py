@@ -59,6 +59,27 @@ def read_volume_series(
     return VolumeSeries(grid, values, timing)
 
 
+def image_dimension(path: Path | str) -> int:
+    """3 or 4 (or whatever the file says), from the header alone.
+
+    Raises:
+        UnreadableFileError: absent or not an image.
+    """
+    import SimpleITK
+
+    path = Path(path)
+    with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
+        path.stat()
+        check_nifti_axes(path)
+        header = SimpleITK.ImageFileReader()
+        header.SetFileName(str(path))
+        try:
+            header.ReadImageInformation()
+        except RuntimeError as exc:
+            raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
+        return int(header.GetDimension())
+
+
 def write_volume(volume: Volume, path: Path | str) -> None:
     """Write a 3-D image, compressed; the ending chooses the format.
 

@@ -20,13 +20,20 @@ def _squared(x: float, y: float, z: float) -> float:
 
 
 @inlined
-def _squared_to_segment(t: float, x: float, y: float, z: float, ux: float, uy: float, uz: float) -> float:
+def _squared_to_segment(
+    along: float, length: float, x: float, y: float, z: float, ux: float, uy: float, uz: float
+) -> float:
+    """Squared distance from (x, y, z) to the point `along / length` of u; to its start where u is null."""
+    t = along / length if length > 0.0 else 0.0
     return _squared(x - t * ux, y - t * uy, z - t * uz)
 
 
 @inlined
 def triangle_squared_distance(corners: FloatArray, m: int, x: float, y: float, z: float) -> float:
-    """Squared distance to triangle `m` of (t, 9) corner coordinates a, b, c, by Voronoi regions."""
+    """Squared distance to triangle `m` of (t, 9) corner coordinates a, b, c, by Voronoi regions.
+
+    A triangle without area is as far as its edges, which a closed surface's other triangles share.
+    """
     ax, ay, az = x - corners[m, 0], y - corners[m, 1], z - corners[m, 2]
     bx, by, bz = corners[m, 3] - corners[m, 0], corners[m, 4] - corners[m, 1], corners[m, 5] - corners[m, 2]
     cx, cy, cz = corners[m, 6] - corners[m, 0], corners[m, 7] - corners[m, 1], corners[m, 8] - corners[m, 2]
@@ -39,18 +46,21 @@ def triangle_squared_distance(corners: FloatArray, m: int, x: float, y: float, z
         return _squared(ax - bx, ay - by, az - bz)
     vc = d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        return _squared_to_segment(d1 / (d1 - d3), ax, ay, az, bx, by, bz)
+        return _squared_to_segment(d1, d1 - d3, ax, ay, az, bx, by, bz)
     d5, d6 = d1 - bc, d2 - cc
     if d6 >= 0.0 and d5 <= d6:
         return _squared(ax - cx, ay - cy, az - cz)
     vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        return _squared_to_segment(d2 / (d2 - d6), ax, ay, az, cx, cy, cz)
+        return _squared_to_segment(d2, d2 - d6, ax, ay, az, cx, cy, cz)
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 >= d3 and d5 >= d6:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        return _squared_to_segment(w, ax - bx, ay - by, az - bz, cx - bx, cy - by, cz - bz)
-    v, w = vb / (va + vb + vc), vc / (va + vb + vc)
+        along, length = d4 - d3, (d4 - d3) + (d5 - d6)
+        return _squared_to_segment(along, length, ax - bx, ay - by, az - bz, cx - bx, cy - by, cz - bz)
+    total = va + vb + vc
+    if not total > 0.0:
+        return _squared(ax, ay, az)
+    v, w = vb / total, vc / total
     return _squared(ax - v * bx - w * cx, ay - v * by - w * cy, az - v * bz - w * cz)
 
 

@@ -13,6 +13,7 @@ SMOOTHING_VOXELS = 1.0
 """Standard deviation of the Gaussian, in voxels of the geometric-mean size."""
 
 PADDING = 4
+"""Voxels of background around the organ."""
 
 
 def surfaces_from_labels(
@@ -83,12 +84,14 @@ def _organ(mask: BoolArray) -> tuple[BoolArray, FloatArray]:
 
 
 def _unshrunk(mask: BoolArray, sigma_voxels: FloatArray) -> FloatArray:
-    """2 G_σ − G_√2σ applied to the mask: its second moment is zero, so curvature does not move the surface.
+    """2 G_σ − G_2σ applied to the mask: to first order in curvature its half level stays where it was.
 
-    A Gaussian alone moves the half level of a sphere of radius R inwards by σ²/R.
+    A kernel k moves the half level of a sphere of radius R inwards by ∫ρ² k(ρ, 0)/2R over the tangent plane,
+    divided by the slope of the blurred edge. A Gaussian alone gives σ²/R; σ² G_σ(0) is proportional to σ, so
+    that twice the narrow one cancels one twice as wide.
     """
     solid = mask.astype(np.float64)
     return np.asarray(
         2.0 * ndimage.gaussian_filter(solid, sigma_voxels, mode="constant")
-        - ndimage.gaussian_filter(solid, np.sqrt(2.0) * sigma_voxels, mode="constant")
+        - ndimage.gaussian_filter(solid, 2.0 * sigma_voxels, mode="constant")
     )

@@ -13,13 +13,13 @@ from time import perf_counter
 
 import numpy as np
 
-from dvf_ig.cardiac import PhaseTracking, retime, track_phase
+from dvf_ig.cardiac import PhaseTracking, track_phase
 from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, NoOverlapError, Rigid, Scenario
 from dvf_ig.guidance import DeviceLimits, Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Status
 from dvf_ig.registration import RegistrationResult
 
 from .heart import Heart, build_heart
-from .locate import Sight, locate, look, start_pose
+from .locate import Sight, locate, look, retimed, start_pose
 from .rulers import Rulers, calibrate
 from .ticks import TipTrack, predict_tip
 
@@ -106,8 +106,8 @@ def run_replay(
     attempts = _registrations(
         scenario, heart, rulers, tracking, start, float(t_s[-1]), seed, lambda f: tell(0.4 + 0.5 * f)
     )
-    track, timing = tracking.track, heart.model.timing
-    model_phase = retime(track.phi, track.rr_s, timing.rr_s, heart.model.es_fraction, mode="two-segment")
+    track = tracking.track
+    model_phase = retimed(heart.model, track.phi, track.rr_s)
     tip = predict_tip(scenario.tool, rulers.pivot.tip.xyz_mm[0], t_s)
     samples, valid = _forces(heart, attempts, tip, model_phase, track.valid)
     tell(1.0)
@@ -183,7 +183,9 @@ def _registrations(
             until_s=now,
         )
         try:
-            result = locate(scenario, heart, sight, rulers.probe.probe_from_image, pose, seed=seed)
+            result = locate(
+                scenario, heart, sight, rulers.probe.probe_from_image, pose, seed=seed, warm=pose is not start
+            )
             attempts.append(Attempt(now, now + COMPUTE_S, sight, result))
         except NoOverlapError as error:
             attempts.append(Attempt(now, now + COMPUTE_S, sight, None, str(error)))

@@ -8,6 +8,7 @@ import numpy as np
 from dvf_ig.cardiac import RPeak, retime
 from dvf_ig.cardiac.beats import beat_phase
 from dvf_ig.core import (
+    DvfModel,
     FloatArray,
     ImageMap,
     IntArray,
@@ -19,6 +20,7 @@ from dvf_ig.core import (
 from dvf_ig.registration import (
     Gated,
     Level,
+    RegistrationOptions,
     RegistrationResult,
     fan_mask_from_images,
     gate_frames,
@@ -69,8 +71,7 @@ def look(
     rotations, translations, tracked = stream.at_many(event_s)
     known = np.array([p.t_s for p in peaks if p.detected_at_s <= until_s])
     beat = beat_phase(known, event_s)
-    timing = heart.model.timing
-    model_phase = retime(beat.phi, beat.rr_s, timing.rr_s, heart.model.es_fraction, mode="two-segment")
+    model_phase = retimed(heart.model, beat.phi, beat.rr_s)
     in_time = (event_s >= from_s) & (event_s < until_s)
     gated = gate_frames(
         model_phase,
@@ -81,6 +82,12 @@ def look(
     )
     used = gated.index[spread(len(gated.index), SLICES)]
     return Sight(gated, used, event_s, model_phase, rotations, translations)
+
+
+def retimed(model: DvfModel, phi: FloatArray, rr_s: FloatArray) -> FloatArray:
+    """(n,) place in the model's cycle; moments without a known RR are placed as at the model's own rate."""
+    known = np.where(np.isfinite(rr_s), rr_s, model.timing.rr_s)
+    return retime(phi, known, model.timing.rr_s, model.es_fraction, mode="two-segment")
 
 
 def start_pose(scenario: Scenario) -> Rigid:
@@ -107,9 +114,10 @@ def locate(
     start: Rigid,
     *,
     seed: int,
+    warm: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
-    """Register the frames of `sight` to the model from `start`.
+    """Register the frames of `sight` to the model from `start`; `warm` trusts it and skips displaced starts.
 
     Raises:
         InvalidInputError: the recording has no images.
@@ -145,5 +153,11 @@ def locate(
         for pitch, channels in ((COARSE_PITCH_MM, heart.coarse), (FINE_PITCH_MM, heart.fine))
     ]
     return register_rigid(
-        levels[0], levels[1], start, heart.center_mm, rng=np.random.default_rng(seed), progress=progress
+        levels[0],
+        levels[1],
+        start,
+        heart.center_mm,
+        rng=np.random.default_rng(seed),
+        options=RegistrationOptions(starts=0) if warm else RegistrationOptions(),
+        progress=progress,
     )

@@ -140,7 +140,7 @@ def distance_histogram(replay: Replay) -> Figure:
     """How long the tip spent at each distance from the surface (Ren 2008, Fig. 14)."""
     figure = Figure(figsize=(5.2, 2.8), layout="constrained")
     axis = figure.subplots()
-    bins = np.linspace(-10, 5, 61)
+    bins = np.linspace(-10, 5, 61).tolist()
     seen = replay.samples.distance_mm[replay.valid]
     axis.hist(seen, bins=bins, color=ESTIMATE, alpha=0.7, label="estimated")
     if replay.scenario.truth is not None:

@@ -1,0 +1,48 @@
+"""What a recording's gating amounts to: rate, and where phase may be used."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, InvalidInputError, PhaseTrack
+
+from .rpeak import RPeak
+
+FEWEST_BEATS = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GateSummary:
+    """Attributes:
+    rate_bpm: 60 / median RR interval.
+    valid_share: share of the track's times at which the clock was LOCKED.
+    invalid_segments_s: (k, 2) start and stop of each stretch in which it was not.
+    """
+
+    rate_bpm: float
+    valid_share: float
+    invalid_segments_s: FloatArray
+
+
+def summarise_gating(peaks: tuple[RPeak, ...], track: PhaseTrack) -> GateSummary:
+    """Rate and validity of a whole recording.
+
+    Raises:
+        InvalidInputError: fewer than five R peaks, which no phase can be kept from.
+    """
+    if len(peaks) < FEWEST_BEATS:
+        raise InvalidInputError(
+            f"the ECG shows {len(peaks)} R peaks in {track.t_s[-1] - track.t_s[0]:.1f} s, needed at least "
+            f"{FEWEST_BEATS}; check the electrodes and that the file holds an ECG"
+        )
+    intervals = np.diff([peak.t_s for peak in peaks])
+    valid = track.valid
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], valid, [True]]).astype(np.int8)))
+    starts, stops = edges[::2], edges[1::2]
+    last = len(track.t_s) - 1
+    segments = [[track.t_s[a], track.t_s[min(b, last)]] for a, b in zip(starts, stops, strict=True)]
+    return GateSummary(
+        rate_bpm=float(60.0 / np.median(intervals)),
+        valid_share=float(valid.mean()),
+        invalid_segments_s=np.array(segments, dtype=np.float64).reshape(-1, 2),
+    )

@@ -1,0 +1,50 @@
+"""`dvf-ig inspect`: what a file is, and the facts worth knowing before it is used."""
+
+from typing import Annotated, Any
+
+import typer
+
+from dvf_ig.cli.shell import JsonFlag, command, emit
+
+SHOWN_VALUES = 12
+"""Longest list that the table prints in full; --json always prints everything."""
+
+
+def inspect(
+    file: Annotated[str, typer.Argument(help="A file or folder, or an ECG as wfdb:, edf: or csv:PATH.")],
+    as_json: JsonFlag = False,
+) -> None:
+    """Say what a file is: sequence, image, mesh, model, transform, landmarks, ECG, PLUS XML, scenario."""
+    with command():
+        from dvf_ig.io import describe, plain
+
+        description = describe(file)
+        facts = plain(description.facts)
+        rows = [("file", file), ("kind", description.kind), *_rows(facts)]
+        emit({"file": file, "kind": description.kind, **facts}, rows, as_json=as_json)
+
+
+def _rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    """One row a fact; of a nested group, one row a member."""
+    rows: list[tuple[str, str]] = []
+    for name, value in facts.items():
+        if isinstance(value, dict) and any(isinstance(entry, dict) for entry in value.values()):
+            rows += [(str(key), _text(entry)) for key, entry in value.items()]
+        elif value not in (None, {}):
+            rows.append((name.replace("_", " "), _text(value)))
+    return rows
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, dict):
+        shown = ((str(k).replace("_", " "), v) for k, v in value.items() if v is not None)
+        return "; ".join(f"{name} {_text(entry)}" for name, entry in shown)
+    if isinstance(value, list):
+        inner = ", ".join(_text(entry) for entry in value[:SHOWN_VALUES])
+        more = len(value) - SHOWN_VALUES
+        return f"({inner}, … {more} more)" if more > 0 else f"({inner})"
+    return str(value)

@@ -1,0 +1,223 @@
+"""Say what a file is, and the few facts about it that a user wants to see before using it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.arrays import BoolArray, FloatArray
+from ..core.errors import UnreadableFileError
+from ..core.sequence import TrackedSequence
+from ..core.stream import MAX_GAP_S, PoseStream
+from .describe_anatomy import (
+    image_facts,
+    landmark_facts,
+    mesh_facts,
+    model_facts,
+    surface_facts,
+    tag_facts,
+    transform_facts,
+)
+from .ecg import read_ecg
+from .mesh import DECODERS
+from .plus_xml import parse_xml, read_calibrations
+from .poses import read_poses
+from .scenario_layout import CONFIG
+from .scenario_read import read_scenario
+from .sequence_read import read_sequence
+from .surfaces import surface_names
+
+FROZEN_SAMPLES = 5
+"""A pose that repeats bit for bit this often is counted as frozen: a live tracker always shows noise."""
+
+Facts = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What a file is (`kind`, a few words) and its facts by name, ready for JSON; units are in the names."""
+
+    kind: str
+    facts: Facts
+
+
+def describe(spec: str) -> Description:
+    """Tell what a file is by its name and content, read it, and summarise it.
+
+    Args:
+        spec: a path, or an ECG as `wfdb:PATH`, `edf:PATH`, `csv:PATH`.
+    Raises:
+        UnreadableFileError: absent, of no known kind, or not readable as what it claims to be.
+    """
+    if spec.partition(":")[0] in ("wfdb", "edf", "csv"):
+        return Description("ECG", _ecg_facts(spec))
+    path = Path(spec)
+    if not path.exists():
+        raise UnreadableFileError(f"{path} does not exist; check the name (an ECG is named wfdb:RECORD)")
+    kind, facts = _folder_kind(path) if path.is_dir() else _file_kind(path)
+    return Description(kind, facts(path))
+
+
+def _folder_kind(path: Path) -> tuple[str, Callable[[Path], Facts]]:
+    if (path / CONFIG).is_file():
+        return "scenario folder", _scenario_facts
+    if surface_names(path):
+        return "surfaces through the cycle", surface_facts
+    return "tool poses, one 4x4 text file each", _pose_facts
+
+
+def _file_kind(path: Path) -> tuple[str, Callable[[Path], Facts]]:
+    name = path.name.lower()
+    by_ending: list[tuple[tuple[str, ...], str, Callable[[Path], Facts]]] = [
+        (tuple(DECODERS), "triangle mesh", mesh_facts),
+        ((".npz",), "fixture model", model_facts),
+        ((".tfm",), "rigid transform", transform_facts),
+        ((".mrk.json", ".fcsv"), "landmarks", landmark_facts),
+        ((".tag",), "landmarks in two volumes", tag_facts),
+        ((".nii", ".nii.gz"), "image", image_facts),
+        ((".xml",), "PLUS configuration or result", _xml_facts),
+        ((".edf",), "ECG", lambda p: _ecg_facts(f"edf:{p}")),
+        ((".hea", ".dat", ".atr"), "ECG", lambda p: _ecg_facts(f"wfdb:{p.with_suffix('')}")),
+        ((".csv",), "ECG", lambda p: _ecg_facts(f"csv:{p}")),
+        ((".txt",), "tool poses, one row each", _pose_facts),
+    ]
+    for endings, kind, facts in by_ending:
+        if name.endswith(endings):
+            return kind, facts
+    if name.endswith((".mha", ".mhd", ".nrrd", ".nhdr")):
+        tracked = ".igs." in name or b"Seq_Frame" in path.read_bytes()[:65536]
+        return ("tracked sequence", _sequence_facts) if tracked else ("image", image_facts)
+    raise UnreadableFileError(
+        f"{path} is of no kind known here; known are tracked sequences (.igs.mha, .igs.nrrd), images "
+        "(.nii.gz, .nrrd, .mha), meshes (.obj, .stl, .ply, .vtp), models (.npz), transforms (.tfm), landmarks "
+        "(.mrk.json, .fcsv, .tag), PLUS .xml, ECG (wfdb:, edf:, csv:) and scenario folders"
+    )
+
+
+def _sequence_facts(path: Path) -> Facts:
+    return sequence_facts(read_sequence(path))
+
+
+def sequence_facts(sequence: TrackedSequence) -> Facts:
+    """Facts of a tracked sequence."""
+    images = sequence.images
+    return {
+        "frames": len(sequence),
+        "image_size_px": None if images is None else [images.shape[2], images.shape[1]],
+        "orientation": sequence.orientation,
+        "invalid_image_share": None if images is None else float((~sequence.image_valid).mean()),
+        "has_timestamps": sequence.has_timestamps,
+        **_clock_facts(sequence.t_s if sequence.has_timestamps else None),
+        "transforms": {name: stream_facts(stream) for name, stream in sequence.poses.items()},
+    }
+
+
+def _clock_facts(t_s: FloatArray | None) -> Facts:
+    if t_s is None or len(t_s) < 2:
+        return {"start_s": None, "duration_s": None, "rate_hz": None, "gaps": None, "longest_gap_s": None}
+    steps = np.diff(t_s)
+    return {
+        "start_s": float(t_s[0]),
+        "duration_s": float(t_s[-1] - t_s[0]),
+        "rate_hz": float(1 / np.median(steps)),
+        "gaps": int(np.count_nonzero(steps > MAX_GAP_S)),
+        "longest_gap_s": float(steps.max()),
+    }
+
+
+def stream_facts(stream: PoseStream) -> Facts:
+    """Validity, bitwise frozen share, and how far a tracked object moved and turned."""
+    usable = stream.valid
+    facts: Facts = {"samples": len(stream), "invalid_share": float((~usable).mean())}
+    if not usable.any():
+        return {**facts, "frozen_share": 0.0, "extent_mm": None, "turn_deg": None}
+    flat = np.column_stack([stream.rotations.reshape(-1, 9), stream.translations_mm])[usable]
+    rotations = stream.rotations[usable]
+    cosine = (np.einsum("ij,nij->n", rotations[0], rotations) - 1) / 2
+    return {
+        **facts,
+        "frozen_share": _frozen_share(np.append(False, (np.diff(flat, axis=0) == 0).all(axis=1))),
+        "extent_mm": np.ptp(stream.translations_mm[usable], axis=0).tolist(),
+        "turn_deg": float(np.degrees(np.arccos(np.clip(cosine, -1, 1)).max())),
+    }
+
+
+def _frozen_share(repeats: BoolArray) -> float:
+    """Share of samples in runs of at least FROZEN_SAMPLES equal ones; `repeats[i]`: equal to the one before."""
+    starts = np.flatnonzero(~repeats)
+    lengths = np.diff(np.append(starts, len(repeats)))
+    return float(lengths[lengths >= FROZEN_SAMPLES].sum() / len(repeats))
+
+
+def _pose_facts(path: Path) -> Facts:
+    stream = read_poses(path)
+    return {"transform": stream.name, **stream_facts(stream)}
+
+
+def _ecg_facts(spec: str) -> Facts:
+    signal = read_ecg(spec)
+    return {
+        "leads": list(signal.leads),
+        "unit": signal.unit,
+        "rate_hz": signal.rate_hz,
+        "samples": len(signal),
+        "start_s": signal.start_s,
+        "duration_s": len(signal) / signal.rate_hz,
+        "missing_share": float(np.isnan(signal.samples).mean()),
+        "peak_to_peak": [_peak_to_peak(lead) for lead in signal.samples.T],
+    }
+
+
+def _peak_to_peak(lead: FloatArray) -> float | None:
+    """Range of the delivered samples, or None where there are none."""
+    delivered = lead[np.isfinite(lead)]
+    return float(np.ptp(delivered)) if len(delivered) else None
+
+
+def _xml_facts(path: Path) -> Facts:
+    root = parse_xml(path, "a PLUS file")
+    has_definitions = root.find(".//CoordinateDefinitions") is not None
+    placed = read_calibrations(path) if has_definitions else {}
+    return {
+        "root": root.tag,
+        "transforms": {
+            name: {"error_mm": entry.error_mm, "date": entry.date} for name, entry in placed.items()
+        },
+        "nwire_patterns": sum(1 for p in root.iter("Pattern") if p.attrib.get("Type") == "NWire"),
+        "landmarks": sum(1 for _ in root.iter("Landmark")),
+        "frames": {
+            part: sum(1 for _ in element.iter("Frame"))
+            for part in ("CalibrationData", "ValidationData", "LineSegmentationResults")
+            for element in root.iter(part)
+        },
+    }
+
+
+def _scenario_facts(path: Path) -> Facts:
+    scenario = read_scenario(path)
+    preop = scenario.preop
+    series = [s for s in (preop.mr, preop.labels) if s is not None]
+    return {
+        "name": scenario.name,
+        "preset": scenario.preset,
+        "seed": scenario.seed,
+        "patient_id": preop.patient_id,
+        "preop_images": [[*s.values.shape[1:], len(s.timing)] for s in series],
+        "preop_surfaces": [s.name for s in preop.surfaces],
+        "ecg": {
+            "leads": list(scenario.ecg.leads),
+            "rate_hz": scenario.ecg.rate_hz,
+            "start_s": scenario.ecg.start_s,
+            "duration_s": len(scenario.ecg) / scenario.ecg.rate_hz,
+        },
+        "ultrasound": sequence_facts(scenario.ultrasound),
+        "tool": {**_clock_facts(scenario.tool.t_s), **stream_facts(scenario.tool)},
+        "pivot_poses": len(scenario.pivot),
+        "nwire_frames": len(scenario.nwire.phantom_from_probe),
+        "latency_frames": len(scenario.latency.wall_row_px.t_s),
+        "start": scenario.start is not None,
+        "landmarks": 0 if scenario.landmarks_mr is None else len(scenario.landmarks_mr.names),
+        "truth": scenario.truth is not None,
+    }

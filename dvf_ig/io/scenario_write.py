@@ -1,0 +1,147 @@
+"""Write a scenario as a folder: recordings at the top, everything that is truth under `truth/`."""
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from ..core.cycle import CycleTiming
+from ..core.errors import InvalidInputError
+from ..core.phantom import NWireRecording
+from ..core.rigid import Rigid
+from ..core.scenario import LatencyRecording, Preop, Scenario
+from ..core.sequence import TrackedSequence
+from ..core.stream import PoseStream
+from .atomic import atomic_folder, make_folder, write_text
+from .ecg import write_ecg_csv
+from .json_file import write_json
+from .landmarks import write_landmarks
+from .latency import write_line_table
+from .nwire import write_nwire_phantom, write_wire_points
+from .scenario_layout import (
+    CONFIG,
+    TRUTH,
+    FanConfig,
+    FilesConfig,
+    PreopConfig,
+    ScenarioConfig,
+    config_text,
+    is_our_folder,
+)
+from .scenario_truth import write_truth
+from .sequence_write import write_poses, write_sequence
+from .surfaces import write_surface_series
+from .timing import timing_document
+from .transform import write_transform
+from .volume import write_volume_series
+
+
+def write_scenario(scenario: Scenario, folder: Path | str) -> None:
+    """Write a scenario folder whole or not at all; `read_scenario` gives back every array exactly.
+
+    An existing scenario folder is replaced; any other folder that is not empty is refused.
+
+    Raises:
+        OutputError: the folder holds something else, or cannot be written.
+        InvalidInputError: neither labels nor surfaces, or a name that its file format cannot hold.
+    """
+    config = _config(scenario)
+    with atomic_folder(Path(folder), is_our_folder) as new:
+        for part in ("preop", "calibration"):
+            make_folder(new / part)
+        _write_preop(scenario.preop, new, config.preop)
+        files = config.files
+        write_ecg_csv(scenario.ecg, new / files.ecg)
+        write_sequence(scenario.ultrasound, new / files.ultrasound)
+        write_poses(scenario.tool, new / files.tool)
+        write_poses(scenario.pivot, new / files.pivot)
+        _write_nwire(scenario.nwire, new, files)
+        _write_latency(scenario.latency, new, files)
+        if scenario.start is not None and files.start is not None:
+            write_transform(scenario.start, new / files.start)
+        if scenario.landmarks_mr is not None and files.landmarks_mr is not None:
+            write_landmarks(scenario.landmarks_mr, new / files.landmarks_mr)
+        if scenario.landmarks_tracker is not None and files.landmarks_tracker is not None:
+            write_landmarks(scenario.landmarks_tracker, new / files.landmarks_tracker)
+        if scenario.truth is not None:
+            write_truth(scenario.truth, new / TRUTH)
+        write_text(new / CONFIG, config_text(config))
+
+
+def _config(scenario: Scenario) -> ScenarioConfig:
+    preop, fan = scenario.preop, scenario.fan
+    return ScenarioConfig(
+        name=scenario.name,
+        preset=scenario.preset,
+        seed=scenario.seed,
+        patient_id=preop.patient_id,
+        preop=PreopConfig(
+            kind=_kind(preop),
+            mr="preop/mr.nrrd" if preop.mr is not None else None,
+            labels="preop/labels.nrrd" if preop.labels is not None else None,
+            surfaces=tuple(series.name for series in preop.surfaces),
+            surface=preop.surface,
+            label_names={int(value): name for value, name in preop.label_names},
+            organ_labels=preop.organ_labels,
+        ),
+        fan=None
+        if fan is None
+        else FanConfig(
+            apex_px=(float(fan.apex_px[0]), float(fan.apex_px[1])),
+            start_px=fan.start_px,
+            stop_px=fan.stop_px,
+            half_angle_rad=fan.half_angle_rad,
+        ),
+        files=FilesConfig(
+            start="start.tfm" if scenario.start is not None else None,
+            landmarks_mr="landmarks_mr.mrk.json" if scenario.landmarks_mr is not None else None,
+            landmarks_tracker="landmarks_tracker.mrk.json"
+            if scenario.landmarks_tracker is not None
+            else None,
+        ),
+    )
+
+
+def _kind(preop: Preop) -> Literal["labels", "surfaces", "labels and surfaces"]:
+    if preop.labels is None and not preop.surfaces:
+        raise InvalidInputError("the scenario has neither a label image nor surfaces; it needs one of them")
+    if preop.labels is not None and preop.surfaces:
+        return "labels and surfaces"
+    return "labels" if preop.labels is not None else "surfaces"
+
+
+def _write_preop(preop: Preop, folder: Path, config: PreopConfig) -> None:
+    timings: dict[str, CycleTiming] = {}
+    if preop.mr is not None and config.mr is not None:
+        write_volume_series(preop.mr, folder / config.mr)
+        timings["mr"] = preop.mr.timing
+    if preop.labels is not None and config.labels is not None:
+        write_volume_series(preop.labels, folder / config.labels)
+        timings["labels"] = preop.labels.timing
+    for series in preop.surfaces:
+        write_surface_series(series, folder / config.surfaces_folder, timing=False)
+        timings[series.name] = series.timing
+    documents = {name: timing_document(timing) for name, timing in timings.items()}
+    common = next(iter(documents.values()))
+    others = {name: document for name, document in documents.items() if document != common}
+    write_json(folder / config.timing, {**common, "series": others} if others else common)
+
+
+def _write_nwire(recording: NWireRecording, folder: Path, files: FilesConfig) -> None:
+    """The phantom is its own reference: poses are written as ProbeToReference, Phantom to Reference is 1."""
+    probe = recording.phantom_from_probe
+    held = PoseStream(
+        "reference", probe.source, probe.t_s, probe.rotations, probe.translations_mm, probe.valid
+    )
+    write_poses(held, folder / files.nwire)
+    placed = Rigid.identity("reference", "phantom")
+    write_nwire_phantom(folder / files.nwire_device_set, recording.phantom, placed)
+    write_wire_points(folder / files.nwire_points, "CalibrationData", recording.phantom, recording.points_px)
+
+
+def _write_latency(recording: LatencyRecording, folder: Path, files: FilesConfig) -> None:
+    write_poses(recording.tracker_from_probe, folder / files.latency_tracker)
+    trace = recording.wall_row_px
+    seen = np.ones(len(trace.t_s), dtype=np.bool_)
+    write_sequence(TrackedSequence(trace.t_s, None, seen, {}), folder / files.latency_video)
+    write_line_table(folder / files.latency_lines, trace.values)
