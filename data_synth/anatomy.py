@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import FloatArray, IntArray, Landmarks, Points, Preop, Rigid
 
+from .anatomical_points import TOUCHABLE, heart_landmarks, with_box_grid
 from .heart import HeartShape, heart_shape, outside_layers
 from .kernels import lv
 from .mismatch import SmoothField, random_mismatch
@@ -24,7 +25,7 @@ RR_S = 0.86
 """RR interval of the phantom's pre-operative acquisition (about 70 per minute)."""
 
 REFERENCE_SPACING_MM = 1.25
-MOTION_SPACING_MM = 3.0
+MOTION_SPACING_MM = 3.5
 MARGIN_MM = 32.0
 _KNOTS = 9
 _THREADS = 2
@@ -33,7 +34,7 @@ _THREADS = 2
 class BeatingAnatomy(Protocol):
     """One beating heart: the anatomy the intervention meets, and what was acquired of it before.
 
-    Frame "mr" throughout. `model_phase` is the fraction of the pre-operative cycle, cyclic, 0 at end-diastole.
+    Frame "mr" throughout. `model_phase`: fraction of the pre-operative cycle, cyclic; 0 is end-diastole.
 
     Attributes:
         rr_s: RR interval of the pre-operative acquisition.
@@ -44,9 +45,10 @@ class BeatingAnatomy(Protocol):
         inverse_motion: intra-operative position to reference position (motion and mismatch).
     """
 
-    rr_s: float
-    es_fraction: float
-
+    @property
+    def rr_s(self) -> float: ...
+    @property
+    def es_fraction(self) -> float: ...
     @property
     def box_mm(self) -> FloatArray: ...
     @property
@@ -110,8 +112,9 @@ class PhantomShapes:
 class PhantomAnatomy:
     """A four-chamber heart whose motion is known in closed form (see `kernels.lv`).
 
-    The left ventricle moves exactly incompressibly; the right ventricle, atria and great vessels ride on the smooth
-    extension of that map: the right ventricle is squeezed towards the septum, the atria are stretched by the base.
+    The wall of the left ventricle moves exactly incompressibly; the right ventricle, atria and great vessels
+    ride on the smooth extension of that map: the right ventricle is squeezed towards the septum, the atria
+    are stretched by the descending base.
 
     Attributes:
         shapes: implicit shapes at end-diastole.
@@ -146,7 +149,7 @@ class PhantomAnatomy:
         return self._tabulated(self.mismatch)
 
     def deformed(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        """(n, 3) pre-operative positions at a phase of (n, 3) reference points: χ, exact, without mismatch."""
+        """χ: (n, 3) positions at a phase of (n, 3) reference points, exact, without mismatch."""
         pose = self.shapes.mr_from_heart
         local = np.ascontiguousarray((xyz_mm - pose.translation_mm) @ pose.rotation)
         out = np.empty_like(local)
@@ -164,15 +167,13 @@ class PhantomAnatomy:
         return self.mismatch.forward(self.deformed(self.ed_vertices_mm, model_phase))
 
     def targets(self) -> Landmarks:
-        names, points = heart_landmarks(self.shapes)
+        names, points = heart_landmarks(self.shapes.heart, self.shapes.mr_from_heart)
         return with_box_grid("mr", names, points, self.box_mm)
 
     def landmarks(self) -> Landmarks:
-        wanted = ("apex", "rv_apex", "rv_insertion_anterior", "rv_insertion_inferior", "laa_tip")
-        wanted += ("aortic_root", "pulmonary_root", "right_atrium")
-        names, points = heart_landmarks(self.shapes)
-        chosen = points[[names.index(name) for name in wanted]]
-        return Landmarks(wanted, Points("mr", project_to_outline(self.shapes.organ, chosen)))
+        names, points = heart_landmarks(self.shapes.heart, self.shapes.mr_from_heart)
+        chosen = points[[names.index(name) for name in TOUCHABLE]]
+        return Landmarks(TOUCHABLE, Points("mr", project_to_outline(self.shapes.organ, chosen)))
 
     def preop(self, rng: np.random.Generator) -> Preop:
         zero = random_mismatch(self.box_mm, 0.0, np.random.default_rng(0))
@@ -185,7 +186,7 @@ class PhantomAnatomy:
         return self.scale * float(activation(model_phase))
 
     def _wide_box(self) -> FloatArray:
-        return self.box_mm + np.array([[-MARGIN_MM], [MARGIN_MM]])
+        return np.asarray(self.box_mm + np.array([[-MARGIN_MM], [MARGIN_MM]]))
 
     def _undeformed(self, xyz_mm: FloatArray, level: float, guess_mm: FloatArray) -> FloatArray:
         pose = self.shapes.mr_from_heart
@@ -205,7 +206,7 @@ class PhantomAnatomy:
         table = np.empty((_KNOTS, len(nodes), 3), dtype=np.float32)
 
         def fill(part: IntArray) -> None:
-            still = mismatch.inverse(nodes[part])
+            still = mismatch.inverse(nodes[part], 2e-3)
             before, last = still, still
             for k, level in enumerate(levels):
                 # the previous two knots extrapolate to an excellent first guess
@@ -241,7 +242,7 @@ def phantom_anatomy(*, motion: MotionPreset, mismatch_mm: float, seed: int) -> P
 
 
 def _place_in_thorax(rng: np.random.Generator) -> Rigid:
-    """mr_from_heart: apex to the left, front and below (LPS), turned by a few degrees and shifted per heart."""
+    """mr_from_heart: apex to the left, front and below (LPS); a few degrees and mm vary with the heart."""
     z = np.array([-0.65, 0.55, 0.52])
     z /= np.linalg.norm(z)
     x = np.array([-0.63, -0.77, 0.03])
@@ -251,38 +252,3 @@ def _place_in_thorax(rng: np.random.Generator) -> Rigid:
     turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-8, 8, 3))).as_matrix()
     shift = np.array([62.0, -71.0, -38.0]) + rng.uniform(-12, 12, 3)
     return Rigid("mr", "heart", turn @ base, shift)
-
-
-def heart_landmarks(shapes: PhantomShapes) -> tuple[tuple[str, ...], FloatArray]:
-    """Names and (n, 3) end-diastolic positions of the phantom's anatomical points, frame "mr"."""
-    h = shapes.heart
-    base = lv.BASE
-    mitral = np.array([h.la_center[0] * 0.7, h.la_center[1] * 0.7, base])
-    tricuspid = np.array([h.ra_center[0], h.ra_center[1], base])
-    points = {
-        "apex": np.zeros(3),
-        "apex_endocardial": np.array([0.0, 0.0, lv.CAVITY_APEX]),
-        "mitral_lateral": mitral + [-14.0, 0.0, 0.0],
-        "mitral_anterior": mitral + [0.0, 13.0, 0.0],
-        "mitral_inferior": mitral + [0.0, -13.0, 0.0],
-        "tricuspid_lateral": tricuspid + [13.0, 0.0, 0.0],
-        "tricuspid_septal": tricuspid + [-11.0, 0.0, 0.0],
-        "rv_apex": h.rv_center + [12.0, 0.0, -0.85 * h.rv_semi[2]],
-        "rv_insertion_anterior": np.array([11.0, 29.0, 50.0]),
-        "rv_insertion_inferior": np.array([11.0, -29.0, 50.0]),
-        "laa_ostium": h.laa_path[0],
-        "laa_tip": h.laa_path[-1] + [0.0, 4.0, -2.0],
-        "aortic_valve": np.array([h.aorta_path[0][0], h.aorta_path[0][1], base]),
-        "aortic_root": h.aorta_path[1] + [3.0, 12.0, 8.0],
-        "pulmonary_root": h.pulmonary_path[1] + [6.0, 10.0, 3.0],
-        "right_atrium": h.ra_center + [0.8 * h.ra_semi[0], -0.4 * h.ra_semi[1], 0.0],
-    }
-    return tuple(points), shapes.mr_from_heart.apply_array(np.array(list(points.values())))
-
-
-def with_box_grid(frame: str, names: tuple[str, ...], points: FloatArray, box_mm: FloatArray) -> Landmarks:
-    """Named points followed by the 27 nodes (corners, mid-edges, faces, centre) of the heart box."""
-    axes = [np.linspace(box_mm[0, k], box_mm[1, k], 3) for k in range(3)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    labels = tuple(f"box_{i}{j}{k}" for i in range(3) for j in range(3) for k in range(3))
-    return Landmarks(names + labels, Points(frame, np.concatenate([points, grid])))

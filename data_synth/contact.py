@@ -1,6 +1,7 @@
 """What a tool tip truly meets: exact signed distance to the true moving surface."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -11,10 +12,10 @@ from .closest_triangle import signed_distances
 from .heart_clock import HeartClock
 
 MAX_INTERPOLATION_ERROR_MM = 0.005
-"""Cached phases are refined until linear interpolation of vertices is closer than this to the anatomy."""
+"""The cached surface is closer than this to the anatomy at every phase."""
 
-FIRST_PHASES = 48
-FINEST_PHASE = 1.0 / 6144
+FIRST_SAMPLES = 48
+SMALLEST_STEP = 1.0 / 3072
 _CLUSTER = 24
 
 
@@ -51,36 +52,18 @@ class MovingSurface:
 
     @classmethod
     def of(cls, anatomy: MovingMesh) -> "MovingSurface":
-        """Cache the surface of `anatomy`, halving intervals until interpolation is accurate enough.
+        """Cache the surface of `anatomy` densely enough for linear interpolation.
 
-        The error of an interval is measured at its middle. Every middle is kept, which at least halves that
-        error, also at a kink of the motion's speed.
+        The anatomy is sampled in steps that are halved where four-point cubic interpolation does not meet it
+        half-way between samples. The cubic then fills in phases until linear interpolation is as good.
 
         Raises:
             InvalidInputError: the mesh is not closed, or moves too abruptly to be interpolated.
         """
-        start = np.arange(FIRST_PHASES + 1) / FIRST_PHASES
-        cache = {phase: anatomy.surface_vertices(phase % 1.0) for phase in start[:-1].tolist()}
-        cache[1.0] = cache[0.0]
-        waiting = list(zip(start[:-1].tolist(), start[1:].tolist(), strict=True))
-        worst = 0.0
-        while waiting:
-            low, high = waiting.pop()
-            middle = 0.5 * (low + high)
-            cache[middle] = anatomy.surface_vertices(middle)
-            miss = cache[middle] - 0.5 * (cache[low] + cache[high])
-            error = float(np.sqrt((miss**2).sum(axis=1).max()))
-            if error <= 2 * MAX_INTERPOLATION_ERROR_MM:
-                worst = max(worst, 0.5 * error)
-                continue
-            if high - low < FINEST_PHASE:
-                raise InvalidInputError(
-                    f"the true surface jumps by {error:.3g} mm at phase {middle:.4f}; it must move smoothly"
-                )
-            waiting += [(low, middle), (middle, high)]
-        phases = np.array(sorted(cache)[:-1])
-        vertices = np.stack([cache[phase] for phase in phases.tolist()])
-        return cls._indexed(phases, vertices, np.array(anatomy.surface_triangles, dtype=np.int64), worst)
+        sampled_at, exact, cubic_error = _exact_samples(anatomy)
+        phases, vertices, linear_error = _filled_in(sampled_at, exact)
+        triangles = np.array(anatomy.surface_triangles, dtype=np.int64)
+        return cls._indexed(phases, vertices, triangles, cubic_error + linear_error)
 
     @classmethod
     def _indexed(
@@ -127,6 +110,71 @@ def tool_truth(
     return ToolTruth(t_s, tip_mr_mm, clock.phi(t_s), phase, distance, gradient)
 
 
+def _exact_samples(anatomy: MovingMesh) -> tuple[FloatArray, FloatArray, float]:
+    """Phases (n,), vertices (n, v, 3), and a bound on the error of cubic interpolation between them, mm.
+
+    The error is measured half-way between samples, and those middles are then kept as samples: that divides
+    it by 4 where the acceleration jumps, by more elsewhere.
+    """
+    phases = np.arange(FIRST_SAMPLES) / FIRST_SAMPLES
+    vertices = [anatomy.surface_vertices(phase) for phase in phases.tolist()]
+    waiting, worst = np.arange(FIRST_SAMPLES), 0.0
+    while True:
+        steps = np.diff(np.append(phases, 1.0))[waiting]
+        lows = phases[waiting]
+        middles = lows + 0.5 * steps
+        found = [anatomy.surface_vertices(phase) for phase in middles.tolist()]
+        guesses = (_cubic(phases, vertices, i, 0.5) for i in waiting.tolist())
+        misses = np.array(
+            [np.linalg.norm(g - f, axis=1).max() / 4.0 for g, f in zip(guesses, found, strict=True)]
+        )
+        good = misses <= 0.5 * MAX_INTERPOLATION_ERROR_MM
+        worst = max(worst, float(misses[good].max(initial=0.0)))
+        order = np.argsort(np.append(phases, middles), kind="stable")
+        phases, joined = np.append(phases, middles)[order], vertices + found
+        vertices = [joined[k] for k in order.tolist()]
+        if good.all():
+            return phases, np.stack(vertices), worst
+        if steps[~good].min() < SMALLEST_STEP:
+            k = int(misses.argmax())
+            raise InvalidInputError(
+                f"the true surface jumps by {4 * misses[k]:.3g} mm at phase {middles[k]:.4f}; "
+                "it must move smoothly"
+            )
+        waiting = np.sort(np.searchsorted(phases, np.append(lows[~good], middles[~good])))
+
+
+def _cubic(
+    phases: FloatArray, vertices: list[FloatArray] | FloatArray, interval: int, u: float
+) -> FloatArray:
+    """(v, 3) at fraction `u` of an interval, by the cubic through two samples on either side (cyclic)."""
+    count = len(phases)
+    around = [interval + k for k in (-1, 0, 1, 2)]
+    at = np.array([phases[k % count] + k // count for k in around])
+    x = at[1] + u * (at[2] - at[1])
+    out = np.zeros_like(vertices[0])
+    for k, node in enumerate(around):
+        others = np.delete(at, k)
+        out += float(np.prod((x - others) / (at[k] - others))) * vertices[node % count]
+    return out
+
+
+def _filled_in(sampled_at: FloatArray, exact: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Phases, vertices and the error of linear interpolation: each step split as its acceleration needs."""
+    phases: list[float] = []
+    vertices: list[FloatArray] = []
+    worst, count = 0.0, len(sampled_at)
+    steps = np.diff(np.append(sampled_at, 1.0))
+    for i in range(count):
+        bend = _cubic(sampled_at, exact, i, 0.5) - 0.5 * (exact[i] + exact[(i + 1) % count])
+        sag = float(np.linalg.norm(bend, axis=1).max())
+        parts = max(1, int(np.ceil(np.sqrt(sag / (0.5 * MAX_INTERPOLATION_ERROR_MM)))))
+        worst = max(worst, sag / parts**2)
+        phases += [float(sampled_at[i] + steps[i] * k / parts) for k in range(parts)]
+        vertices += [_cubic(sampled_at, exact, i, k / parts) for k in range(parts)]
+    return np.array(phases), np.stack(vertices), worst
+
+
 def _clustered(centroids: FloatArray) -> tuple[IntArray, IntArray]:
     """Triangle order and cluster offsets: median splits along the longest axis."""
     done: list[IntArray] = []
@@ -146,10 +194,10 @@ def _clustered(centroids: FloatArray) -> tuple[IntArray, IntArray]:
 def _bounding_spheres(
     vertices: FloatArray, triangles: IntArray, clusters: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Sphere of each cluster at each phase; between phases the lerped centre with the larger radius bounds."""
+    """Sphere of each cluster at each phase; between phases, the lerped centre with the larger radius."""
     centers = np.empty((len(vertices), len(clusters) - 1, 3))
     radii = np.empty((len(vertices), len(clusters) - 1))
-    for c, (first, last) in enumerate(zip(clusters[:-1], clusters[1:], strict=True)):
+    for c, (first, last) in enumerate(pairwise(clusters.tolist())):
         members = vertices[:, np.unique(triangles[first:last])]
         centers[:, c] = members.mean(axis=1)
         radii[:, c] = np.linalg.norm(members - centers[:, c, None], axis=2).max(axis=1) + 1e-9
@@ -177,7 +225,7 @@ def _neighbours(triangles: IntArray) -> IntArray:
     repeated = len(key) - len(np.unique(key))
     if open_edges or repeated:
         raise InvalidInputError(
-            f"the true surface has {open_edges} open and {repeated} repeated edges; needed a closed mesh with "
-            "consistent orientation"
+            f"the true surface has {open_edges} open and {repeated} repeated edges; needed a closed, "
+            "consistently oriented mesh"
         )
     return np.asarray(order[at] // 3, dtype=np.int64).reshape(-1, 3)

@@ -2,8 +2,8 @@
 
 Source: McSharry, Clifford, Tarassenko, Smith, IEEE TBME 50:289 (2003).
 Differs from source: the waves of the dynamical model are evaluated in closed form, so that the R peak stays
-where the rhythm puts it; QRS has a fixed duration in seconds, and the T wave follows RR^0.2 as in real records
-rather than RR^0.5.
+where the rhythm puts it; QRS has a fixed duration in seconds, and the T wave follows RR^0.2, as in real
+records, rather than RR^0.5.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Implicit shapes of the heart and its neighbourhood at end-diastole.
 
-Depths are approximate signed distances in mm, positive inside. Heart frame: apex of the left ventricle at the origin,
-z towards the base, x towards the right ventricle, y towards the outflow tracts.
+Depths are approximate signed distances in mm, positive inside. Heart frame: apex of the left ventricle at the
+origin, z towards the base, x towards the right ventricle, y towards the outflow tracts.
 """
 
 from dataclasses import dataclass, field
@@ -15,12 +15,15 @@ from .reference import Layers
 from .tissue import Tissue
 
 BLEND_MM = 6.0
-RIM_MM = 8.0
+GROOVE_MM = 20.0
+"""Blend between ventricles and atria: the fat-filled atrioventricular groove is a shallow one."""
+RIM_MM = 6.0
+SKELETON_CENTER = np.array([0.0, 0.0, BASE + 3.0])
+SKELETON_SEMI = np.array([28.0, 28.0, 12.0])
+"""Fibrous skeleton and fat between the valve rings."""
 MIN_WALL_MM = 2.0
 FAT_MM = 2.5
 PERICARDIUM_MM = 1.0
-
-
 
 
 def ellipsoid_depth(p: FloatArray, center: FloatArray, semi: FloatArray) -> FloatArray:
@@ -88,14 +91,15 @@ class HeartShape:
     def organ(self, p: FloatArray) -> FloatArray:
         """Depth below the epicardial surface of the whole heart: one smooth closed surface."""
         depth = smooth_union(self._lv(p), ellipsoid_depth(p, self.rv_center, self.rv_semi))
-        depth = smooth_union(depth, ellipsoid_depth(p, self.la_center, self.la_semi))
-        depth = smooth_union(depth, ellipsoid_depth(p, self.ra_center, self.ra_semi))
+        depth = smooth_union(depth, ellipsoid_depth(p, SKELETON_CENTER, SKELETON_SEMI))
+        depth = smooth_union(depth, ellipsoid_depth(p, self.la_center, self.la_semi), GROOVE_MM)
+        depth = smooth_union(depth, ellipsoid_depth(p, self.ra_center, self.ra_semi), GROOVE_MM)
         depth = smooth_union(depth, tube_depth(p, self.laa_path, self.laa_radii))
         depth = smooth_union(depth, tube_depth(p, self.aorta_path, self._radii(self.aorta_radius_mm)))
         return smooth_union(depth, tube_depth(p, self.pulmonary_path, self._radii(self.pulmonary_radius_mm)))
 
     def inside(self, p: FloatArray, organ: FloatArray) -> Layers:
-        """What the heart is made of, painted in this order over ATRIAL_WALL; without valves and papillaries."""
+        """Parts of the heart, painted in this order over ATRIAL_WALL; no valves, no papillaries."""
         lv = self._lv(p)
         rv = ellipsoid_depth(p, self.rv_center, self.rv_semi)
         aorta = tube_depth(p, self.aorta_path, self._radii(self.aorta_radius_mm))
@@ -144,7 +148,7 @@ class HeartShape:
 
 
 def heart_shape(rng: np.random.Generator) -> HeartShape:
-    """An adult heart whose right ventricle, atria and vessels vary by a few mm; the left ventricle is closed form."""
+    """An adult heart whose right ventricle and atria vary by some mm; the left ventricle is closed form."""
 
     def near(*values: float, spread: float = 1.5) -> FloatArray:
         return np.array(values) + rng.uniform(-spread, spread, 3)

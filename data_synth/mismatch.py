@@ -8,7 +8,7 @@ from dvf_ig.core import FloatArray, InvalidInputError
 
 CORRELATION_MM = 30.0
 MODES = 48
-_FIT_NODES = 15
+_FIT_CELLS = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,15 +45,15 @@ class SmoothField:
         """Pre-operative to intra-operative positions."""
         return np.asarray(xyz_mm + self.at(xyz_mm))
 
-    def inverse(self, xyz_mm: FloatArray) -> FloatArray:
-        """Intra-operative to pre-operative positions, by fixed-point iteration to below 1e-4 mm."""
+    def inverse(self, xyz_mm: FloatArray, tolerance_mm: float = 1e-4) -> FloatArray:
+        """Intra-operative to pre-operative positions, by fixed-point iteration."""
         if self.rms_mm == 0:
             return np.array(xyz_mm, dtype=np.float64)
         out = np.array(xyz_mm, dtype=np.float64)
         for _ in range(30):
             correction = xyz_mm - out - self.at(out)
             out += correction
-            if np.abs(correction).max(initial=0.0) < 1e-4:
+            if np.abs(correction).max(initial=0.0) < tolerance_mm:
                 break
         return out
 
@@ -66,8 +66,8 @@ def random_mismatch(
 ) -> SmoothField:
     """A smooth random field of exactly `rms_mm` over the heart box, without any rigid part there.
 
-    The rigid part (shift and small rotation) is removed by least squares over a uniform grid of the box, so that
-    a planted pose stays the best rigid pose.
+    The rigid part (shift and small rotation) is removed by least squares over a uniform grid of the box, so
+    that a planted pose stays the best rigid pose.
 
     Args:
         box_mm: (2, 3) heart box, frame "mr".
@@ -85,7 +85,9 @@ def random_mismatch(
     zero = np.zeros(3)
     if rms_mm == 0:
         return SmoothField(waves, cosine, sine, zero, zero, center, 0.0)
-    axes = [np.linspace(box_mm[0, k], box_mm[1, k], _FIT_NODES) for k in range(3)]
+    # cell centres: the mean over them is the mean over the volume
+    middle = (np.arange(_FIT_CELLS) + 0.5) / _FIT_CELLS
+    axes = [box_mm[0, k] + middle * (box_mm[1, k] - box_mm[0, k]) for k in range(3)]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     raw = SmoothField(waves, cosine, sine, zero, zero, center, 1.0).at(nodes)
     shift, turn = _rigid_part(nodes - center, raw)

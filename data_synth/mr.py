@@ -62,13 +62,13 @@ def cine_preop(
     grid = Grid.axis_aligned("mr", shape, low, protocol.spacing_mm)
     timing = CycleTiming.uniform(protocol.phases, rr_s)
     shading = _shading(grid, protocol.bias, rng)
-    noise_seeds = rng.bit_generator.seed_seq.spawn(protocol.phases)  # type: ignore[attr-defined]
+    noise_rngs = rng.spawn(protocol.phases)
     image = np.empty((protocol.phases, *shape), dtype=np.int16)
     labels = np.empty((protocol.phases, *shape), dtype=np.uint8)
 
     def acquire(i: int) -> None:
         signal, codes = _phase(grid, reference, motion, float(timing.fractions[i]))
-        image[i] = _measured(signal * shading, protocol, np.random.default_rng(noise_seeds[i]))
+        image[i] = _measured(signal * shading, protocol, noise_rngs[i])
         labels[i] = np.where((codes > 0) & (codes < FIRST_OUTSIDE), codes, 0)
 
     with ThreadPoolExecutor(_THREADS) as pool:

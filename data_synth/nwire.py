@@ -1,7 +1,7 @@
 """An N-wire calibration recording: exact wire crossings of the image plane, with pixel and tracker noise.
 
-Wires as in the fCal 2.0 phantom (PLUS; Lasso et al., IEEE TBME 61:2527, 2014): three N patterns, each with two
-parallel wires along y and a diagonal, 40 mm long, at three heights.
+Wires as in the fCal 2.0 phantom (PLUS; Lasso et al., IEEE TBME 61:2527, 2014): three N patterns, each with
+two parallel wires along y and a diagonal, 40 mm long, at three heights.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,6 @@ from dvf_ig.core import (
     InvalidInputError,
     NWirePhantom,
     NWireRecording,
-    PoseStream,
     Rigid,
     Wire,
 )

@@ -38,9 +38,7 @@ def project_to_outline(depth: Depth, points: FloatArray, steps: int = 12) -> Flo
     h = 1e-3
     for _ in range(steps):
         value = depth(out)
-        gradient = np.stack(
-            [(depth(out + h * e) - depth(out - h * e)) / (2 * h) for e in np.eye(3)], axis=-1
-        )
+        gradient = np.stack([(depth(out + h * e) - depth(out - h * e)) / (2 * h) for e in np.eye(3)], axis=-1)
         squared = np.maximum((gradient**2).sum(axis=-1), 0.05)
         move = -(value / squared)[:, None] * gradient
         length = np.linalg.norm(move, axis=-1, keepdims=True)

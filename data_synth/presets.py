@@ -85,8 +85,11 @@ class ScenarioSpec:
             raise InvalidInputError(f"there is no motion '{self.motion}'; choose from {', '.join(MOTIONS)}")
         if not 5.0 <= self.seconds <= 3600.0:
             raise InvalidInputError(f"the scenario is to last {self.seconds:g} s; needed 5 to 3600 s")
-        if not 4.0 <= self.us_rate_hz <= 60.0:
-            raise InvalidInputError(f"ultrasound rate is {self.us_rate_hz:g} Hz; needed 4 to 60 Hz")
+        if not 6.0 <= self.us_rate_hz <= 60.0:
+            raise InvalidInputError(
+                f"ultrasound rate is {self.us_rate_hz:g} Hz; needed 6 to 60 Hz (poses are recorded with the "
+                "images, and slower ones cannot be interpolated)"
+            )
         if self.seed < 0:
             raise InvalidInputError(f"the seed is {self.seed}; needed a non-negative integer")
         if self.mismatch_mm is not None and not 0.0 <= self.mismatch_mm <= 10.0:

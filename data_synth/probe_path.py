@@ -18,6 +18,9 @@ from .tracker import PosePath
 STANDOFF_MM = (36.0, 50.0)
 """Distance of the fan apex from the heart surface over a sweep."""
 
+CENTRAL_STANDOFF_MM = 48.0
+"""The same for a single view: a compromise between the width of the sector there and its depth."""
+
 
 @dataclass(frozen=True, slots=True)
 class SweepSpec:
@@ -105,7 +108,7 @@ def _looking(beams: FloatArray, hint: FloatArray) -> FloatArray:
 def central_view(shape: HeartOutline, window: FloatArray) -> Rigid:
     """mr_from_plane looking from the middle of the window at the heart's centre."""
     rotation = _looking(-window[None], perpendicular(window, np.array([0.0, 0.0, 1.0])))[0]
-    reach = float(shape.radius_mm(window[None])[0]) + 0.5 * sum(STANDOFF_MM)
+    reach = float(shape.radius_mm(window[None])[0]) + CENTRAL_STANDOFF_MM
     return Rigid("mr", "plane", rotation, shape.center_mm + reach * window)
 
 

@@ -23,7 +23,8 @@ _THREADS = 2
 class ReferenceShapes(Protocol):
     """Implicit shapes at end-diastole, frame "mr"; depths in mm, positive inside."""
 
-    base: Tissue
+    @property
+    def base(self) -> Tissue: ...
 
     def organ(self, xyz_mm: FloatArray) -> FloatArray:
         """(n,) depth below the epicardial surface."""
@@ -75,7 +76,7 @@ def tissue_at(shapes: ReferenceShapes, xyz_mm: FloatArray, *, ultrasound: bool =
 
 
 def build_reference(shapes: ReferenceShapes, box_mm: FloatArray, spacing_mm: float) -> ReferenceMap:
-    """Sample `shapes` over `box_mm` (2, 3); edges are blended over about one node, so walls are not staircased."""
+    """Sample `shapes` over `box_mm` (2, 3); edges are blended over about a node, so walls are smooth."""
     size = np.ceil((box_mm[1] - box_mm[0]) / spacing_mm).astype(int) + 1
     shape = (int(size[0]), int(size[1]), int(size[2]))
     organ = np.empty(shape, dtype=np.float32)
@@ -99,9 +100,7 @@ def build_reference(shapes: ReferenceShapes, box_mm: FloatArray, spacing_mm: flo
         )
         outer[i].reshape(-1)[out] = codes
         near = depth > -max(edge, 2 * spacing_mm)
-        within, codes = _painted(
-            shapes.inside(points[near], depth[near]), shapes.base, int(near.sum()), edge
-        )
+        within, codes = _painted(shapes.inside(points[near], depth[near]), shapes.base, int(near.sum()), edge)
         inner[i].reshape(-1)[near] = codes
         mr_only = within[:, -1].copy()
         _paint(within, codes, shapes.inside_ultrasound_only(points[near]), edge)

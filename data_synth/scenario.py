@@ -1,4 +1,4 @@
-"""One synthetic intervention: a beating heart, what was known of it before, and every stream recorded of it."""
+"""One synthetic intervention: a beating heart, what was known of it before, and every recorded stream."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

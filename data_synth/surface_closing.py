@@ -1,4 +1,4 @@
-"""Closing a real, open surface series: weld, orient, cap, refine. Vertex correspondence over phases is kept."""
+"""Closing a real, open surface series (weld, orient, cap, refine) without losing vertex correspondence."""
 
 from collections import defaultdict, deque
 from dataclasses import dataclass
@@ -30,8 +30,8 @@ def closed_series(series: SurfaceSeries) -> ClosedSeries:
     """Weld vertices that coincide in every phase, orient outward, cap each boundary loop at its centroid.
 
     Raises:
-        InvalidInputError: an edge with more than two triangles, a boundary that is not a loop, or a surface that
-            cannot be oriented.
+        InvalidInputError: an edge with more than two triangles, a boundary that is not a loop, or a surface
+            that cannot be oriented.
     """
     vertices, triangles = _welded(series.vertices_mm, np.array(series.triangles))
     triangles = _oriented(triangles, series.name)
@@ -55,9 +55,7 @@ def refined(closed: ClosedSeries) -> ClosedSeries:
     middle = 0.5 * (closed.vertices_mm[:, unique[:, 0]] + closed.vertices_mm[:, unique[:, 1]])
     ab, bc, ca = (closed.vertices_mm.shape[1] + index.reshape(3, -1)).astype(np.int64)
     a, b, c = t.T
-    split = [
-        np.column_stack(corners) for corners in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
-    ]
+    split = [np.column_stack(corners) for corners in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
     return ClosedSeries(
         np.concatenate([closed.vertices_mm, middle], axis=1), np.concatenate(split), closed.openings
     )
@@ -68,9 +66,7 @@ def _welded(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntA
     trajectory = np.round(vertices.transpose(1, 0, 2).reshape(vertices.shape[1], -1) / WELD_MM)
     _, first, inverse = np.unique(trajectory, axis=0, return_index=True, return_inverse=True)
     faces = inverse.reshape(-1)[triangles]
-    whole = (
-        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    )
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     return vertices[:, first], faces[whole].astype(np.int64)
 
 
@@ -83,7 +79,8 @@ def _oriented(triangles: IntArray, name: str) -> IntArray:
     crowded = sum(len(faces) > 2 for faces in by_edge.values())
     if crowded:
         raise InvalidInputError(
-            f"surface {name} has {crowded} edges with more than two triangles; needed at most two, repair the mesh"
+            f"surface {name} has {crowded} edges with more than two triangles; needed at most two; "
+            "repair the mesh"
         )
     out = triangles.copy()
     seen = np.zeros(len(out), dtype=np.bool_)

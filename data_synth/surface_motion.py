@@ -14,9 +14,11 @@ from dvf_ig.core import CycleTiming, FloatArray
 from .kernels import distance
 
 NODE_MM = 3.5
-CONTROL_MM = 5.0
+CONTROL_MM = 3.5
 ANCHOR_MM = 55.0
 KNOTS = 50
+NEAR_MM = 10.0
+MODE_TOLERANCE_MM = 0.03
 _THREADS = 2
 
 
@@ -81,29 +83,69 @@ def dense_motion(
         box_mm: (2, 3) where the motion is needed.
     """
     controls = _thinned(reference_mm, CONTROL_MM)
-    anchors = _anchors(reference_mm)
-    centers = np.concatenate([reference_mm[controls], anchors])
-    phases = len(timing)
-    shift = np.zeros((len(centers), phases, 3))
-    shift[: len(controls)] = (vertices_mm[:, controls] - reference_mm[controls]).transpose(1, 0, 2)
+    centers = np.concatenate([reference_mm[controls], _anchors(reference_mm)])
+    shift = np.zeros((len(centers), 3, len(timing)))
+    shift[: len(controls)] = (vertices_mm[:, controls] - reference_mm[controls]).transpose(1, 2, 0)
+    modes, phases_from_modes = _modes(shift.reshape(-1, len(timing)))
     middle = centers.mean(axis=0)
-    weights = _kernel_weights(centers - middle, shift.reshape(len(centers), -1))
-    single = weights[:-4].astype(np.float32)
-    count = np.ceil((box_mm[1] - box_mm[0]) / NODE_MM).astype(int) + 1
-    axes = [box_mm[0, k] + NODE_MM * np.arange(count[k]) for k in range(3)]
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    # the spline over the cycle is linear in its values: one matrix takes phases to knots
-    knots_from_phases = periodic_spline(timing, np.eye(phases))(np.arange(KNOTS) / KNOTS).astype(np.float32)
-    table = np.empty((KNOTS, len(nodes), 3), dtype=np.float32)
+    weights = _kernel_weights(centers - middle, modes.reshape(len(centers), -1))
+    count = 2 * np.ceil((box_mm[1] - box_mm[0]) / (2 * NODE_MM)).astype(int) + 1
+    origin = np.array(box_mm[0])
+    axes = [origin[k] + NODE_MM * np.arange(count[k]) for k in range(3)]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    field = _two_scale_field(nodes - middle, centers - middle, weights, reference_mm - middle)
+    # the spline over the cycle is linear in its values: one matrix takes modes to knots
+    knots_from_modes = periodic_spline(timing, phases_from_modes)(np.arange(KNOTS) / KNOTS)
+    table = np.einsum("kr,nrc->knc", knots_from_modes.astype(np.float32), field, optimize=True)
+    return GriddedMotion(np.ascontiguousarray(table.reshape(KNOTS, *count, 3)), origin, NODE_MM)
 
-    def fill(part: NDArray[np.int64]) -> None:
-        at_phases = np.empty((len(part), 3 * phases), dtype=np.float32)
-        distance.radial_field(nodes[part] - middle, centers - middle, single, weights[-4:], at_phases)
-        table[:, part] = np.einsum("kp,npc->knc", knots_from_phases, at_phases.reshape(-1, phases, 3))
 
-    with ThreadPoolExecutor(_THREADS) as pool:
-        list(pool.map(fill, np.array_split(np.arange(len(nodes)), max(1, len(nodes) // 2000))))
-    return GriddedMotion(table.reshape(KNOTS, *count, 3), np.array(box_mm[0]), NODE_MM)
+def _modes(series: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Few temporal modes that reproduce every (k, n) series to MODE_TOLERANCE_MM: (k, r) and (n, r)."""
+    left, strength, right = np.linalg.svd(series, full_matrices=False)
+    for rank in range(1, len(strength) + 1):
+        modes = left[:, :rank] * strength[:rank]
+        if np.abs(modes @ right[:rank] - series).max() < MODE_TOLERANCE_MM:
+            break
+    return modes, right[:rank].T
+
+
+def _two_scale_field(
+    nodes: FloatArray, centers: FloatArray, weights: FloatArray, surface: FloatArray
+) -> NDArray[np.float32]:
+    """Kernel sum at (nx, ny, nz, 3) nodes: exact near the surfaces, every second node interpolated far away.
+
+    Returns (nodes, r, 3) float32: mode-major, so that the modes come before the components.
+    """
+    single, affine = weights[:-4].astype(np.float32), weights[-4:]
+
+    def summed(points: FloatArray) -> NDArray[np.float32]:
+        out = np.empty((len(points), weights.shape[1]), dtype=np.float32)
+        parts = np.array_split(np.arange(len(points)), 16)
+        with ThreadPoolExecutor(_THREADS) as pool:
+            list(
+                pool.map(
+                    lambda p: distance.radial_field(points[p], centers, single, affine, out[p[0] :]), parts
+                )
+            )
+        return out
+
+    coarse_nodes = np.ascontiguousarray(nodes[::2, ::2, ::2])
+    coarse = summed(coarse_nodes.reshape(-1, 3)).reshape(*coarse_nodes.shape[:3], -1)
+    field = _doubled(_doubled(_doubled(coarse, 0), 1), 2).reshape(-1, weights.shape[1])
+    flat = nodes.reshape(-1, 3)
+    near = np.flatnonzero(np.isfinite(cKDTree(surface).query(flat, distance_upper_bound=NEAR_MM)[0]))
+    field[near] = summed(np.ascontiguousarray(flat[near]))
+    # columns are component-major as the displacements were; the caller wants mode-major
+    return np.ascontiguousarray(field.reshape(len(flat), 3, -1).transpose(0, 2, 1))
+
+
+def _doubled(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """Insert the mean of neighbours between the nodes along one axis."""
+    moved = np.moveaxis(values, axis, 0)
+    out = np.empty((2 * len(moved) - 1, *moved.shape[1:]), dtype=np.float32)
+    out[::2], out[1::2] = moved, 0.5 * (moved[:-1] + moved[1:])
+    return np.moveaxis(out, 0, axis)
 
 
 def _kernel_weights(centers: FloatArray, values: FloatArray) -> FloatArray:
@@ -118,21 +160,19 @@ def _kernel_weights(centers: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _radial(points: FloatArray, centers: FloatArray) -> FloatArray:
-    squared = (
-        (points**2).sum(axis=1)[:, None] + (centers**2).sum(axis=1)[None] - 2 * points @ centers.T
-    )
+    squared = (points**2).sum(axis=1)[:, None] + (centers**2).sum(axis=1)[None] - 2 * points @ centers.T
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
 def _thinned(points: FloatArray, pitch_mm: float) -> NDArray[np.int64]:
-    """Indices of a subset no two of which are closer than half the pitch: first come, first kept."""
+    """Indices of a subset no two of which are closer than the pitch: first come, first kept."""
     tree = cKDTree(points)
     dropped = np.zeros(len(points), dtype=np.bool_)
     kept = []
     for i in range(len(points)):
         if not dropped[i]:
             kept.append(i)
-            dropped[tree.query_ball_point(points[i], 0.5 * pitch_mm)] = True
+            dropped[tree.query_ball_point(points[i], pitch_mm)] = True
     return np.array(kept, dtype=np.int64)
 
 
@@ -141,4 +181,4 @@ def _anchors(points: FloatArray) -> FloatArray:
     low, high = points.min(axis=0) - ANCHOR_MM, points.max(axis=0) + ANCHOR_MM
     axes = [np.linspace(low[k], high[k], 6) for k in range(3)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return grid[((grid == low) | (grid == high)).any(axis=1)]
+    return np.asarray(grid[((grid == low) | (grid == high)).any(axis=1)])

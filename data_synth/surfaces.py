@@ -12,7 +12,8 @@ from scipy.ndimage import map_coordinates
 from dvf_ig.core import FloatArray, IntArray, InvalidInputError, Landmarks, Points, Preop, SurfaceSeries
 from dvf_ig.core.mesh import enclosed_volume_mm3
 
-from .anatomy import MARGIN_MM, REFERENCE_SPACING_MM, with_box_grid
+from .anatomical_points import with_box_grid
+from .anatomy import MARGIN_MM, REFERENCE_SPACING_MM
 from .heart import outside_layers
 from .kernels import distance
 from .mismatch import SmoothField, random_mismatch
@@ -47,7 +48,12 @@ def depth_grid(
     count = np.ceil((box_mm[1] - box_mm[0]) / spacing_mm).astype(int) + 1
     squared = np.full(tuple(count), band_mm**2)
     flips = np.zeros((count[0], count[1], count[2] + 1), dtype=np.bool_)
-    mesh = (np.ascontiguousarray(vertices_mm), np.ascontiguousarray(triangles), np.array(box_mm[0]), spacing_mm)
+    mesh = (
+        np.ascontiguousarray(vertices_mm),
+        np.ascontiguousarray(triangles),
+        np.array(box_mm[0]),
+        spacing_mm,
+    )
     distance.band_distance(*mesh, band_mm, squared)
     distance.mark_crossings(*mesh, flips)
     inside = np.logical_xor.accumulate(flips[..., :-1], axis=2)
@@ -90,8 +96,8 @@ class SurfaceShapes:
 class SurfaceAnatomy:
     """Real surfaces, moved by periodic cubic interpolation of their vertices.
 
-    The epicardium is exactly the interpolated surface (plus mismatch); tissue elsewhere rides on a dense motion
-    fitted to all surfaces, and agrees with them to a few tenths of a millimetre.
+    The epicardium is exactly the interpolated surface (plus mismatch); tissue rides on a dense motion fitted
+    to all surfaces, and agrees with them to a few tenths of a millimetre.
 
     Attributes:
         series: the surfaces as given.
@@ -175,12 +181,11 @@ class SurfaceAnatomy:
     def landmarks(self) -> Landmarks:
         vertices = self.splines[EPICARDIAL](0.0)
         openings = self.closed[EPICARDIAL].openings[:4]
-        names = tuple(f"opening_{i + 1}" for i in range(len(openings))) + ("apex",)
-        points = [*vertices[openings], _apex(vertices, openings)]
+        points = {f"opening_{i + 1}": vertices[opening] for i, opening in enumerate(openings)}
+        points["apex"] = _apex(vertices, openings)
         for axis, name in enumerate(("leftmost", "rearmost", "uppermost")):
-            points.append(vertices[vertices[:, axis].argmax()])
-            names += (name,)
-        return Landmarks(names, Points("mr", np.array(points)))
+            points[name] = vertices[vertices[:, axis].argmax()]
+        return Landmarks(tuple(points), Points("mr", np.array(list(points.values()))))
 
     def preop(self, rng: np.random.Generator) -> Preop:
         return Preop(patient_id=self.series[0].patient_id, surfaces=self.series, surface=EPICARDIAL)
@@ -199,7 +204,7 @@ class SurfaceAnatomy:
         return tuple(names), np.array(points)
 
     def _wide_box(self) -> FloatArray:
-        return self.box_mm + np.array([[-MARGIN_MM], [MARGIN_MM]])
+        return np.asarray(self.box_mm + np.array([[-MARGIN_MM], [MARGIN_MM]]))
 
 
 def surface_anatomy(
@@ -208,16 +213,14 @@ def surface_anatomy(
     """A beating anatomy from real surfaces in frame "mr" whose vertices correspond over the cycle.
 
     Args:
-        surfaces: EPICARDIAL (required), LV_ENDOCARDIAL and RV_ENDOCARDIAL (optional); open surfaces are closed.
+        surfaces: EPICARDIAL (required), LV_ENDOCARDIAL, RV_ENDOCARDIAL (optional); open ones are closed.
         mismatch_mm: RMS over the heart box of the smooth non-rigid difference to these surfaces.
         seed: draws the mismatch.
     Raises:
-        InvalidInputError: no epicardium, another frame, differing phase times, or a surface that cannot be closed.
+        InvalidInputError: no epicardium, other frame, differing phase times, or a surface that cannot close.
     """
     if EPICARDIAL not in surfaces:
-        raise InvalidInputError(
-            f"surfaces are {', '.join(surfaces) or 'none'}; needed at least {EPICARDIAL}, the fixture's surface"
-        )
+        raise InvalidInputError(f"surfaces are {', '.join(surfaces) or 'none'}; needed at least {EPICARDIAL}")
     series = tuple(surfaces[name] for name in (EPICARDIAL, LV, RV) if name in surfaces)
     timing = series[0].timing
     for one in series:

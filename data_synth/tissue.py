@@ -87,7 +87,7 @@ ACOUSTICS: dict[Tissue, Acoustics] = {
     Tissue.LUNG: Acoustics(0.0004, 40.0, 0.0),
     Tissue.BONE: Acoustics(7.8, 10.0, 6.0),
 }
-"""Table of the synthetic world. MEDIASTINUM stands for the loose tissue and coupling fluid around the heart."""
+"""Table of the synthetic world. MEDIASTINUM is the loose tissue and coupling fluid around the heart."""
 
 RELAXATION: dict[Tissue, Relaxation] = {
     **dict.fromkeys(Tissue, _MUSCLE_MR),

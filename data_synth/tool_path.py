@@ -28,7 +28,8 @@ class ToolSpec:
         hover_mm: distance from the heart meanwhile.
         clear_mm: distance while moving from one site to the next.
         contact_s: time in contact at each site.
-        depth_mm: mean intended depth; `press_mm` is the amplitude of pressing about it.
+        depth_mm: mean intended depth; `press_mm` is the amplitude of pressing about it; less deep where the
+            beat would carry the surface further than `max_depth_mm` over the tip.
         slip_mm: the hand follows the beating surface to within this, where `follow_mm_s` lets it.
         follow_mm_s: fastest that the hand follows the beat.
         slide_mm: length of the slide over the surface.
@@ -44,6 +45,7 @@ class ToolSpec:
     contact_s: float = 6.0
     depth_mm: float = 1.5
     press_mm: float = 0.6
+    max_depth_mm: float = 2.8
     slip_mm: float = 0.8
     follow_mm_s: float = 20.0
     slide_mm: float = 10.0
@@ -132,8 +134,10 @@ def _visit(
     follow = min(wanted, spec.follow_mm_s / max(fastest, 1e-6))
     carried = float(slow.mean())
     carried_height = carried + near * (slow - carried + follow * beat)
+    deepest = (1.0 - follow) * float(beat.max()) + spec.press_mm
+    mean_depth = min(spec.depth_mm, spec.max_depth_mm - deepest)
     press = spec.press_mm * np.sin(2 * np.pi * since / rng.uniform(2.2, 3.2) + rng.uniform(0, 2 * np.pi))
-    depth = (spec.depth_mm + spec.clear_mm + press * near) * down * (1.0 - up) - spec.clear_mm
+    depth = (mean_depth + spec.clear_mm + press * near) * down * (1.0 - up) - spec.clear_mm
     return np.asarray(base + (carried_height - depth)[:, None] * site.normal)
 
 

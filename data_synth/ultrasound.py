@@ -14,10 +14,7 @@ from dvf_ig.core.frames import require_same_frame
 from .kernels import sector
 from .motion import InverseMotion
 from .reference import ReferenceMap
-from .ultrasound_probe import SectorProbe
-
-LATTICE_MM = 0.15
-"""Pitch of the scatterer lattice: a third of the default pulse's axial width."""
+from .ultrasound_probe import LATTICE_MM, SectorProbe
 
 Progress = Callable[[int, int], None]
 
@@ -64,12 +61,25 @@ def simulate_frame(
         InvalidInputError: wrong number of line phases, or a non-finite one.
         FrameMismatchError: the pose is not mr_from_plane.
     """
-    phases = np.asarray(line_phases, dtype=np.float64)
-    if phases.shape != (probe.lines,) or not np.isfinite(phases).all():
-        raise InvalidInputError(
-            f"line phases have shape {phases.shape}; needed ({probe.lines},) finite values, one for each line"
-        )
+    phases = _checked_phases(line_phases, (probe.lines,))
     return _frame(anatomy, probe, _prepared(probe), mr_from_plane, phases, seed, frame)
+
+
+def simulate_lines(
+    anatomy: Insonified,
+    probe: SectorProbe,
+    mr_from_plane: Rigid,
+    line_phases: FloatArray,
+    *,
+    seed: int,
+    frame: int,
+) -> NDArray[np.float32]:
+    """Envelope before log compression and scan conversion: (lines, samples), dB re myocardium's scatter.
+
+    Arguments and errors as in `simulate_frame`.
+    """
+    phases = _checked_phases(line_phases, (probe.lines,))
+    return _lines(anatomy, probe, _prepared(probe), mr_from_plane, phases, seed, frame)
 
 
 def simulate_sequence(
@@ -91,11 +101,7 @@ def simulate_sequence(
     Raises:
         InvalidInputError: phases do not match the poses.
     """
-    phases = np.asarray(line_phases, dtype=np.float64)
-    if phases.shape != (len(mr_from_plane), probe.lines) or not np.isfinite(phases).all():
-        raise InvalidInputError(
-            f"line phases have shape {phases.shape}; needed ({len(mr_from_plane)}, {probe.lines}) finite values"
-        )
+    phases = _checked_phases(line_phases, (len(mr_from_plane), probe.lines))
     prepared = _prepared(probe)
     # cached properties are filled before threads share the anatomy
     _ = (anatomy.reference, anatomy.inverse_motion)
@@ -110,6 +116,15 @@ def simulate_sequence(
             if progress is not None:
                 progress(i + 1, len(out))
     return out
+
+
+def _checked_phases(line_phases: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    phases = np.asarray(line_phases, dtype=np.float64)
+    if phases.shape != shape or not np.isfinite(phases).all():
+        raise InvalidInputError(
+            f"line phases have shape {phases.shape}; needed {shape} finite values, one for each scan line"
+        )
+    return phases
 
 
 def _prepared(probe: SectorProbe) -> _Prepared:
@@ -134,6 +149,23 @@ def _frame(
     seed: int,
     frame: int,
 ) -> NDArray[np.uint8]:
+    level = _lines(anatomy, probe, prepared, mr_from_plane, phases, seed, frame)
+    floor_db = probe.top_db - probe.dynamic_range_db
+    grey = np.clip((level - np.float32(floor_db)) * np.float32(255 / probe.dynamic_range_db), 0, 255)
+    image = np.empty((probe.rows, probe.columns), dtype=np.uint8)
+    sector.scan_convert(grey, prepared.line_index, prepared.sample_index, image)
+    return image
+
+
+def _lines(
+    anatomy: Insonified,
+    probe: SectorProbe,
+    prepared: _Prepared,
+    mr_from_plane: Rigid,
+    phases: FloatArray,
+    seed: int,
+    frame: int,
+) -> NDArray[np.float32]:
     require_same_frame("mr", mr_from_plane.target, "image plane")
     require_same_frame("plane", mr_from_plane.source, "image plane")
     path, amplitudes = _insonified(anatomy, probe, prepared, mr_from_plane, phases)
@@ -156,22 +188,10 @@ def _frame(
     for part, out in zip(parts, beam, strict=True):
         sector.axial_blur(part, prepared.axial, pulse)
         sector.lateral_blur(pulse, prepared.lateral, probe.fine_lines, out)
-    grey = np.empty((probe.lines, probe.samples), dtype=np.float32)
+    level = np.empty((probe.lines, probe.samples), dtype=np.float32)
     noise = np.float32(10 ** (probe.noise_db / 20))
-    sector.detect(
-        beam[0],
-        beam[1],
-        noise,
-        prepared.gain,
-        probe.top_db,
-        probe.dynamic_range_db,
-        prepared.deviates,
-        frame_seed,
-        grey,
-    )
-    image = np.empty((probe.rows, probe.columns), dtype=np.uint8)
-    sector.scan_convert(grey, prepared.line_index, prepared.sample_index, image)
-    return image
+    sector.detect(beam[0], beam[1], noise, prepared.gain, prepared.deviates, frame_seed, level)
+    return level
 
 
 def _insonified(

@@ -10,12 +10,26 @@ from dvf_ig.core import Fan, FloatArray, ImageMap, InvalidInputError, Rigid
 SOUND_MM_PER_US = 1.54
 
 
+LATTICE_MM = 0.15
+"""Pitch of the scatterer lattice: a third of the default pulse's axial width."""
+
+
+def lattice_correlation(distance_mm: FloatArray) -> FloatArray:
+    """Chance that two points this far apart lie in the same lattice cell, averaged over directions."""
+    turn = np.pi * (3 - np.sqrt(5)) * np.arange(64)
+    height = 1 - (np.arange(64) + 0.5) / 32
+    ring = np.sqrt(1 - height**2)
+    directions = np.abs(np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height]))
+    share = 1 - np.asarray(distance_mm)[..., None, None] * directions / LATTICE_MM
+    return np.asarray(np.maximum(share, 0.0).prod(axis=-1).mean(axis=-1))
+
+
 @dataclass(frozen=True, slots=True)
 class SectorProbe:
     """Geometry and physics of a phased sector scan.
 
-    Plane frame "plane", mm: origin at the fan apex (the centre of the transducer face), x lateral (towards growing
-    image columns and line numbers), y depth, z elevation = x × y. One elevation plane.
+    Plane frame "plane", mm: origin at the fan apex (the centre of the transducer face), x lateral (towards
+    growing image columns and line numbers), y depth, z elevation = x × y. One elevation plane.
 
     Attributes:
         lines, samples: scan lines, and receive samples along each.
@@ -50,16 +64,16 @@ class SectorProbe:
     tgc_db_per_cm_mhz: float = 0.33
     noise_db: float = -66.0
     dynamic_range_db: float = 60.0
-    top_db: float = 18.0
+    top_db: float = 21.0
     specular_db: float = 24.0
     specular_power: float = 3.0
-    fine_lines: int = 2
+    fine_lines: int = 4
 
     def __post_init__(self) -> None:
         if self.lines < 8 or self.samples < 64 or self.samples % 8:
             raise InvalidInputError(
-                f"probe has {self.lines} lines of {self.samples} samples; needed at least 8 lines and a multiple of "
-                "8 samples, at least 64"
+                f"probe has {self.lines} lines of {self.samples} samples; needed at least 8 lines "
+                "and a multiple of 8 samples, at least 64"
             )
         if not 0.05 < self.half_angle_rad < 1.5:
             raise InvalidInputError(f"half angle is {self.half_angle_rad:g} rad; needed 0.05 to 1.5")
@@ -123,14 +137,22 @@ class SectorProbe:
         return np.asarray(weights / np.sqrt((weights**2).sum()), dtype=np.float32)
 
     def lateral_taps(self) -> NDArray[np.float32]:
-        """(k, samples) Gaussian weights over fine lines at each depth, of unit energy; k is even."""
-        depth = (np.arange(self.samples) + 0.5) * self.step_mm
+        """(k, samples) Gaussian weights over fine lines at each depth; k is even.
+
+        Scaled so that scatterers of unit power give unit power at every depth, although neighbouring fine
+        lines share lattice cells near the probe.
+        """
+        depth = np.asarray((np.arange(self.samples) + 0.5) * self.step_mm, dtype=np.float64)
         pitch = 2 * self.half_angle_rad / (self.lines - 1) / self.fine_lines
         sigma = self.lateral_fwhm_mm(depth) / depth / 2.3548 / pitch
         reach = int(np.ceil(3 * sigma.max()))
         offset = (np.arange(2 * reach) - reach + 0.5)[:, None]
         weights = np.exp(-0.5 * (offset / sigma) ** 2)
-        return np.asarray(weights / np.sqrt((weights**2).sum(axis=0)), dtype=np.float32)
+        power = (weights**2).sum(axis=0)
+        for lag in range(1, 2 * reach):
+            shared = lattice_correlation(lag * pitch * depth)
+            power += 2 * shared * (weights[lag:] * weights[:-lag]).sum(axis=0)
+        return np.asarray(weights / np.sqrt(power), dtype=np.float32)
 
     def receive_gain(self) -> NDArray[np.float32]:
         """(samples,) time-gain compensation as an amplitude factor."""

@@ -3,9 +3,13 @@
 import numpy as np
 from numba import njit
 
+from dvf_ig.core import AnyArray
+
+Point = tuple[float, float, float]
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def squared_distance(px, py, pz, a, b, c):
+def squared_distance(px: float, py: float, pz: float, a: AnyArray, b: AnyArray, c: AnyArray) -> float:
     """Squared distance from a point to triangle abc (Ericson, Real-Time Collision Detection, 5.1.5)."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -36,11 +40,13 @@ def squared_distance(px, py, pz, a, b, c):
         scale = 1.0 / (va + vb + vc)
         v, w = vb * scale, vc * scale
     dx, dy, dz = apx - v * abx - w * acx, apy - v * aby - w * acy, apz - v * abz - w * acz
-    return dx * dx + dy * dy + dz * dz
+    return float(dx * dx + dy * dy + dz * dz)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def band_distance(vertices, triangles, origin, spacing, band, out):
+def band_distance(
+    vertices: AnyArray, triangles: AnyArray, origin: AnyArray, spacing: float, band: float, out: AnyArray
+) -> None:
     """Squared distance to the mesh at nodes nearer than `band`; `out` (nx, ny, nz) starts at band²."""
     shape = out.shape
     low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
@@ -62,7 +68,9 @@ def band_distance(vertices, triangles, origin, spacing, band, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def mark_crossings(vertices, triangles, origin, spacing, flips):
+def mark_crossings(
+    vertices: AnyArray, triangles: AnyArray, origin: AnyArray, spacing: float, flips: AnyArray
+) -> None:
     """Toggle `flips` (nx, ny, nz + 1) at the first node above each crossing of a z column with the mesh.
 
     Columns are shifted by an irrational share of a micrometre so that none runs through an edge.
@@ -92,7 +100,14 @@ def mark_crossings(vertices, triangles, origin, spacing, flips):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def invert_displacement(nodes, forward, origin, inverse_spacing, guess, out):
+def invert_displacement(
+    nodes: AnyArray,
+    forward: AnyArray,
+    origin: AnyArray,
+    inverse_spacing: float,
+    guess: AnyArray,
+    out: AnyArray,
+) -> float:
     """X with X + u(X) = x for (n, 3) nodes, u trilinear on a grid; returns the largest residual in mm."""
     worst = 0.0
     for n in range(len(nodes)):
@@ -115,11 +130,13 @@ def invert_displacement(nodes, forward, origin, inverse_spacing, guess, out):
             step += 1
         out[n, 0], out[n, 1], out[n, 2] = bx, by, bz
         worst = max(worst, best)
-    return np.sqrt(worst)
+    return float(np.sqrt(worst))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def displacement_at(x, y, z, field, origin, inverse_spacing):
+def displacement_at(
+    x: float, y: float, z: float, field: AnyArray, origin: AnyArray, inverse_spacing: float
+) -> Point:
     """Trilinear value of a (nx, ny, nz, 3) field, clamped at its border."""
     u = min(max((x - origin[0]) * inverse_spacing, 0.0), field.shape[0] - 1.000001)
     v = min(max((y - origin[1]) * inverse_spacing, 0.0), field.shape[1] - 1.000001)
@@ -141,7 +158,9 @@ def displacement_at(x, y, z, field, origin, inverse_spacing):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def radial_field(nodes, centers, weights, affine, out):
+def radial_field(
+    nodes: AnyArray, centers: AnyArray, weights: AnyArray, affine: AnyArray, out: AnyArray
+) -> None:
     """Σ w |x − c| + affine part at (n, 3) nodes; weights (c, k), affine (4, k) and out (n, k) float32."""
     width = weights.shape[1]
     for n in range(len(nodes)):

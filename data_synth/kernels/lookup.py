@@ -3,9 +3,13 @@
 import numpy as np
 from numba import njit
 
+from dvf_ig.core import AnyArray
+
+Point = tuple[float, float, float]
+
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def cell(u, count):
+def cell(u: float, count: int) -> tuple[int, float]:
     """Lower node and weight of a continuous index, clamped to the grid."""
     u = min(max(u, 0.0), count - 1.0)
     i = int(u)
@@ -15,7 +19,17 @@ def cell(u, count):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def reference_point(x, y, z, displacement, origin, inverse_spacing, first, second, weight):
+def reference_point(
+    x: float,
+    y: float,
+    z: float,
+    displacement: AnyArray,
+    origin: AnyArray,
+    inverse_spacing: float,
+    first: int,
+    second: int,
+    weight: float,
+) -> Point:
     """X = χ⁻¹(x) by linear interpolation in space and between two knots."""
     nx, ny, nz = displacement.shape[1], displacement.shape[2], displacement.shape[3]
     i, fx = cell((x - origin[0]) * inverse_spacing, nx)
@@ -42,7 +56,16 @@ def reference_point(x, y, z, displacement, origin, inverse_spacing, first, secon
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pull_back(points, displacement, origin, inverse_spacing, first, second, weight, out):
+def pull_back(
+    points: AnyArray,
+    displacement: AnyArray,
+    origin: AnyArray,
+    inverse_spacing: float,
+    first: int,
+    second: int,
+    weight: float,
+    out: AnyArray,
+) -> None:
     """Reference positions of (n, 3) points at one pair of knots."""
     for i in range(len(points)):
         out[i, 0], out[i, 1], out[i, 2] = reference_point(
@@ -59,7 +82,9 @@ def pull_back(points, displacement, origin, inverse_spacing, first, second, weig
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def scalar_at(x, y, z, values, origin, inverse_spacing):
+def scalar_at(
+    x: float, y: float, z: float, values: AnyArray, origin: AnyArray, inverse_spacing: float
+) -> float:
     """Trilinear value of a scalar grid, clamped at its border."""
     i, fx = cell((x - origin[0]) * inverse_spacing, values.shape[0])
     j, fy = cell((y - origin[1]) * inverse_spacing, values.shape[1])
@@ -74,31 +99,31 @@ def scalar_at(x, y, z, values, origin, inverse_spacing):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest(u, count):
+def nearest(u: float, count: int) -> int:
     return min(max(int(u + 0.5), 0), count - 1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def image_slab(
-    start,
-    stop,
-    grid_origin,
-    grid_spacing,
-    displacement,
-    motion_origin,
-    motion_inverse_spacing,
-    first,
-    second,
-    weight,
-    organ,
-    inner,
-    outer,
-    signal,
-    map_origin,
-    map_inverse_spacing,
-    signal_out,
-    code_out,
-):
+    start: int,
+    stop: int,
+    grid_origin: AnyArray,
+    grid_spacing: float,
+    displacement: AnyArray,
+    motion_origin: AnyArray,
+    motion_inverse_spacing: float,
+    first: int,
+    second: int,
+    weight: float,
+    organ: AnyArray,
+    inner: AnyArray,
+    outer: AnyArray,
+    signal: AnyArray,
+    map_origin: AnyArray,
+    map_inverse_spacing: float,
+    signal_out: AnyArray,
+    code_out: AnyArray,
+) -> None:
     """MR signal and tissue code of voxels start <= i < stop along the first axis, at one pair of knots."""
     ny, nz = signal_out.shape[1], signal_out.shape[2]
     for i in range(start, stop):
@@ -119,7 +144,7 @@ def image_slab(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def gradient_norm(acoustics, inverse_spacing):
+def gradient_norm(acoustics: AnyArray, inverse_spacing: float) -> None:
     """Write |∇ channel 0| (central differences, one-sided at the border) into the last channel."""
     nx, ny, nz, last = acoustics.shape[0], acoustics.shape[1], acoustics.shape[2], acoustics.shape[3] - 1
     for i in range(nx):

@@ -1,16 +1,21 @@
 """Closed-form motion of the heart about the left ventricle's axis, and its inverse.
 
-Heart frame, mm: apex at z = 0, base (mitral plane) at z = BASE, +x towards the right ventricle. `a` is activation.
+Heart frame, mm: apex at z = 0, base (mitral plane) at z = BASE, x towards the right ventricle; a: activation.
 In the wall (R_i <= R <= R_o, 0 <= Z <= BASE) the map is exactly incompressible:
     z = Z - a H Z²/L,  g' = 1 - 2aHZ/L,  r² = R²/g' + c(Z),  c = [(1 - κa)² - 1/g'] R_i²,
     θ = Θ + a (-10° (1 - Z/L) + 4° Z/L).
 Blood scales with the endocardium, r = R r_i/R_i. Outside the epicardium the wall's motion decays with
-exp(-(R - R_o)/ℓ); on the right-ventricular side the decay is slower and the space beyond the septum is squeezed
-towards it, so that the right ventricle ejects. Above the base the motion tapers, so that the atria fill in systole.
+exp(-(R - R_o)/ℓ); on the right-ventricular side the decay is slower and the space beyond the septum is
+squeezed towards it, so that the right ventricle ejects. Above the base the motion tapers, so that the atria
+fill in systole.
 """
 
 import numpy as np
 from numba import njit
+
+from dvf_ig.core import AnyArray
+
+Point = tuple[float, float, float]
 
 BASE = 85.0
 CAVITY_APEX = 12.0
@@ -26,12 +31,12 @@ RV_EXTRA_DECAY = 35.0
 RV_SQUEEZE = 0.30
 RV_REACH = 55.0
 AXIAL_TAPER = 45.0
-RADIAL_TAPER = 25.0
-OVERSHOOT = 1.0
+RADIAL_TAPER = 10.0
+OVERSHOOT = 0.5
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def radii(z):
+def radii(z: float) -> tuple[float, float]:
     """Epicardial and endocardial radius at ED height z; constant above the base, zero below the apices."""
     u = min(max(1.0 - z / BASE, 0.0), 1.0)
     s = min(max(1.0 - (z - CAVITY_APEX) / (BASE - CAVITY_APEX), 0.0), 1.0)
@@ -39,7 +44,7 @@ def radii(z):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _axial(z):
+def _axial(z: float) -> tuple[float, float, float, float]:
     """Longitudinal shape s(Z), slope measure for incompressibility, twist (rad) and taper at height Z."""
     if z < 0.0:
         return 0.0, 0.0, TWIST_APEX * np.exp(-((z / 20.0) ** 2)), 1.0
@@ -53,7 +58,7 @@ def _axial(z):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def rv_side(cos_theta, z):
+def rv_side(cos_theta: float, z: float) -> float:
     """How far a direction and height belong to the right ventricle's side, 0…1."""
     if z <= 0.0:
         return 0.0
@@ -64,7 +69,7 @@ def rv_side(cos_theta, z):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def forward_point(x, y, z, a):
+def forward_point(x: float, y: float, z: float, a: float) -> Point:
     """χ_a of one reference point of the heart frame."""
     radius = np.sqrt(x * x + y * y)
     r_out, r_in = radii(z)
@@ -93,7 +98,7 @@ def forward_point(x, y, z, a):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def inverse_point(x, y, z, a, gx, gy, gz):
+def inverse_point(x: float, y: float, z: float, a: float, gx: float, gy: float, gz: float) -> Point:
     """Reference point that χ_a carries to (x, y, z), from the guess (gx, gy, gz); damped Newton, 1e-4 mm."""
     fx, fy, fz = forward_point(gx, gy, gz, a)
     ex, ey, ez = x - fx, y - fy, z - fz
@@ -138,14 +143,14 @@ def inverse_point(x, y, z, a, gx, gy, gz):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def forward(points, a, out):
+def forward(points: AnyArray, a: AnyArray, out: AnyArray) -> None:
     """χ_a of (n, 3) points into `out`; `a` is (n,)."""
     for i in range(len(points)):
         out[i, 0], out[i, 1], out[i, 2] = forward_point(points[i, 0], points[i, 1], points[i, 2], a[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def inverse(points, a, guess, out):
+def inverse(points: AnyArray, a: AnyArray, guess: AnyArray, out: AnyArray) -> None:
     """χ_a⁻¹ of (n, 3) points into `out`; `a` is (n,), `guess` (n, 3)."""
     for i in range(len(points)):
         out[i, 0], out[i, 1], out[i, 2] = inverse_point(

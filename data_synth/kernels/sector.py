@@ -1,7 +1,9 @@
-"""Kernels of the phased-sector simulator; the order of the functions is the order in which a frame is made."""
+"""Kernels of the phased-sector simulator, in the order in which a frame is made."""
 
 import numpy as np
 from numba import njit
+
+from dvf_ig.core import AnyArray
 
 from .lookup import cell, reference_point
 
@@ -21,7 +23,7 @@ _MASK = np.uint64(TABLE - 1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def lattice_hash(i, j, k, seed):
+def lattice_hash(i: int, j: int, k: int, seed: np.uint64) -> int:
     """Index into the deviate table for a lattice cell: a 64-bit finaliser, the same on every machine."""
     h = np.uint64(i) * _UX ^ np.uint64(j) * _UY ^ np.uint64(k) * _UZ ^ seed
     h ^= h >> _S33
@@ -29,24 +31,24 @@ def lattice_hash(i, j, k, seed):
     h ^= h >> _S33
     h *= _U2
     h ^= h >> _S33
-    return np.int64(h & _MASK)
+    return int(h & _MASK)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def trace_lines(
-    origin,
-    lateral,
-    depth,
-    angles,
-    step_mm,
-    displacement,
-    motion_origin,
-    motion_inverse,
-    first,
-    second,
-    weight,
-    path,
-):
+    origin: AnyArray,
+    lateral: AnyArray,
+    depth: AnyArray,
+    angles: AnyArray,
+    step_mm: float,
+    displacement: AnyArray,
+    motion_origin: AnyArray,
+    motion_inverse: float,
+    first: AnyArray,
+    second: AnyArray,
+    weight: AnyArray,
+    path: AnyArray,
+) -> None:
     """Reference positions `path` (lines, coarse, 3) along each scan line, every COARSE samples."""
     for line in range(len(angles)):
         sx, cx = np.sin(angles[line]), np.cos(angles[line])
@@ -70,13 +72,24 @@ def trace_lines(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def insonify(
-    path, acoustics, map_origin, map_inverse, step_mm, frequency, specular, power, tissue, blood, echo
-):
+    path: AnyArray,
+    acoustics: AnyArray,
+    map_origin: AnyArray,
+    map_inverse: float,
+    step_mm: float,
+    frequency: float,
+    specular: float,
+    power: float,
+    tissue: AnyArray,
+    blood: AnyArray,
+    echo: AnyArray,
+) -> None:
     """Amplitudes that return to the probe from each sample of each line.
 
     Loss accumulates along the line: absorption 2αf, and at each interface the transmission 1 − R² once, with
-    R = tanh(½ Δ ln Z) over the whole monotone rise of ln Z. What is reflected returns in proportion to the cosine
-    between beam and interface normal to the given power.
+    R = tanh(½ Δ ln Z) over the whole monotone rise of ln Z. The integral of ∇ln Z along a line does not
+    depend on the angle at which it crosses an interface, so what is reflected returns in proportion to the
+    cosine between beam and interface normal, to the given power.
 
     Args:
         path: (lines, coarse, 3) reference positions.
@@ -126,11 +139,23 @@ def insonify(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def scatter(path, tissue, blood, echo, lattice_inverse, table, seed, frame_seed, fine, real, imaginary):
+def scatter(
+    path: AnyArray,
+    tissue: AnyArray,
+    blood: AnyArray,
+    echo: AnyArray,
+    lattice_inverse: float,
+    table: AnyArray,
+    seed: np.uint64,
+    frame_seed: np.uint64,
+    fine: int,
+    real: AnyArray,
+    imaginary: AnyArray,
+) -> None:
     """Complex echoes of the scatterers on a laterally and axially finer raster.
 
-    Tissue scatterers are fixed to lattice cells of the reference heart, so they move with it; blood is redrawn with
-    every frame. `real`, `imaginary`: (lines·fine, samples·2) float32 out.
+    Tissue scatterers are fixed to lattice cells of the reference heart and move with it; blood is redrawn
+    with every frame. `real`, `imaginary`: (lines·fine, samples·2) float32 out.
     """
     lines, samples = tissue.shape
     for m in range(lines * fine):
@@ -146,40 +171,25 @@ def scatter(path, tissue, blood, echo, lattice_inverse, table, seed, frame_seed,
                     real[m, j] = s
                     imaginary[m, j] = 0.0
                     continue
+                c = i // COARSE
+                f = (i - COARSE * c + 0.25 + 0.5 * half) / COARSE
+                n1, f1 = (1.0 - g) * (1.0 - f), (1.0 - g) * f
+                n2, f2 = g * (1.0 - f), g * f
+                near1, far1 = path[left, c], path[left, c + 1]
+                near2, far2 = path[left + 1, c], path[left + 1, c + 1]
+                u = n1 * near1[0] + f1 * far1[0] + n2 * near2[0] + f2 * far2[0]
+                v = n1 * near1[1] + f1 * far1[1] + n2 * near2[1] + f2 * far2[1]
+                w = n1 * near1[2] + f1 * far1[2] + n2 * near2[2] + f2 * far2[2]
+                ui = np.int64(np.floor(u * lattice_inverse))
+                vi = np.int64(np.floor(v * lattice_inverse))
+                wi = np.int64(np.floor(w * lattice_inverse))
                 re, im = np.float32(s), np.float32(0.0)
                 if t >= 1e-6:
-                    c = i // COARSE
-                    f = (i - COARSE * c + 0.25 + 0.5 * half) / COARSE
-                    near_share, far_share = (1.0 - g) * (1.0 - f), (1.0 - g) * f
-                    n2, f2 = g * (1.0 - f), g * f
-                    u = (
-                        near_share * path[left, c, 0]
-                        + far_share * path[left, c + 1, 0]
-                        + n2 * path[left + 1, c, 0]
-                        + f2 * path[left + 1, c + 1, 0]
-                    )
-                    v = (
-                        near_share * path[left, c, 1]
-                        + far_share * path[left, c + 1, 1]
-                        + n2 * path[left + 1, c, 1]
-                        + f2 * path[left + 1, c + 1, 1]
-                    )
-                    w = (
-                        near_share * path[left, c, 2]
-                        + far_share * path[left, c + 1, 2]
-                        + n2 * path[left + 1, c, 2]
-                        + f2 * path[left + 1, c + 1, 2]
-                    )
-                    h = lattice_hash(
-                        np.int64(np.floor(u * lattice_inverse)),
-                        np.int64(np.floor(v * lattice_inverse)),
-                        np.int64(np.floor(w * lattice_inverse)),
-                        seed,
-                    )
+                    h = lattice_hash(ui, vi, wi, seed)
                     re += t * table[h, 0]
                     im += t * table[h, 1]
                 if b >= 1e-6:
-                    h = lattice_hash(m, j, 7, frame_seed)
+                    h = lattice_hash(ui, vi, wi, frame_seed)
                     re += b * table[h, 0]
                     im += b * table[h, 1]
                 real[m, j] = re
@@ -187,7 +197,7 @@ def scatter(path, tissue, blood, echo, lattice_inverse, table, seed, frame_seed,
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
-def axial_blur(fine_signal, taps, out):
+def axial_blur(fine_signal: AnyArray, taps: AnyArray, out: AnyArray) -> None:
     """Axial pulse: (m, 2·samples) to (m, samples); `taps` has even length, centred between the two halves."""
     reach = len(taps) // 2
     width = fine_signal.shape[1]
@@ -202,8 +212,8 @@ def axial_blur(fine_signal, taps, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
-def lateral_blur(signal, taps, fine, out):
-    """Beam pattern: (lines·fine, samples) to (lines, samples); `taps` (k, samples), k even for an even `fine`."""
+def lateral_blur(signal: AnyArray, taps: AnyArray, fine: int, out: AnyArray) -> None:
+    """Beam pattern: (lines·fine, samples) to (lines, samples); `taps` (k, samples), k even."""
     reach = taps.shape[0] // 2
     rows = signal.shape[0]
     for line in range(out.shape[0]):
@@ -218,19 +228,26 @@ def lateral_blur(signal, taps, fine, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def detect(real, imaginary, noise, gain, top_db, range_db, table, frame_seed, grey):
-    """Receiver noise, time-gain compensation, envelope and log compression to 0…255 (float32, not rounded)."""
+def detect(
+    real: AnyArray,
+    imaginary: AnyArray,
+    noise: float,
+    gain: AnyArray,
+    table: AnyArray,
+    frame_seed: np.uint64,
+    level_db: AnyArray,
+) -> None:
+    """Receiver noise, time-gain compensation and envelope, in dB re myocardium's scatter amplitude."""
     for line in range(real.shape[0]):
         for i in range(real.shape[1]):
             h = lattice_hash(line, i, 3, frame_seed)
             re = (real[line, i] + noise * table[h, 0]) * gain[i]
             im = (imaginary[line, i] + noise * table[h, 1]) * gain[i]
-            level = 10.0 * np.log10(re * re + im * im + 1e-20)
-            grey[line, i] = min(max(255.0 * (level - top_db + range_db) / range_db, 0.0), 255.0)
+            level_db[line, i] = 10.0 * np.log10(re * re + im * im + 1e-20)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def scan_convert(grey, line_index, sample_index, out):
+def scan_convert(grey: AnyArray, line_index: AnyArray, sample_index: AnyArray, out: AnyArray) -> None:
     """Bilinear interpolation of (lines, samples) to pixels; pixels with a negative line index stay 0."""
     lines, samples = grey.shape
     for row in range(out.shape[0]):

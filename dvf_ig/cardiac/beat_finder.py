@@ -24,21 +24,23 @@ class RPeakOptions:
         close_share: a complex is over when the envelope falls to this share of its top.
         close_s: or when its top lies this far back.
         override: height against the previous beat at which a second complex replaces it.
+        contrast: a complex must stand this many times above what lies between complexes.
         clip: no lead counts for more than this many times its level.
     """
 
     learning_s: float = 2.0
-    refractory_s: float = 0.22
+    refractory_s: float = 0.24
     t_wave_s: float = 0.40
     t_wave_share: float = 0.75
-    share: float = 0.35
-    late_share: float = 0.18
-    search_back_share: float = 0.16
+    share: float = 0.5
+    late_share: float = 0.3
+    search_back_share: float = 0.2
     search_back_rr: float = 1.5
     close_share: float = 0.6
     close_s: float = 0.09
     override: float = 1.8
     clip: float = 2.5
+    contrast: float = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,7 @@ class BeatFinder:
         if since <= options.refractory_s:
             if since > 0.08 and hump.height > max(options.override * self._last_height, 0.6):
                 self._accept(hump, found, regular=False)
-        elif hump.height > self._threshold(since):
+        elif hump.height > max(self._threshold(since), options.contrast * self._levels.background()):
             self._accept(hump, found)
         else:
             self._candidates.append(hump)
@@ -133,7 +135,9 @@ class BeatFinder:
         if self._candidates and waited > options.search_back_rr * self._rr:
             late = [c for c in self._candidates if c.top - self._last > options.t_wave_s * self._rate]
             best = max(late, key=lambda c: (c.height, c.top), default=None)
-            if best is not None and best.height > options.search_back_share:
+            if best is not None and best.height > max(
+                options.search_back_share, options.contrast * self._levels.background()
+            ):
                 self._accept(Complex(best.top, self._now, best.height), found)
                 self._candidates = [c for c in late if c.top > best.top + options.refractory_s * self._rate]
         second = round(self._rate)

@@ -1,6 +1,7 @@
 """How high QRS complexes and noise stand in each lead, and how to add the leads up."""
 
 from collections.abc import Sequence
+from math import exp
 
 import numpy as np
 
@@ -9,7 +10,9 @@ from dvf_ig.core import FloatArray
 RISE, FALL = 0.2, 0.05
 """Share of a beat's surprise that its level takes up: quickly upwards, slowly downwards, so that a run of
 false small beats cannot drag the threshold down with it."""
-NOISE_TIME_S = 1.5
+NOISE_TIME_S = 0.4
+NOISE_QUANTILE = 0.6
+"""Noise is this quantile of the envelope, which the complexes themselves hardly touch."""
 NOISE_FLOOR = 0.02
 """Smallest noise assumed, as a share of the level: a perfectly clean lead does not silence the others."""
 
@@ -23,30 +26,41 @@ class LeadLevels:
     def __init__(self, rate_hz: float, leads: int, clip: float) -> None:
         self._leads = range(leads)
         self._clip = clip
-        self._gain = 1.0 / (NOISE_TIME_S * rate_hz)
+        step = 1.0 / (NOISE_TIME_S * rate_hz)
+        self._up, self._down = exp(NOISE_QUANTILE * step), exp(-(1.0 - NOISE_QUANTILE) * step)
+        self._age, self._period = 0, max(1, round(0.05 * rate_hz))
         self._level = [1.0] * leads
         self._noise = [1.0] * leads
         self._weights = [1.0 / leads] * leads
 
     def learn(self, envelope: FloatArray, rate_hz: float) -> None:
-        """Set levels from a first stretch of (n, leads) envelope: typical tops, mean noise."""
+        """Set levels from a first stretch of (n, leads) envelope: second-highest top, mean noise."""
         window = max(2, round(0.55 * rate_hz))
         starts = range(0, max(1, len(envelope) - window + 1), window // 2)
         tops = np.array([envelope[i : i + window].max(axis=0) for i in starts])
-        self._level = [float(v) + 1e-9 for v in np.median(tops, axis=0)]
-        self._noise = [float(v) + 1e-9 for v in envelope.mean(axis=0)]
+        # each beat lies in two of the overlapping windows, a single artefact is not believed
+        second = np.sort(tops, axis=0)[-min(2, len(tops))]
+        self._level = [float(v) + 1e-9 for v in second]
+        self._noise = [float(v) + 1e-9 for v in np.quantile(envelope, NOISE_QUANTILE, axis=0)]
         self._weigh()
 
     def combined(self, row: Sequence[float], off: Sequence[bool]) -> float:
         """One sample of the leads' envelopes as one height; leads that are off do not count."""
+        self._age += 1
+        if self._age % self._period == 0:
+            self._weigh()
         height = 0.0
         for k in self._leads:
             if off[k]:
                 continue
             value = min(row[k], self._clip * self._level[k])
-            self._noise[k] += self._gain * (value - self._noise[k])
+            self._noise[k] *= self._up if value > self._noise[k] else self._down
             height += self._weights[k] * value
         return height
+
+    def background(self) -> float:
+        """Height of what lies between complexes; close to 1 where no complex stands out (flutter, noise)."""
+        return sum(w * noise for w, noise in zip(self._weights, self._noise, strict=True))
 
     def beat(self, row: Sequence[float]) -> None:
         """Follow the tops of an accepted complex."""

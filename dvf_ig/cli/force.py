@@ -61,12 +61,12 @@ def force(
         limits = DeviceLimits(stiffness_n_per_m=stiffness)
         chosen: Law
         if law is LawName.sigmoid:
-            chosen = limits.checked(Sigmoid(gamma, cap_n, depth_mm))
+            chosen = Sigmoid(gamma, cap_n, depth_mm)
         else:
-            chosen = limits.checked(Gaussian(delta_mm, exponent, cap_n, depth_mm))
+            chosen = Gaussian(delta_mm, exponent, cap_n, depth_mm)
         model = read_model(model_file)
         xyz_mm = _read_points(points)
-        samples = Evaluator(model, chosen, blend=blend.value).force(xyz_mm, phase)
+        samples = Evaluator(model, chosen, blend=blend.value, device=limits).force(xyz_mm, phase)
         _print(samples, xyz_mm, model.frame, as_json)
 
 

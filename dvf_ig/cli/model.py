@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.core import DvfModel, Preop
+from dvf_ig.core import DvfModel, OutputError, Preop
 
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, warn, wrote
 
@@ -42,6 +42,10 @@ def build(
     with command(threads):
         if (surfaces is None) == (labels is None):
             raise typer.BadParameter("give either --surfaces DIR or --labels SERIES")
+        if not output.parent.is_dir():
+            raise OutputError(
+                f"cannot write {output}: the folder {output.parent} does not exist; make it first"
+            )
         from dvf_ig.io import write_model
         from dvf_ig.preop import ModelOptions
 
@@ -148,6 +152,9 @@ def _report(
 
 
 def _payload(model: DvfModel, result: "ModelCheck", seed: int, seconds: float | None) -> dict[str, Any]:
+    from dvf_ig.preop import border_distance_mm, potential_at_border
+
+    border_mm = border_distance_mm(model)
     return {
         "surface_error_mm": {
             "mean": result.mean_mm,
@@ -166,6 +173,8 @@ def _payload(model: DvfModel, result: "ModelCheck", seed: int, seconds: float | 
         "timing_assumed": model.timing.timing_assumed,
         "ed_phase": model.ed_phase,
         "es_fraction": model.es_fraction,
+        "border_distance_mm": border_mm,
+        "potential_at_border": potential_at_border(border_mm, 1.0),
         "points": result.points,
         "excluded_area_share": result.excluded_area_share,
         "rim_mm": result.rim_mm,
@@ -174,11 +183,19 @@ def _payload(model: DvfModel, result: "ModelCheck", seed: int, seconds: float | 
 
 
 def _rows(model: DvfModel, result: "ModelCheck", seconds: float | None) -> list[tuple[str, str]]:
+    from dvf_ig.preop import border_distance_mm, potential_at_border
+
+    border_mm = border_distance_mm(model)
     extent = (model.upper_mm - model.origin_mm).round(0).astype(int).tolist()
     return [
         ("model", f"{model.surface_name} of {model.patient_id}, frame {model.frame}"),
         ("phases", f"{model.phases}, RR {model.timing.rr_s:.3f} s, end-systole at {model.es_fraction:.2f}"),
         ("box", f"{extent[0]} x {extent[1]} x {extent[2]} mm, knots every {model.knot_spacing_mm:g} mm"),
+        (
+            "border",
+            f"{border_mm:.1f} mm off the surface at the nearest: a sigmoid of 1/mm has fallen to "
+            f"{potential_at_border(border_mm, 1.0):.0e} of its cap",
+        ),
         ("size", f"{model.megabytes:.1f} MB"),
         (
             "surface error",

@@ -8,7 +8,7 @@ from dvf_ig.core import InvalidInputError
 
 from .laws import Gaussian, Law, Sigmoid
 
-L = TypeVar("L", Sigmoid, Gaussian)
+L = TypeVar("L", bound=Sigmoid | Gaussian)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +60,10 @@ class DeviceLimits:
             f"the fixture is too stiff for the device: {stiffness * 1000:.4g} N/m at its steepest, "
             f"at most {allowed * 1000:.4g} N/m allowed by {reason}; {_remedy(law, allowed)}"
         )
+
+
+COMMON_DEVICE = DeviceLimits()
+"""1 kHz and 400 N/m: what is assumed of a device of which nothing else is known."""
 
 
 def _remedy(law: Law, allowed_n_per_mm: float) -> str:

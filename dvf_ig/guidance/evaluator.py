@@ -11,6 +11,7 @@ from dvf_ig.core.arrays import check_shape
 from dvf_ig.kernels.dynamic import force_batch
 
 from .blend import BLEND_CODES, Blend
+from .device import COMMON_DEVICE, DeviceLimits
 from .laws import Law
 from .status import Status
 
@@ -44,17 +45,20 @@ class Evaluator:
 
     Args:
         model: the dynamic fixture.
-        law: force law; see DeviceLimits.checked for what a device can render.
+        law: force law.
         blend: "force" (corrected eq. 10) or "distance" (one potential per instant).
+        device: what the haptic device can render.
     Raises:
-        InvalidInputError: unknown blend.
+        InvalidInputError: unknown blend, or a law beyond the device's limits.
     """
 
-    def __init__(self, model: DvfModel, law: Law, *, blend: Blend = "force") -> None:
+    def __init__(
+        self, model: DvfModel, law: Law, *, blend: Blend = "force", device: DeviceLimits = COMMON_DEVICE
+    ) -> None:
         if blend not in BLEND_CODES:
             raise InvalidInputError(f"unknown blend '{blend}'; choose one of {', '.join(BLEND_CODES)}")
         self.model = model
-        self.law = law
+        self.law: Law = device.checked(law)
         self.blend: Blend = blend
         self._fixture = (
             model.coefficients,
@@ -89,15 +93,15 @@ class Evaluator:
         Args:
             status: (n,) what is known beforehand; entries that are not OK get no force. None: all OK.
         """
-        xyz = np.ascontiguousarray(xyz_mm, dtype=np.float64)
+        xyz = np.array(xyz_mm, dtype=np.float64, order="C")
         check_shape(xyz, "points", (None, 3))
         n = len(xyz)
-        phase = np.asarray(model_phase, dtype=np.float64)
+        phase = np.array(model_phase, dtype=np.float64, order="C")
         if phase.ndim == 0:
             phase = np.full(n, phase)
         check_shape(phase, "model phase", (n,))
         known = np.full(n, int(Status.OK)) if status is None else np.array(status, dtype=np.int64)
         check_shape(known, "status", (n,))
         buffers = (np.empty((n, 3)), np.empty(n), np.empty((n, 3)), known)
-        force_batch(*self._fixture, model_from_query, xyz, np.ascontiguousarray(phase), *buffers)
+        force_batch(*self._fixture, model_from_query, xyz, phase, *buffers)
         return ForceSamples(*buffers)

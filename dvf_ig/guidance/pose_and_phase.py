@@ -8,7 +8,7 @@ import numpy as np
 from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError, Rigid
 from dvf_ig.core.arrays import check_shape
 from dvf_ig.core.frames import require_same_frame
-from dvf_ig.kernels.dynamic import force_tick
+from dvf_ig.kernels.dynamic import force_tick_packed, packed_fixture
 
 from .evaluator import Evaluator, ForceSamples
 from .status import Status
@@ -89,6 +89,8 @@ class BoundTick:
 
     def __init__(self, evaluator: Evaluator, mr_from_tracker: FloatArray) -> None:
         self.arguments = (*evaluator.fixture, mr_from_tracker)
+        self._coefficients = evaluator.model.coefficients
+        self._packed = packed_fixture(*self.arguments[1:])
 
     def __call__(self, tip_tracker_mm: FloatArray, model_phase: float, known: int, out: FloatArray) -> int:
         """Force, distance and gradient into `out` (7,); returns the `Status` value.
@@ -99,7 +101,7 @@ class BoundTick:
             known: `Status` of phase, pose and tool together; anything but OK gives zero force.
             out: (7,) force in N, distance in mm, gradient; vectors in the tracker frame.
         """
-        return force_tick(*self.arguments, tip_tracker_mm, model_phase, known, out)
+        return force_tick_packed(self._coefficients, self._packed, tip_tracker_mm, model_phase, known, out)
 
 
 def _rotations(tracker_from_device: FloatArray, n: int) -> FloatArray:

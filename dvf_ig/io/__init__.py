@@ -26,6 +26,7 @@ from .nwire import read_nwire_recording as read_nwire_recording
 from .nwire import read_wire_points as read_wire_points
 from .nwire import write_nwire_phantom as write_nwire_phantom
 from .nwire import write_wire_points as write_wire_points
+from .phantom_landmarks import read_phantom_landmarks as read_phantom_landmarks
 from .plus_xml import CoordinateDefinition as CoordinateDefinition
 from .plus_xml import read_calibrations as read_calibrations
 from .plus_xml import read_coordinate_definitions as read_coordinate_definitions

@@ -4,7 +4,7 @@ import os
 import shutil
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..core.errors import OutputError
@@ -26,7 +26,8 @@ def atomic_file(path: Path) -> Iterator[Path]:
     except OSError as exc:
         raise OutputError(f"cannot write {path}: {_reason(exc, path)}") from exc
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def write_bytes(path: Path, data: bytes | list[bytes]) -> None:

@@ -33,6 +33,7 @@ FROZEN_SAMPLES = 5
 """A pose that repeats bit for bit this often is counted as frozen: a live tracker always shows noise."""
 
 Facts = dict[str, Any]
+Reader = Callable[[Path], Facts]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,7 @@ def describe(spec: str) -> Description:
     return Description(kind, facts(path))
 
 
-def _folder_kind(path: Path) -> tuple[str, Callable[[Path], Facts]]:
+def _folder_kind(path: Path) -> tuple[str, Reader]:
     if (path / CONFIG).is_file():
         return "scenario folder", _scenario_facts
     if surface_names(path):
@@ -68,9 +69,9 @@ def _folder_kind(path: Path) -> tuple[str, Callable[[Path], Facts]]:
     return "tool poses, one 4x4 text file each", _pose_facts
 
 
-def _file_kind(path: Path) -> tuple[str, Callable[[Path], Facts]]:
+def _file_kind(path: Path) -> tuple[str, Reader]:
     name = path.name.lower()
-    by_ending: list[tuple[tuple[str, ...], str, Callable[[Path], Facts]]] = [
+    by_ending: list[tuple[tuple[str, ...], str, Reader]] = [
         (tuple(DECODERS), "triangle mesh", mesh_facts),
         ((".npz",), "fixture model", model_facts),
         ((".tfm",), "rigid transform", transform_facts),
@@ -91,8 +92,8 @@ def _file_kind(path: Path) -> tuple[str, Callable[[Path], Facts]]:
         return ("tracked sequence", _sequence_facts) if tracked else ("image", image_facts)
     raise UnreadableFileError(
         f"{path} is of no kind known here; known are tracked sequences (.igs.mha, .igs.nrrd), images "
-        "(.nii.gz, .nrrd, .mha), meshes (.obj, .stl, .ply, .vtp), models (.npz), transforms (.tfm), landmarks "
-        "(.mrk.json, .fcsv, .tag), PLUS .xml, ECG (wfdb:, edf:, csv:) and scenario folders"
+        "(.nii.gz, .nrrd, .mha), meshes (.obj, .stl, .ply, .vtp), models (.npz), transforms (.tfm), "
+        "landmarks (.mrk.json, .fcsv, .tag), PLUS .xml, ECG (wfdb:, edf:, csv:) and scenario folders"
     )
 
 
@@ -107,7 +108,7 @@ def sequence_facts(sequence: TrackedSequence) -> Facts:
         "frames": len(sequence),
         "image_size_px": None if images is None else [images.shape[2], images.shape[1]],
         "orientation": sequence.orientation,
-        "invalid_image_share": None if images is None else float((~sequence.image_valid).mean()),
+        "invalid_image_share": None if images is None else 1.0 - float(sequence.image_valid.mean()),
         "has_timestamps": sequence.has_timestamps,
         **_clock_facts(sequence.t_s if sequence.has_timestamps else None),
         "transforms": {name: stream_facts(stream) for name, stream in sequence.poses.items()},
@@ -145,7 +146,7 @@ def stream_facts(stream: PoseStream) -> Facts:
 
 
 def _frozen_share(repeats: BoolArray) -> float:
-    """Share of samples in runs of at least FROZEN_SAMPLES equal ones; `repeats[i]`: equal to the one before."""
+    """Share of samples in runs of at least FROZEN_SAMPLES equal ones; `repeats[i]`: equals sample i − 1."""
     starts = np.flatnonzero(~repeats)
     lengths = np.diff(np.append(starts, len(repeats)))
     return float(lengths[lengths >= FROZEN_SAMPLES].sum() / len(repeats))

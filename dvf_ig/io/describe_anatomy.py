@@ -50,9 +50,10 @@ def _grid_facts(grid: Grid) -> Facts:
 
 def _value_facts(values: AnyArray) -> Facts:
     facts: Facts = {"type": str(values.dtype), "minimum": float(values.min()), "maximum": float(values.max())}
-    if np.issubdtype(values.dtype, np.integer):
-        distinct = np.unique(values)
-        facts["labels"] = distinct.tolist() if len(distinct) <= MOST_LABELS else None
+    if np.issubdtype(values.dtype, np.integer) and values.min() >= 0 and values.max() < 1 << 16:
+        present = np.zeros(int(values.max()) + 1, dtype=np.bool_)
+        present[values] = True
+        facts["labels"] = np.flatnonzero(present).tolist() if present.sum() <= MOST_LABELS else None
     return facts
 
 

@@ -1,5 +1,9 @@
 """WFDB and EDF recordings, through the packages of the `ecg` extra."""
 
+import importlib
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 
@@ -12,6 +16,9 @@ from .reading import reading
 
 BEAT_SYMBOLS = frozenset("NLRBAaJSVrFejnE/fQ?")
 """Annotation codes that mark a heart beat (PhysioNet, "WFDB annotation codes")."""
+
+_DAMAGE = (ValueError, LookupError, TypeError, ArithmeticError, OSError)
+"""What these packages raise on damaged files."""
 
 _TO_MV = {"mv": 1.0, "uv": 1e-3, "µv": 1e-3, "μv": 1e-3, "v": 1e3}
 
@@ -26,8 +33,9 @@ def read_wfdb(record: Path) -> Signal:
     wfdb = _wfdb()
     record = _existing_record(record)
     try:
-        data = wfdb.rdrecord(str(record.resolve()))
-    except (ValueError, IndexError, KeyError, TypeError, OSError) as exc:
+        with _quiet():
+            data = wfdb.rdrecord(str(record.resolve()))
+    except _DAMAGE as exc:
         raise UnreadableFileError(f"{record}: not a readable WFDB record ({exc}); copy it again") from exc
     if data.p_signal is None:
         raise UnreadableFileError(f"{record}: the record has several sampling rates; resample it to one")
@@ -44,14 +52,15 @@ def read_edf(path: Path) -> Signal:
     """
     edfio = _extra("edfio")
     try:
-        edf = edfio.read_edf(path)
+        with _quiet():
+            edf = edfio.read_edf(path)
         labelled = [s for s in edf.signals if "ecg" in s.label.lower()]
         chosen = labelled or list(edf.signals)
         rates = {float(s.sampling_frequency) for s in chosen}
         columns = [np.asarray(s.data, dtype=np.float64) for s in chosen]
     except FileNotFoundError:
         raise
-    except (ValueError, KeyError, IndexError, OSError) as exc:
+    except _DAMAGE as exc:
         raise UnreadableFileError(f"{path}: not a readable EDF file ({exc}); export it again") from exc
     if len(rates) != 1:
         listed = ", ".join(f"{s.label} {s.sampling_frequency:g} Hz" for s in chosen) or "none"
@@ -79,9 +88,10 @@ def read_beat_annotations(spec: str) -> FloatArray:
     with reading(Path(f"{record}.atr"), "beat annotations"), open(f"{record}.atr", "rb"):
         pass
     try:
-        rate_hz = float(wfdb.rdheader(str(record.resolve())).fs)
-        notes = wfdb.rdann(str(record.resolve()), "atr")
-    except (ValueError, IndexError, KeyError, TypeError, OSError) as exc:
+        with _quiet():
+            rate_hz = float(wfdb.rdheader(str(record.resolve())).fs)
+            notes = wfdb.rdann(str(record.resolve()), "atr")
+    except _DAMAGE as exc:
         raise UnreadableFileError(f"{record}.atr: not readable annotations ({exc}); copy it again") from exc
     beats = [s for s, symbol in zip(notes.sample, notes.symbol, strict=True) if symbol in BEAT_SYMBOLS]
     return np.unique(np.asarray(beats, dtype=np.float64)) / rate_hz
@@ -111,11 +121,18 @@ def _wfdb() -> ModuleType:
     return _extra("wfdb")
 
 
-def _extra(name: str) -> ModuleType:
-    import importlib
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence what these packages' own dependencies warn about; a user cannot act on it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
+
+def _extra(name: str) -> ModuleType:
     try:
-        return importlib.import_module(name)
+        with _quiet():
+            return importlib.import_module(name)
     except ModuleNotFoundError as exc:
         raise MissingDependencyError(
             f'reading this ECG needs the package {name}; install it with: pip install "dvf-ig[ecg]"'

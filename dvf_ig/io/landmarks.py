@@ -165,7 +165,7 @@ def _from_tag(path: Path) -> tuple[list[str], list[FloatArray]]:
         if row is None and line.strip() and not line.lstrip().startswith("%"):
             raise UnreadableFileError(f"{path}: '{line.strip()[:60]}' is not a row of numbers and a name")
         if row is not None:
-            rows.append([float(number) for number in row[1].split()[: 3 * count]])
+            rows.append(_coordinates(path, row[1], 3 * count))
             names.append(row[2] or str(len(rows)))
     if count not in (1, 2) or any(len(row) != 3 * count for row in rows):
         raise UnreadableFileError(f"{path}: {count} volumes; needed 1 or 2 with 3 coordinates each a row")
@@ -173,3 +173,11 @@ def _from_tag(path: Path) -> tuple[list[str], list[FloatArray]]:
         names = [str(i + 1) for i in range(len(rows))]
     table = np.array(rows).reshape(-1, count, 3) * _TO_LPS["RAS"]
     return names, [table[:, side] for side in range(count)]
+
+
+def _coordinates(path: Path, text: str, count: int) -> list[float]:
+    """The first `count` numbers of a row; what follows them (weight, structure, patient) is ignored."""
+    try:
+        return [float(number) for number in text.split()[:count]]
+    except ValueError as exc:
+        raise UnreadableFileError(f"{path}: '{text.strip()[:60]}' is not a row of numbers ({exc})") from exc

@@ -140,7 +140,7 @@ def _unpack(path: Path, data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         header = json.loads(arrays.pop("header").tobytes())
-    except (ValueError, KeyError, zipfile.BadZipFile) as exc:
+    except (ValueError, KeyError, RuntimeError, zipfile.BadZipFile) as exc:
         raise UnreadableFileError(f"{path} is not a model file ({exc}); build it again") from exc
     if not isinstance(header, dict):
         raise UnreadableFileError(f"{path} is not a model file: its header is no JSON object; build it again")

@@ -41,9 +41,10 @@ class CoordinateDefinition:
 
 def parse_xml(path: Path, what: str) -> ElementTree.Element:
     """Root element of an XML file, or UnreadableFileError giving the line."""
+    data = read_bytes(path, what)
     try:
-        return ElementTree.fromstring(read_bytes(path, what))
-    except ElementTree.ParseError as exc:
+        return ElementTree.fromstring(data)
+    except (ElementTree.ParseError, LookupError, ValueError) as exc:
         raise UnreadableFileError(f"{path} is not {what}: {exc}") from exc
 
 

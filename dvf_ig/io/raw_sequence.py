@@ -81,6 +81,7 @@ def _read_metaimage(path: Path, data: bytes) -> RawSequence:
     columns, rows, frames = _layout(path, sizes, fields.get("Kinds", "").split())
     expected = columns * rows * frames
     if expected == 0:
+        _require_plausible(path, frames, len(data))
         return RawSequence(fields, header.frame_fields, 0, 0, frames, b"")
     _require_uint8(path, fields.get("ElementType"), fields.get("ElementNumberOfChannels", "1"))
     if fields.get("BinaryData", "True").lower() != "true":
@@ -110,6 +111,7 @@ def _read_nrrd(path: Path, data: bytes) -> RawSequence:
     columns, rows, frames = _layout(path, sizes, fields.get("kinds", "").split())
     expected = columns * rows * frames
     if expected == 0:
+        _require_plausible(path, frames, len(data))
         return RawSequence(fields, header.frame_fields, 0, 0, frames, b"")
     _require_uint8(path, fields.get("type"), "1")
     payload = _payload(path, data, start, fields.get("data file", fields.get("datafile", "LOCAL")))
@@ -163,6 +165,12 @@ def _layout(path: Path, sizes: list[int], kinds: list[str]) -> tuple[int, int, i
     if frames == 0:
         raise UnreadableFileError(f"{path} holds no frames; record again")
     return (columns, rows, frames) if columns and rows else (0, 0, frames)
+
+
+def _require_plausible(path: Path, frames: int, size: int) -> None:
+    """A pose-only file has at least a byte a frame; a damaged count must not reserve memory."""
+    if frames > size:
+        raise UnreadableFileError(f"{path}: its header counts {frames} frames, the file has {size} bytes")
 
 
 def _require_uint8(path: Path, kind: str | None, channels: str) -> None:

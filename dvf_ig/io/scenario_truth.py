@@ -149,5 +149,5 @@ def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, AnyArray]:
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             return {name: archive[name] for name in names}
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as exc:
+    except (ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile) as exc:
         raise UnreadableFileError(f"{path} is damaged or lacks an array ({exc}); write it again") from exc

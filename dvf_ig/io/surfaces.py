@@ -150,7 +150,8 @@ def _constant(data: bytes) -> Callable[[], bytes]:
 
 def _files_of(folder: Path, files: list[_PhaseFile], name: str) -> tuple[str, list[_PhaseFile]]:
     """The patient and the phases of one surface, in order."""
-    chosen = [file for file in files if file.stem == name or file.stem.endswith(f"_{name}")]
+    chosen = [file for file in files if file.stem == name]
+    chosen = chosen or [file for file in files if file.stem.endswith(f"_{name}")]
     if not chosen:
         listed = ", ".join(_surface_names(files)) or "none at all"
         raise UnreadableFileError(f"{folder} has no surface '{name}'; it has {listed}")

@@ -11,7 +11,7 @@ from ..core.errors import InvalidInputError, OutputError, UnreadableFileError
 from ..core.rigid import rigidity_defect
 from ..core.volume import Grid, Volume, VolumeSeries
 from .atomic import atomic_file
-from .nifti_shear import check_nifti_axes
+from .nifti_check import check_nifti
 from .reading import reading
 from .timing import read_timing
 
@@ -70,12 +70,12 @@ def image_dimension(path: Path | str) -> int:
     path = Path(path)
     with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
         path.stat()
-        check_nifti_axes(path)
         header = SimpleITK.ImageFileReader()
         header.SetFileName(str(path))
         try:
             header.ReadImageInformation()
         except RuntimeError as exc:
+            check_nifti(path)
             raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
         return int(header.GetDimension())
 
@@ -108,7 +108,7 @@ def _read(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
 
     with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
         path.stat()
-        check_nifti_axes(path)
+        check_nifti(path)
         try:
             image = SimpleITK.ReadImage(str(path))
         except RuntimeError as exc:
@@ -134,9 +134,11 @@ def _exact(
 
     What was recorded counts only while it still agrees with the image's own header.
     """
-    if not image.HasMetaDataKey(_EXACT_KEY):
+    text = image.GetMetaData(_EXACT_KEY) if image.HasMetaDataKey(_EXACT_KEY) else ""
+    try:
+        numbers = np.array([float(part) for part in text.split()])
+    except ValueError:
         return origin, spacing, direction
-    numbers = np.array([float(part) for part in image.GetMetaData(_EXACT_KEY).split()])
     if numbers.size != 15 or not np.allclose(
         numbers, np.concatenate([origin, spacing, direction.ravel()]), rtol=1e-12, atol=1e-9
     ):
@@ -160,7 +162,9 @@ def _right_handed(
             f"-r ORTHOGONAL_REFERENCE.nii.gz -o straight_{path.name}"
         )
     shape = (int(values.shape[-3]), int(values.shape[-2]), int(values.shape[-1]))
-    return Grid(frame, shape, origin, spacing, direction), np.ascontiguousarray(values)
+    owned = np.array(values, order="C")  # a copy: `values` may be a view into an image that goes away
+    owned.setflags(write=False)
+    return Grid(frame, shape, origin, spacing, direction), owned
 
 
 def _image(grid: Grid, values: AnyArray) -> Any:

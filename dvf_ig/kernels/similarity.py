@@ -4,218 +4,174 @@ In each square patch of a slice the ultrasound u is fitted by α·a + β·b + γ
 the model at that place (MR intensity and gradient magnitude, or blood and wall maps). The patch scores
 S = 1 − Var(residual)/Var(u), the slice the mean of S weighted by the patch's standard deviation of u.
 
-Window sums come from integral images, so the cost does not depend on the patch size. Each slice writes its
-own results: they are the same at any thread count.
+Window sums come from integral images, so the cost does not depend on the patch size; the seven sums of a
+pixel lie side by side, so a window costs four cache lines. What depends on u alone is computed once per slice
+set. Each slice writes its own results: they are the same at any thread count.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
+from .compiled import inlined, kernel
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+SUMS = 7
+"""a, b, a², b², ab, ua, ub."""
 RIDGE = 1e-4
-"""Added to both channel variances; the channels are scaled to unit variance over the heart."""
+"""Added to both channel variances; the channels are scaled to unit variance over the model's volume."""
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")  # type: ignore[untyped-decorator]
-def _window(table, row, col, radius):  # type: ignore[no-untyped-def]
-    """Sum over the (2·radius + 1)² window about (row, col) from an integral image padded by radius + 1."""
-    r0, r1 = row, row + 2 * radius + 1
-    c0, c1 = col, col + 2 * radius + 1
-    return table[r1, c1] - table[r0, c1] - table[r1, c0] + table[r0, c0]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def integrate(image, radius, table):  # type: ignore[no-untyped-def]
-    """Integral image of `image` (rows, columns), padded by `radius` of zeros on each side, into `table`."""
-    rows, cols = image.shape
-    height, width = table.shape
-    for c in range(width):
-        table[0, c] = 0.0
-    for r in range(1, height):
-        total = 0.0
-        table[r, 0] = 0.0
-        ir = r - 1 - radius
-        for c in range(1, width):
-            ic = c - 1 - radius
-            if 0 <= ir < rows and 0 <= ic < cols:
-                total += image[ir, ic]
-            table[r, c] = table[r - 1, c] + total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def sample_channels(channels, phase, matrix, mask, out):  # type: ignore[no-untyped-def]
+@kernel
+def sample_channels(
+    channels: NDArray[np.float32], phase: int, matrix: Floats, mask: Bools, out: Floats
+) -> float:
     """Trilinear values of both channels at every masked pixel of one slice.
 
     Args:
         channels: (n, nx, ny, nz, 2) float32.
         phase: which of the n volumes.
         matrix: (3, 3) voxel index from (column, row, 1).
-        mask: (rows, columns) bool.
-        out: (2, rows, columns) filled with values, 0 outside the mask; the border value outside the volume.
+        mask: (rows, columns).
+        out: (rows, columns, 2) filled with values, 0 outside the mask; the border value outside the volume.
     Returns:
         share of masked pixels that lie inside the volume.
     """
-    nx, ny, nz = channels.shape[1], channels.shape[2], channels.shape[3]
-    inside, total = 0, 0
+    volume = channels[phase]
+    top_x, top_y, top_z = volume.shape[0] - 1.0, volume.shape[1] - 1.0, volume.shape[2] - 1.0
+    inside = 0
+    total = 0
     for r in range(mask.shape[0]):
         for c in range(mask.shape[1]):
             if not mask[r, c]:
-                out[0, r, c] = 0.0
-                out[1, r, c] = 0.0
+                out[r, c, 0] = 0.0
+                out[r, c, 1] = 0.0
                 continue
             total += 1
             x = matrix[0, 0] * c + matrix[0, 1] * r + matrix[0, 2]
             y = matrix[1, 0] * c + matrix[1, 1] * r + matrix[1, 2]
             z = matrix[2, 0] * c + matrix[2, 1] * r + matrix[2, 2]
-            if 0.0 <= x <= nx - 1 and 0.0 <= y <= ny - 1 and 0.0 <= z <= nz - 1:
+            if 0.0 <= x <= top_x and 0.0 <= y <= top_y and 0.0 <= z <= top_z:
                 inside += 1
-            x = min(max(x, 0.0), nx - 1.0)
-            y = min(max(y, 0.0), ny - 1.0)
-            z = min(max(z, 0.0), nz - 1.0)
-            i, j, k = min(int(x), nx - 2), min(int(y), ny - 2), min(int(z), nz - 2)
+            x = min(max(x, 0.0), top_x)
+            y = min(max(y, 0.0), top_y)
+            z = min(max(z, 0.0), top_z)
+            i, j, k = min(int(x), int(top_x) - 1), min(int(y), int(top_y) - 1), min(int(z), int(top_z) - 1)
             fx, fy, fz = x - i, y - j, z - k
+            w11, w10, w01, w00 = fx * fy, fx * (1 - fy), (1 - fx) * fy, (1 - fx) * (1 - fy)
             for ch in range(2):
-                v = channels[phase, i : i + 2, j : j + 2, k : k + 2, ch]
-                v00 = v[0, 0, 0] + fz * (v[0, 0, 1] - v[0, 0, 0])
-                v01 = v[0, 1, 0] + fz * (v[0, 1, 1] - v[0, 1, 0])
-                v10 = v[1, 0, 0] + fz * (v[1, 0, 1] - v[1, 0, 0])
-                v11 = v[1, 1, 0] + fz * (v[1, 1, 1] - v[1, 1, 0])
-                v0 = v00 + fy * (v01 - v00)
-                v1 = v10 + fy * (v11 - v10)
-                out[ch, r, c] = v0 + fx * (v1 - v0)
+                low = (
+                    w00 * volume[i, j, k, ch]
+                    + w01 * volume[i, j + 1, k, ch]
+                    + w10 * volume[i + 1, j, k, ch]
+                    + w11 * volume[i + 1, j + 1, k, ch]
+                )
+                high = (
+                    w00 * volume[i, j, k + 1, ch]
+                    + w01 * volume[i, j + 1, k + 1, ch]
+                    + w10 * volume[i + 1, j, k + 1, ch]
+                    + w11 * volume[i + 1, j + 1, k + 1, ch]
+                )
+                out[r, c, ch] = low + fz * (high - low)
     return inside / max(total, 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def fit_patch(n, su, suu, sa, sb, saa, sbb, sab, sua, sub):  # type: ignore[no-untyped-def]
-    """Best linear fit of u by a and b over one patch, from its sums.
+@kernel
+def integrate_products(image: NDArray[np.float32], values: Floats, table: Floats) -> None:
+    """Integral images of the seven sums, (rows + 1, columns + 1, 7), first row and column zero.
 
-    Returns:
-        (explained share S in [0, 1], variance of u, α, β).
+    Args:
+        image: (rows, columns) ultrasound; values: (rows, columns, 2) channels; all 0 outside the mask.
     """
-    inv = 1.0 / n
-    var_u = suu * inv - (su * inv) ** 2
-    aa = saa * inv - (sa * inv) ** 2 + RIDGE
-    bb = sbb * inv - (sb * inv) ** 2 + RIDGE
-    ab = sab * inv - sa * sb * inv * inv
-    ua = sua * inv - su * sa * inv * inv
-    ub = sub * inv - su * sb * inv * inv
-    det = aa * bb - ab * ab
-    alpha = (ua * bb - ub * ab) / det
-    beta = (ub * aa - ua * ab) / det
-    if var_u <= 1e-12:
-        return 0.0, 0.0, alpha, beta
-    explained = (alpha * ua + beta * ub) / var_u
-    return min(max(explained, 0.0), 1.0), var_u, alpha, beta
+    rows, cols = image.shape
+    for c in range(cols + 1):
+        for q in range(SUMS):
+            table[0, c, q] = 0.0
+    for r in range(1, rows + 1):
+        sa = sb = saa = sbb = sab = sua = sub = 0.0
+        for q in range(SUMS):
+            table[r, 0, q] = 0.0
+        for c in range(1, cols + 1):
+            u, a, b = image[r - 1, c - 1], values[r - 1, c - 1, 0], values[r - 1, c - 1, 1]
+            sa += a
+            sb += b
+            saa += a * a
+            sbb += b * b
+            sab += a * b
+            sua += u * a
+            sub += u * b
+            table[r, c, 0] = table[r - 1, c, 0] + sa
+            table[r, c, 1] = table[r - 1, c, 1] + sb
+            table[r, c, 2] = table[r - 1, c, 2] + saa
+            table[r, c, 3] = table[r - 1, c, 3] + sbb
+            table[r, c, 4] = table[r - 1, c, 4] + sab
+            table[r, c, 5] = table[r - 1, c, 5] + sua
+            table[r, c, 6] = table[r - 1, c, 6] + sub
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def lc2_slices(  # type: ignore[no-untyped-def]
-    images,
-    masks,
-    count_sum,
-    u_sum,
-    uu_sum,
-    matrices,
-    phases,
-    channels,
-    radius,
-    min_count,
-    values,
-    tables,
-    out,
-):
+@inlined
+def window_mean(table: Floats, box: Any, q: int, inverse_count: float) -> float:
+    """Mean of sum `q` over the window (first row, last row + 1, first column, last column + 1)."""
+    r0, r1, c0, c1 = box
+    total = table[r1, c1, q] - table[r0, c1, q] - table[r1, c0, q] + table[r0, c0, q]
+    return float(total * inverse_count)
+
+
+@kernel
+def explained_share(table: Floats, box: Any, inverse_count: float, mean_u: float, var_u: float) -> float:
+    """S of one patch: the share of u's variance that the best α·a + β·b + γ explains."""
+    a = window_mean(table, box, 0, inverse_count)
+    b = window_mean(table, box, 1, inverse_count)
+    aa = window_mean(table, box, 2, inverse_count) - a * a + RIDGE
+    bb = window_mean(table, box, 3, inverse_count) - b * b + RIDGE
+    ab = window_mean(table, box, 4, inverse_count) - a * b
+    ua = window_mean(table, box, 5, inverse_count) - mean_u * a
+    ub = window_mean(table, box, 6, inverse_count) - mean_u * b
+    explained = (ua * ua * bb - 2.0 * ua * ub * ab + ub * ub * aa) / (aa * bb - ab * ab)
+    return min(max(explained / var_u, 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
+def lc2_slices(
+    images: NDArray[np.float32],
+    masks: Bools,
+    first_patch: Ints,
+    boxes: Ints,
+    moments: Floats,
+    matrices: Floats,
+    phases: Ints,
+    channels: NDArray[np.float32],
+    values: Floats,
+    tables: Floats,
+    out: Floats,
+) -> None:
     """Score every slice; see the module docstring.
 
     Args:
-        images: (s, rows, columns) float32 ultrasound, 0 outside the mask.
-        masks: (s, rows, columns) bool.
-        count_sum, u_sum, uu_sum: (s, height, width) integral images of mask, u and u².
+        images: (s, rows, columns) ultrasound, 0 outside the mask; masks: (s, rows, columns).
+        first_patch: (s + 1,) where each slice's patches begin.
+        boxes: (p, 4) windows; moments: (p, 3) one over the pixel count, mean and variance of u in each.
         matrices: (s, 3, 3) voxel index from (column, row, 1).
         phases: (s,) which volume each slice is compared with.
-        channels: (n, nx, ny, nz, 2) float32.
-        radius, min_count: patch radius in pixels, and the fewest pixels a patch may have.
-        values: (s, 2, rows, columns) float64 scratch; tables: (s, 7, height, width) float64 scratch.
+        channels: (n, nx, ny, nz, 2).
+        values: (s, rows, columns, 2) scratch; tables: (s, rows + 1, columns + 1, 7) scratch.
         out: (s, 3) filled with Σ w·S, Σ w, and the share of pixels inside the volume.
     """
-    rows, cols = images.shape[1], images.shape[2]
     for s in prange(images.shape[0]):
-        value, table, mask, image = values[s], tables[s], masks[s], images[s]
-        out[s, 2] = sample_channels(channels, phases[s], matrices[s], mask, value)
-        height, width = table.shape[1], table.shape[2]
-        for q in range(7):
-            for c in range(width):
-                table[q, 0, c] = 0.0
-        for r in range(1, height):
-            ta = tb = taa = tbb = tab = tua = tub = 0.0
-            for q in range(7):
-                table[q, r, 0] = 0.0
-            ir = r - 1 - radius
-            for c in range(1, width):
-                ic = c - 1 - radius
-                if 0 <= ir < rows and 0 <= ic < cols:
-                    a, b, u = value[0, ir, ic], value[1, ir, ic], image[ir, ic]
-                    ta += a
-                    tb += b
-                    taa += a * a
-                    tbb += b * b
-                    tab += a * b
-                    tua += u * a
-                    tub += u * b
-                table[0, r, c] = table[0, r - 1, c] + ta
-                table[1, r, c] = table[1, r - 1, c] + tb
-                table[2, r, c] = table[2, r - 1, c] + taa
-                table[3, r, c] = table[3, r - 1, c] + tbb
-                table[4, r, c] = table[4, r - 1, c] + tab
-                table[5, r, c] = table[5, r - 1, c] + tua
-                table[6, r, c] = table[6, r - 1, c] + tub
-        score = weight = 0.0
-        for r in range(rows):
-            for c in range(cols):
-                if not mask[r, c]:
-                    continue
-                n = _window(count_sum[s], r, c, radius)
-                if n < min_count:
-                    continue
-                share, var_u, _, _ = fit_patch(
-                    n,
-                    _window(u_sum[s], r, c, radius),
-                    _window(uu_sum[s], r, c, radius),
-                    _window(table[0], r, c, radius),
-                    _window(table[1], r, c, radius),
-                    _window(table[2], r, c, radius),
-                    _window(table[3], r, c, radius),
-                    _window(table[4], r, c, radius),
-                    _window(table[5], r, c, radius),
-                    _window(table[6], r, c, radius),
-                )
-                w = math.sqrt(max(var_u, 0.0))
-                score += w * share
-                weight += w
+        out[s, 2] = sample_channels(channels, phases[s], matrices[s], masks[s], values[s])
+        integrate_products(images[s], values[s], tables[s])
+        score = 0.0
+        weight = 0.0
+        for p in range(first_patch[s], first_patch[s + 1]):
+            box = (boxes[p, 0], boxes[p, 1], boxes[p, 2], boxes[p, 3])
+            w = math.sqrt(moments[p, 2])
+            score += w * explained_share(tables[s], box, moments[p, 0], moments[p, 1], moments[p, 2])
+            weight += w
         out[s, 0] = score
         out[s, 1] = weight
-
-
-def lc2_reference(image, mask, first, second, radius, min_count):  # type: ignore[no-untyped-def]
-    """Readable twin of one slice's score: loops over patches and solves each fit by least squares."""
-    score = weight = 0.0
-    rows, cols = image.shape
-    for r in range(rows):
-        for c in range(cols):
-            window = np.zeros_like(mask)
-            window[max(0, r - radius) : r + radius + 1, max(0, c - radius) : c + radius + 1] = True
-            window &= mask
-            n = int(window.sum())
-            if not mask[r, c] or n < min_count:
-                continue
-            u, a, b = (x[window] - x[window].mean() for x in (image, first, second))
-            normal = np.array([[a @ a, a @ b], [a @ b, b @ b]]) / n + RIDGE * np.eye(2)
-            right = np.array([u @ a, u @ b]) / n
-            var_u = float(u @ u) / n
-            if var_u <= 1e-12:
-                continue
-            share = float(np.clip(right @ np.linalg.solve(normal, right) / var_u, 0, 1))
-            score += math.sqrt(var_u) * share
-            weight += math.sqrt(var_u)
-    return score, weight

@@ -11,7 +11,6 @@ from dvf_ig.core import (
     BoolArray,
     CycleTiming,
     DvfModel,
-    FloatArray,
     Grid,
     InvalidInputError,
     Mesh,
@@ -202,16 +201,16 @@ def _solvers(grid: Grid) -> tuple[AxisSolver, AxisSolver, AxisSolver]:
     return x, y, z
 
 
-def potential_at_border(distance_to_border_mm: float, gamma_per_mm: float) -> float:
-    """f of the sigmoid law at the border of the box: what is left of the force where the model ends."""
-    return float(1.0 / (1.0 + np.exp(gamma_per_mm * distance_to_border_mm)))
-
-
-def border_distance_mm(model: DvfModel) -> FloatArray:
-    """(n,) smallest distance from the surface to the border of the model's box, per phase."""
-    return np.array(
-        [
-            min((m.vertices_mm - model.origin_mm).min(), (model.upper_mm - m.vertices_mm).min())
-            for m in model.reference
-        ]
+def border_distance_mm(model: DvfModel) -> float:
+    """Smallest distance from the surface, at any phase, to the border of the model's box."""
+    return float(
+        min(
+            min((mesh.vertices_mm - model.origin_mm).min(), (model.upper_mm - mesh.vertices_mm).min())
+            for mesh in model.reference
+        )
     )
+
+
+def potential_at_border(border_mm: float, gamma_per_mm: float) -> float:
+    """f of the sigmoid law `border_mm` outside the surface: what is left of the cap where the model ends."""
+    return float(1.0 / (1.0 + np.exp(gamma_per_mm * border_mm)))

@@ -14,7 +14,7 @@ LEVELS = 2
 def inside_mask(vertices_index: FloatArray, triangles: IntArray, shape: tuple[int, int, int]) -> BoolArray:
     """(nx, ny, nz) bool: nodes around which the closed surface winds; vertices in index coordinates."""
     winding = np.empty(shape, dtype=np.int16)
-    winding_numbers(np.ascontiguousarray(vertices_index), np.ascontiguousarray(triangles), winding)
+    winding_numbers(np.array(vertices_index, order="C"), np.array(triangles, order="C"), winding)
     return np.asarray(winding != 0)
 
 

@@ -26,7 +26,7 @@ class TriangleTree:
 
     def distance_mm(self, xyz_mm: FloatArray) -> FloatArray:
         """(n,) unsigned exact distance; quickest when consecutive points are neighbours."""
-        points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
+        points = np.array(xyz_mm, dtype=np.float64, order="C")
         out = np.empty(len(points))
         pending, bound = np.empty(DEPTH, dtype=np.int64), np.empty(DEPTH)
         closest_batch(self.boxes, self.leaf_start, self.corners, points, pending, bound, out)

@@ -3,12 +3,20 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from dvf_ig.core import FloatArray, Rigid, require_same_frame
-from dvf_ig.kernels.similarity import integrate, lc2_slices
+from dvf_ig.core import FloatArray, IntArray, Rigid, require_same_frame
+from dvf_ig.kernels.similarity import SUMS, lc2_slices
 
 from .channels import ModelChannels
 from .slices import SliceSet
+
+MIN_FILL = 0.6
+"""Least share of a patch that must lie inside the sector."""
+FLAT = 1e-12
+"""Variance below which a patch of ultrasound carries nothing to explain."""
+CENTER_STEP = 2
+"""A patch is centred on every second pixel of every second row: neighbours share nearly all their pixels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +25,58 @@ class Score:
 
     similarity: float
     overlap: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patches:
+    """Square patches of all slices, and what of them depends on the ultrasound alone.
+
+    Attributes:
+        first: (s + 1,) where each slice's patches begin.
+        boxes: (p, 4) first row, last row + 1, first column, last column + 1.
+        moments: (p, 3) one over the pixel count, mean and variance of the ultrasound.
+    """
+
+    first: IntArray
+    boxes: IntArray
+    moments: FloatArray
+
+
+def patches_of(slices: SliceSet, radius: int) -> Patches:
+    """Patches of (2·radius + 1)² pixels, cut at the image border, inside the sector, not flat."""
+    rows, cols = slices.images.shape[1:]
+    row, col = (a.ravel() for a in np.mgrid[0:rows:CENTER_STEP, 0:cols:CENTER_STEP])
+    boxes = np.column_stack(
+        [
+            np.maximum(row - radius, 0),
+            np.minimum(row + radius + 1, rows),
+            np.maximum(col - radius, 0),
+            np.minimum(col + radius + 1, cols),
+        ]
+    ).astype(np.int64)
+    first, kept, moments = [0], [], []
+    for image, mask in zip(slices.images.astype(np.float64), slices.masks, strict=True):
+        count, total, squares = (
+            _window_sums(plane, radius)[::CENTER_STEP, ::CENTER_STEP].ravel()
+            for plane in (mask.astype(np.float64), image, image * image)
+        )
+        full = mask[row, col] & (count >= MIN_FILL * (2 * radius + 1) ** 2)
+        inverse = 1.0 / np.maximum(count, 1.0)
+        mean = total * inverse
+        variance = squares * inverse - mean * mean
+        use = full & (variance > FLAT)
+        kept.append(boxes[use])
+        moments.append(np.column_stack([inverse, mean, variance])[use])
+        first.append(first[-1] + int(use.sum()))
+    return Patches(np.array(first, dtype=np.int64), np.vstack(kept), np.vstack(moments))
+
+
+def _window_sums(plane: FloatArray, radius: int) -> FloatArray:
+    """(rows, columns) sum over the square window about each pixel, zeros beyond the border."""
+    size = 2 * radius + 1
+    padded = np.pad(plane, radius)
+    across = sliding_window_view(padded, size, axis=1).sum(axis=-1)
+    return np.asarray(sliding_window_view(across, size, axis=0).sum(axis=-1))
 
 
 class Lc2:
@@ -29,17 +89,12 @@ class Lc2:
         self._slices = slices
         self._model = model
         self._phases = model.nearest_phase(slices.model_phase)
-        self._radius = max(2, round(patch_mm / pitch_mm / 2))
-        self._min_count = 0.6 * (2 * self._radius + 1) ** 2
+        radius = max(2, round(patch_mm / pitch_mm / 2))
+        self._patches = patches_of(slices, radius)
+        self._patch_pixels = (2 * radius + 1) ** 2
         s, rows, cols = slices.images.shape
-        size = (s, rows + 2 * self._radius + 1, cols + 2 * self._radius + 1)
-        self._sums = [np.empty(size) for _ in range(3)]
-        u = slices.images.astype(np.float64)
-        for table, image in zip(self._sums, (slices.masks.astype(np.float64), u, u * u), strict=True):
-            for k in range(s):
-                integrate(image[k], self._radius, table[k])
-        self._values = np.empty((s, 2, rows, cols))
-        self._tables = np.empty((s, 7, *size[1:]))
+        self._values = np.empty((s, rows, cols, 2))
+        self._tables = np.empty((s, rows + 1, cols + 1, SUMS))
         self._out = np.empty((s, 3))
         self._index_from_mm = np.linalg.inv(model.grid.axes_mm)
 
@@ -52,12 +107,12 @@ class Lc2:
         lc2_slices(
             self._slices.images,
             self._slices.masks,
-            *self._sums,
+            self._patches.first,
+            self._patches.boxes,
+            self._patches.moments,
             np.ascontiguousarray(self._index_from_mm @ mr_from_pixel),
             self._phases,
             self._model.values,
-            self._radius,
-            self._min_count,
             self._values,
             self._tables,
             self._out,
@@ -71,4 +126,4 @@ class Lc2:
 
     def independent_patches(self) -> float:
         """How many patches fit into the slices without sharing pixels."""
-        return float(self._slices.masks.sum()) / (2 * self._radius + 1) ** 2
+        return float(self._slices.masks.sum()) / self._patch_pixels

@@ -87,8 +87,9 @@ def test_sphere_has_its_closed_form() -> None:
     reach, phase = rng.uniform(5.0, 90.0, 2000), rng.uniform(0, 1, 2000)
     distance, gradient = surface.distance(BeatingBall.center_mm + direction * reach[:, None], phase)
     expected = 50.0 - 5.0 * np.sin(np.pi * phase) ** 2 - reach
-    longest_edge_mm = 50.0 * 1.2 / 2**5
-    sag_mm = longest_edge_mm**2 / 6 / 45.0
+    corners = surface.at(0.0)[surface.triangles]
+    longest_edge_mm = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
+    sag_mm = longest_edge_mm**2 / 6 / 45.0  # depth of the middle of an equilateral facet
     assert np.abs(distance - expected).max() < sag_mm + surface.interpolation_error_mm
     assert (np.einsum("ij,ij->i", gradient, -direction)[np.abs(expected) > 2.0] > 0.999).all()
     np.testing.assert_allclose(np.linalg.norm(gradient, axis=1), 1.0, atol=1e-12)

@@ -64,7 +64,10 @@ def make_preop(rng: np.random.Generator) -> Preop:
         labels=VolumeSeries(grid, labels, timing),
         label_names=((1, "LV cavity"), (2, "LV myocardium")),
         organ_labels=(1, 2),
-        surfaces=(make_surface(rng, "EPICARDIAL", CycleTiming.uniform(4, 0.9)),),
+        surfaces=(
+            make_surface(rng, "EPICARDIAL", CycleTiming.uniform(4, 0.9)),
+            make_surface(rng, "LV_EPICARDIAL", timing),
+        ),
     )
 
 

@@ -67,6 +67,7 @@ def test_layout(tmp_path: Path, make_scenario: Make) -> None:
         *("landmarks_mr.mrk.json", "landmarks_tracker.mrk.json"),
         *("preop/mr.nrrd", "preop/labels.nrrd", "preop/timing.json"),
         *(f"preop/EPICARDIAL_{i:03d}.vtp" for i in range(4)),
+        *(f"preop/LV_EPICARDIAL_{i:03d}.vtp" for i in range(3)),
         *("calibration/pivot.igs.mha", "calibration/nwire.igs.mha", "calibration/nwire.xml"),
         *("calibration/nwire_points.xml", "calibration/latency_tracker.igs.mha"),
         *("calibration/latency_video.igs.mha", "calibration/latency_lines.xml"),

@@ -19,11 +19,15 @@ CUBE_FACES = np.array(
 
 
 def nearest_by_optimisation(corners, point):
-    """Distance to a triangle by projecting onto a dense barycentric lattice: an upper bound within its pitch."""
+    """Distance to a dense barycentric lattice on a triangle: an upper bound within its pitch."""
     s = np.linspace(0, 1, 201)
     u, v = np.meshgrid(s, s)
     keep = u + v <= 1
-    lattice = corners[0] + u[keep][:, None] * (corners[1] - corners[0]) + v[keep][:, None] * (corners[2] - corners[0])
+    lattice = (
+        corners[0]
+        + u[keep][:, None] * (corners[1] - corners[0])
+        + v[keep][:, None] * (corners[2] - corners[0])
+    )
     return np.linalg.norm(lattice - point, axis=1).min()
 
 

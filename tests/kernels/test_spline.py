@@ -24,7 +24,8 @@ def axis_weights(u, count, derivative):
     """(n, count) values of all basis functions along one axis, by de Boor's recursion."""
     knots = np.arange(-3.0, count + 1.0)
     return np.stack(
-        [BSpline(knots, np.eye(count)[k], 3, extrapolate=False)(u, nu=derivative) for k in range(count)], axis=1
+        [BSpline(knots, np.eye(count)[k], 3, extrapolate=False)(u, nu=derivative) for k in range(count)],
+        axis=1,
     )
 
 
@@ -36,7 +37,8 @@ def twin(coefficients, xyz):
     c = coefficients.astype(np.float64)
     value = np.einsum("ijk,ni,nj,nk->n", c, *plain)
     gradient = [
-        np.einsum("ijk,ni,nj,nk->n", c, *[slope[b] if b == a else plain[b] for b in range(3)]) for a in range(3)
+        np.einsum("ijk,ni,nj,nk->n", c, *[slope[b] if b == a else plain[b] for b in range(3)])
+        for a in range(3)
     ]
     return value, np.stack(gradient, axis=1)
 

@@ -69,7 +69,9 @@ def test_check_finds_a_model_that_is_off(model, beating_sphere):
 def test_caps_and_their_rim_are_not_judged(beating_sphere):
     vertices = beating_sphere.vertices_mm
     low = vertices[0][beating_sphere.triangles].mean(axis=1)[:, 2] < 12.0
-    opened = SurfaceSeries("EPICARDIAL", "mr", vertices, beating_sphere.triangles[low], beating_sphere.timing, "x")
+    opened = SurfaceSeries(
+        "EPICARDIAL", "mr", vertices, beating_sphere.triangles[low], beating_sphere.timing, "x"
+    )
     model = model_from_surfaces(opened)
     result = check_model(model, points_per_phase=1000, rng=np.random.default_rng(1))
     assert 0.15 < result.excluded_area_share < 0.5
@@ -83,7 +85,7 @@ def test_result_does_not_depend_on_threads(beating_sphere):
 
 
 def test_force_has_vanished_at_the_border(model):
-    assert border_distance_mm(model).min() >= 15.0
+    assert border_distance_mm(model) >= 15.0
     assert potential_at_border(15.0, 1.0) < 1e-6
 
 

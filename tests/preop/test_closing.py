@@ -62,7 +62,9 @@ def test_split_seams_are_welded(sphere_of):
 def test_vertices_that_meet_in_one_phase_only_stay_apart(sphere_of):
     vertices, triangles = sphere_of(20.0, 2)
     both = np.vstack([triangles, triangles + len(vertices)])
-    touching = np.stack([np.vstack([vertices, vertices]), np.vstack([vertices, vertices + [60.0, 0, 0]])])
+    touching = np.stack(
+        [np.vstack([vertices, vertices]), np.vstack([vertices, vertices + np.array([60.0, 0, 0])])]
+    )
     closed = close_surface(SurfaceSeries("EPICARDIAL", "mr", touching, both, TIMING, "two balls"))
     assert closed.vertices_mm.shape[1] == 2 * len(vertices)
 
@@ -100,7 +102,9 @@ def test_a_one_sided_surface_is_refused():
     rail = []
     for sign in (-1, 1):
         radius = 20 + sign * 5 * np.cos(turn / 2)
-        rail.append(np.stack([radius * np.cos(turn), radius * np.sin(turn), sign * 5 * np.sin(turn / 2)], axis=1))
+        rail.append(
+            np.stack([radius * np.cos(turn), radius * np.sin(turn), sign * 5 * np.sin(turn / 2)], axis=1)
+        )
     n = len(turn)
     triangles = []
     for i in range(n):

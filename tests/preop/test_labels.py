@@ -19,7 +19,7 @@ def ball_labels(radius, voxel, direction=None, center=(0.3, -0.2, 0.1), shift=(0
     return VolumeSeries(grid, np.stack([inside, inside]).astype(np.uint8), TIMING)
 
 
-@pytest.mark.parametrize(("radius", "voxel"), [(15.0, 1.5), (15.0, 2.0), (30.0, 2.0)])
+@pytest.mark.parametrize(("radius", "voxel"), [(12.0, 0.6), (15.0, 1.5), (15.0, 2.0), (30.0, 2.0)])
 def test_smoothing_does_not_shrink_a_sphere(radius, voxel):
     """Averaged over places in the voxel grid, whose own counting error is about 0.05 voxels a place."""
     rng = np.random.default_rng(7)
@@ -30,7 +30,8 @@ def test_smoothing_does_not_shrink_a_sphere(radius, voxel):
         means.append(off.mean())
         scatter.append(off.std())
         assert mesh.volume_mm3() > 0
-    plain_gaussian_mm = voxel**2 / radius
+    smoothed_mm = max(voxel, 2 * voxel if voxel < 0.625 else 0.0)
+    plain_gaussian_mm = smoothed_mm**2 / radius
     assert abs(np.mean(means)) < 0.3 * plain_gaussian_mm
     assert np.mean(scatter) < 0.1 * voxel
 
@@ -50,7 +51,8 @@ def test_only_the_largest_piece_of_the_organ_counts_and_holes_are_filled():
     values[:, -3:, -3:, -3:] = 7
     values[:, 10:12, 10:12, 10:12] = 0
     dirty = surfaces_from_labels(VolumeSeries(series.grid, values, TIMING), (1,))[0]
-    assert np.array_equal(clean.vertices_mm, dirty.vertices_mm)
+    assert np.array_equal(clean.triangles, dirty.triangles)
+    np.testing.assert_allclose(clean.vertices_mm, dirty.vertices_mm, atol=1e-5)
 
 
 def test_where_the_image_cuts_the_organ_the_surface_is_a_cap():
@@ -74,7 +76,9 @@ def test_refusals():
     series = ball_labels(15.0, 2.0)
     with pytest.raises(InvalidInputError, match="no organ labels"):
         surfaces_from_labels(series, ())
-    with pytest.raises(InvalidInputError, match=r"phase 0 .* no voxel of the organ labels \[5\].*present are \[0, 1\]"):
+    with pytest.raises(
+        InvalidInputError, match=r"phase 0 .* no voxel of the organ labels \[5\].*present are \[0, 1\]"
+    ):
         surfaces_from_labels(series, (5,))
     with pytest.raises(InvalidInputError, match="no label image"):
         model_from_labels(Preop("ball"))

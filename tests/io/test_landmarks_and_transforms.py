@@ -1,0 +1,190 @@
+"""Landmarks and transforms: known shifts read by plain parsing and SimpleITK, RAS to LPS, and bad files."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import SimpleITK
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from dvf_ig.core import (
+    FrameMismatchError,
+    InvalidInputError,
+    Landmarks,
+    OutputError,
+    Points,
+    Rigid,
+    UnreadableFileError,
+)
+from dvf_ig.io import read_landmarks, read_tag_pair, read_transform, write_landmarks, write_transform
+
+POINTS = Landmarks(
+    ("apex", "mitral, septal", "RV–LV"), Points("mr", np.array([[1.5, 2, 3], [4, 5, 6], [0.1, -7, 1e-9]]))
+)
+
+
+def test_markups_round_trip(tmp_path: Path) -> None:
+    write_landmarks(POINTS, tmp_path / "a.mrk.json")
+    back = read_landmarks(tmp_path / "a.mrk.json", "mr")
+    assert back.names == POINTS.names
+    assert back.frame == "mr"
+    np.testing.assert_array_equal(back.points.xyz_mm, POINTS.points.xyz_mm)
+
+
+def test_markups_read_by_a_plain_parser(tmp_path: Path) -> None:
+    write_landmarks(POINTS, tmp_path / "a.mrk.json")
+    markup = json.loads((tmp_path / "a.mrk.json").read_text())["markups"][0]
+    assert (markup["type"], markup["coordinateSystem"]) == ("Fiducial", "LPS")
+    assert markup["controlPoints"][0]["label"] == "apex"
+    assert markup["controlPoints"][0]["position"] == [1.5, 2.0, 3.0]
+
+
+def markups(system: str, **point: object) -> str:
+    points = [{"label": "a", "position": [1, 2, 3]}, {"label": "b", "position": [0, 0, 0], **point}]
+    return json.dumps({"markups": [{"coordinateSystem": system, "controlPoints": points}]})
+
+
+@pytest.mark.parametrize(("system", "x"), [("LPS", 1), ("RAS", -1), ("1", 1), ("0", -1)])
+def test_markups_coordinate_systems(tmp_path: Path, system: str, x: float) -> None:
+    (tmp_path / "a.mrk.json").write_text(markups(system, positionStatus="undefined"))
+    back = read_landmarks(tmp_path / "a.mrk.json", "mr")
+    assert back.names == ("a",)
+    assert back.points.xyz_mm.tolist() == [[x, 2 * x, 3]]
+
+
+def test_fcsv(tmp_path: Path) -> None:
+    text = (
+        "# Markups fiducial file version = 4.11\n# CoordinateSystem = RAS\n"
+        "# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
+        'vtkMRMLMarkupsFiducialNode_0,1,2,3,0,0,0,1,1,1,0,"F, one",,\n'
+        "vtkMRMLMarkupsFiducialNode_1,4,5,6,0,0,0,1,1,1,0,F-2,,\n"
+    )
+    (tmp_path / "a.fcsv").write_text(text)
+    back = read_landmarks(tmp_path / "a.fcsv", "mr")
+    assert back.names == ("F, one", "F-2")
+    assert back.points.xyz_mm.tolist() == [[-1, -2, 3], [-4, -5, 6]]
+    (tmp_path / "a.fcsv").write_text(text.replace("RAS", "LPS"))
+    assert read_landmarks(tmp_path / "a.fcsv", "mr").points.xyz_mm[0].tolist() == [1, 2, 3]
+    (tmp_path / "a.fcsv").write_text(text.replace("# CoordinateSystem = RAS\n", ""))
+    with pytest.raises(UnreadableFileError, match="names no CoordinateSystem"):
+        read_landmarks(tmp_path / "a.fcsv", "mr")
+
+
+PAIR = (
+    "MNI Tag Point File\nVolumes = 2;\n% Volume 1: us.mnc\n% Volume 2: mr.mnc\n\nPoints =\n"
+    ' 1.0 2.0 3.0 4.0 5.0 6.0 "P1"\n -1.5e+00 0 2 7 8 9 "P2";\n'
+)
+
+
+def test_tag_pair(tmp_path: Path) -> None:
+    (tmp_path / "a.tag").write_text(PAIR)
+    first, second = read_tag_pair(tmp_path / "a.tag", "us", "mr")
+    assert (first.frame, second.frame) == ("us", "mr")
+    assert first.names == second.names == ("P1", "P2")
+    assert first.points.xyz_mm.tolist() == [[-1, -2, 3], [1.5, 0, 2]]
+    assert second.points.xyz_mm.tolist() == [[-4, -5, 6], [-7, -8, 9]]
+    with pytest.raises(UnreadableFileError, match="read it as a pair"):
+        read_landmarks(tmp_path / "a.tag", "mr")
+
+
+def test_tag_of_one_volume_without_names(tmp_path: Path) -> None:
+    (tmp_path / "a.tag").write_text('MNI Tag Point File\nVolumes = 1;\nPoints =\n 1 2 3 ""\n 4 5 6 "";\n')
+    back = read_landmarks(tmp_path / "a.tag", "mr")
+    assert back.names == ("1", "2")
+    with pytest.raises(UnreadableFileError, match="needed those of two volumes"):
+        read_tag_pair(tmp_path / "a.tag", "a", "b")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.mrk.json", "{", "line 1"),
+        ("a.mrk.json", "[]", "not a 3D Slicer markups file"),
+        ("a.mrk.json", '{"markups": []}', "holds no points"),
+        ("a.mrk.json", markups("ABC"), "coordinate system is 'ABC'"),
+        ("a.mrk.json", markups("LPS", label="a"), "names repeat"),
+        ("a.mrk.json", markups("LPS", position=[1, "x"]), "not three numbers"),
+        ("a.mrk.json", markups("LPS", position=[1, 2]), "a.mrk.json"),
+        ("a.fcsv", "# CoordinateSystem = LPS\nid,a,b,c\n", "not a 3D Slicer fiducial list"),
+        ("a.tag", "MNI", "not an MNI tag file"),
+        ("a.tag", 'MNI Tag Point File\nVolumes = 1;\nPoints =\n 1 2 "x";\n', "3 coordinates each"),
+        ("a.tag", "MNI Tag Point File\nVolumes = 1;\nPoints =\n one;\n", "'one' is not a row"),
+        ("a.xyz", "", "no landmark ending"),
+    ],
+)
+def test_bad_landmarks(tmp_path: Path, name: str, text: str, message: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(UnreadableFileError, match=message):
+        read_landmarks(tmp_path / name, "mr")
+
+
+def rigid(seed: int) -> Rigid:
+    rng = np.random.default_rng(seed)
+    return Rigid("mr", "tracker", Rotation.random(rng=rng).as_matrix(), rng.normal(size=3) * 100)
+
+
+@given(seed=st.integers(0, 2**32))
+def test_transform_round_trip_is_exact(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    path = tmp_path_factory.mktemp("case") / "t.tfm"
+    write_transform(rigid(seed), path, error_mm=0.4)
+    back = read_transform(path)
+    assert back.name == "mr_from_tracker"
+    np.testing.assert_array_equal(back.matrix, rigid(seed).matrix)
+
+
+def test_known_shift_read_by_simpleitk(tmp_path: Path) -> None:
+    turn = Rotation.from_euler("z", 90, degrees=True).as_matrix()
+    write_transform(Rigid("mr", "tracker", turn, np.array([10.0, 20, 30])), tmp_path / "t.tfm", error_mm=0.7)
+    transform = SimpleITK.ReadTransform(str(tmp_path / "t.tfm"))
+    np.testing.assert_allclose(transform.TransformPoint((1.0, 0, 0)), (10, 21, 30), atol=1e-12)
+    sidecar = json.loads((tmp_path / "t.json").read_text())
+    assert (sidecar["from"], sidecar["to"], sidecar["error_mm"]) == ("tracker", "mr", 0.7)
+    assert "fixed" in sidecar["convention"]
+
+
+@pytest.mark.parametrize("ending", ["tfm", "h5"])
+def test_transforms_of_simpleitk(tmp_path: Path, ending: str) -> None:
+    euler = SimpleITK.Euler3DTransform((5.0, 6, 7), 0.1, 0.2, 0.3, (1.0, 2, 3))
+    shift = SimpleITK.TranslationTransform(3, (4.0, 0, 0))
+    path = tmp_path / f"t.{ending}"
+    for transform in (euler, SimpleITK.CompositeTransform([shift, euler])):
+        SimpleITK.WriteTransform(transform, str(path))
+        back = read_transform(path, target="moving", source="fixed")
+        np.testing.assert_allclose(
+            back.apply_array(np.array([9.0, -8, 7])), transform.TransformPoint((9.0, -8, 7)), atol=1e-9
+        )
+
+
+def test_frames_of_a_transform(tmp_path: Path) -> None:
+    write_transform(rigid(1), tmp_path / "t.tfm")
+    assert read_transform(tmp_path / "t.tfm", target="mr").source == "tracker"
+    with pytest.raises(FrameMismatchError, match="mr_from_tracker; needed ct_from_tracker"):
+        read_transform(tmp_path / "t.tfm", target="ct")
+    (tmp_path / "t.json").write_text('{"something": "else"}')
+    assert read_transform(tmp_path / "t.tfm", "ct", "us").name == "ct_from_us"
+    (tmp_path / "t.json").unlink()
+    with pytest.raises(InvalidInputError, match=r"put beside it a file t\.json"):
+        read_transform(tmp_path / "t.tfm")
+
+
+def test_bad_transforms(tmp_path: Path) -> None:
+    path = tmp_path / "t.tfm"
+    with pytest.raises(UnreadableFileError, match="does not exist"):
+        read_transform(path)
+    path.write_text("nonsense")
+    with pytest.raises(UnreadableFileError, match="not a readable ITK transform"):
+        read_transform(path, "a", "b")
+    scaled = SimpleITK.AffineTransform(3)
+    scaled.Scale(1.1)
+    SimpleITK.WriteTransform(scaled, str(path))
+    with pytest.raises(UnreadableFileError, match="is not rigid"):
+        read_transform(path, "a", "b")
+    grid = SimpleITK.DisplacementFieldTransform(SimpleITK.Image((3, 3, 3), SimpleITK.sitkVectorFloat64))
+    SimpleITK.WriteTransform(grid, str(tmp_path / "d.h5"))
+    with pytest.raises(UnreadableFileError, match="not a linear 3-D transform"):
+        read_transform(tmp_path / "d.h5", "a", "b")
+    with pytest.raises(OutputError, match=r"\.tfm"):
+        write_transform(rigid(1), tmp_path / "t.mat")
