@@ -25,13 +25,16 @@ def inspect(
 
 
 def _rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
-    """One row a fact; of a nested group, one row a member."""
+    """One row a fact; of a group of groups, one row a member. Transforms keep their names as they are."""
     rows: list[tuple[str, str]] = []
     for name, value in facts.items():
-        if isinstance(value, dict) and any(isinstance(entry, dict) for entry in value.values()):
-            rows += [(str(key), _text(entry)) for key, entry in value.items()]
+        label = name.replace("_", " ")
+        if name == "transforms":
+            rows += [(member, _text(entry)) for member, entry in value.items()]
+        elif isinstance(value, dict) and any(isinstance(entry, dict) for entry in value.values()):
+            rows += [(f"{label} {member}", text) for member, text in _rows(value)]
         elif value not in (None, {}):
-            rows.append((name.replace("_", " "), _text(value)))
+            rows.append((label, _text(value)))
     return rows
 
 

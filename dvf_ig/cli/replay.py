@@ -11,6 +11,9 @@ from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress,
 def replay(
     scenario: Annotated[Path, typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`).")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for result.json and report.html.")],
+    model: Annotated[
+        Path | None, typer.Option("--model", help="This patient's model, if `dvf-ig model build` made one.")
+    ] = None,
     as_json: JsonFlag = False,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,
@@ -23,13 +26,15 @@ def replay(
     """
     with command(threads):
         from dvf_ig.core import QualityGateError
-        from dvf_ig.io import make_folder, read_scenario, write_json, write_text
+        from dvf_ig.io import make_folder, read_model, read_scenario, write_json, write_text
         from dvf_ig.replay import result_of, run_replay, table
         from dvf_ig.replay.report import report_html
 
         recorded = read_scenario(scenario)
+        patient = recorded.preop.patient_id
+        built = read_model(model, patient_id=patient) if model is not None else None
         with progress("replay") as report:
-            done = run_replay(recorded, seed=seed, progress=report)
+            done = run_replay(recorded, model=built, seed=seed, progress=report)
         result = result_of(done)
         page = report_html(done, result)
         make_folder(out)

@@ -64,16 +64,14 @@ def scenario(
     the ECG and the hand motion are real; only the ultrasound is simulated. Truth goes to OUT/truth.
     """
     with command(threads):
-        from data_synth import ScenarioSpec, phantom_scenario
+        from data_synth import ScenarioSpec
         from dvf_ig.io import write_scenario
 
         spec = ScenarioSpec(preset, _motion(motion), seconds, seed, us_rate_hz, mismatch_mm)
-        path = None
         if anatomy is Anatomy.phantom:
             if surfaces is not None or ecg is not None or probe_path is not None:
                 raise typer.BadParameter("--surfaces, --ecg and --probe-path belong to --anatomy surfaces")
-            with progress("synthetic scenario") as report:
-                made = phantom_scenario(spec, report)
+            made, path = _on_the_phantom(spec), None
         else:
             if surfaces is None or ecg is None or probe_path is None:
                 raise typer.BadParameter("--anatomy surfaces needs --surfaces, --ecg and --probe-path")
@@ -92,6 +90,13 @@ def _motion(name: str) -> "Motion":
         if known == name:
             return known
     raise InvalidInputError(f"there is no motion '{name}'; choose from {', '.join(MOTIONS)}")
+
+
+def _on_the_phantom(spec: "ScenarioSpec") -> "Scenario":
+    from data_synth import phantom_scenario
+
+    with progress("synthetic scenario") as report:
+        return phantom_scenario(spec, report)
 
 
 def _on_real_anatomy(

@@ -73,7 +73,7 @@ def _config(scenario: Scenario) -> ScenarioConfig:
     return ScenarioConfig(
         name=scenario.name,
         preset=scenario.preset,
-        seed=scenario.seed,
+        seed=None if scenario.seed is None else int(scenario.seed),
         patient_id=preop.patient_id,
         preop=PreopConfig(
             kind=_kind(preop),
@@ -82,15 +82,15 @@ def _config(scenario: Scenario) -> ScenarioConfig:
             surfaces=tuple(series.name for series in preop.surfaces),
             surface=preop.surface,
             label_names={int(value): name for value, name in preop.label_names},
-            organ_labels=preop.organ_labels,
+            organ_labels=tuple(int(value) for value in preop.organ_labels),
         ),
         fan=None
         if fan is None
         else FanConfig(
             apex_px=(float(fan.apex_px[0]), float(fan.apex_px[1])),
-            start_px=fan.start_px,
-            stop_px=fan.stop_px,
-            half_angle_rad=fan.half_angle_rad,
+            start_px=float(fan.start_px),
+            stop_px=float(fan.stop_px),
+            half_angle_rad=float(fan.half_angle_rad),
         ),
         files=FilesConfig(
             start="start.tfm" if scenario.start is not None else None,

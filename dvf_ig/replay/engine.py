@@ -14,8 +14,8 @@ from time import perf_counter
 import numpy as np
 
 from dvf_ig.cardiac import PhaseTracking, track_phase
-from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, NoOverlapError, Rigid, Scenario
-from dvf_ig.guidance import DeviceLimits, Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Status
+from dvf_ig.core import BoolArray, DvfModel, FloatArray, InvalidInputError, NoOverlapError, Rigid, Scenario
+from dvf_ig.guidance import Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Status
 from dvf_ig.registration import RegistrationResult
 
 from .heart import Heart, build_heart
@@ -85,10 +85,17 @@ class Replay:
 
 
 def run_replay(
-    scenario: Scenario, *, seed: int = 0, progress: Callable[[float], None] | None = None
+    scenario: Scenario,
+    *,
+    model: DvfModel | None = None,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
 ) -> Replay:
     """Replay a scenario from raw streams to force.
 
+    Args:
+        model: this patient's fixture model, where it was built before; else it is built here.
+        seed: of the random choices in calibration and registration.
     Raises:
         InvalidInputError: a recording cannot be used (no heart beats, no tracked pose, …).
         QualityGateError: a calibration refused its recording.
@@ -102,7 +109,7 @@ def run_replay(
     t_s = _tick_times(scenario)
     tracking = track_phase(scenario.ecg, t_s)
     _refuse_beatless(tracking, scenario)
-    heart = build_heart(scenario.preop, progress=lambda f: tell(0.05 + 0.35 * f))
+    heart = build_heart(scenario.preop, model, progress=lambda f: tell(0.05 + 0.35 * f))
     attempts = _registrations(
         scenario, heart, rulers, tracking, start, float(t_s[-1]), seed, lambda f: tell(0.4 + 0.5 * f)
     )
@@ -204,7 +211,7 @@ def _forces(
     phase_valid: BoolArray,
 ) -> tuple[ForceSamples, BoolArray]:
     """Force at every tick through the pose then in use, in frame "tracker", and which ticks were valid."""
-    evaluator = Evaluator(heart.model, DeviceLimits().checked(Sigmoid()))
+    evaluator = Evaluator(heart.model, Sigmoid())
     usable = [(a.ready_s, a.result.mr_from_tracker) for a in attempts if a.result and a.result.stop.usable]
     which = np.searchsorted([ready_s for ready_s, _ in usable], tip.t_s, side="right") - 1
     refusal = np.where(which < 0, Status.NO_POSE, np.where(phase_valid, Status.STALE_TOOL, Status.NO_PHASE))

@@ -29,13 +29,23 @@ class Heart:
     center_mm: FloatArray
 
 
-def build_heart(preop: Preop, progress: Callable[[float], None] | None = None) -> Heart:
+def build_heart(
+    preop: Preop, model: DvfModel | None = None, progress: Callable[[float], None] | None = None
+) -> Heart:
     """Build model and channels from a 4-D image with labels, or from surfaces alone.
 
+    Args:
+        model: a model of this patient that was built before; saves building it.
     Raises:
-        InvalidInputError: neither labels nor surfaces, or the named surface is missing.
+        InvalidInputError: neither labels nor surfaces, no such surface, or another patient's model.
     """
-    if preop.labels is not None:
+    if model is not None:
+        if model.patient_id != preop.patient_id:
+            raise InvalidInputError(
+                f"the model is of patient '{model.patient_id}', the scenario of '{preop.patient_id}'; "
+                "build a model from this patient's images"
+            )
+    elif preop.labels is not None:
         model = model_from_labels(preop, progress=progress)
     else:
         model = model_from_surfaces(_fixture_surface(preop), progress=progress)

@@ -132,7 +132,7 @@ def test_tissue_speckle_moves_with_the_tissue() -> None:
     )
     wrong = lines_db(moved, level, pose=PLANE)[middle, 150:400]
     aligned = float(np.corrcoef(before.ravel(), after.ravel())[0, 1])
-    assert aligned > 0.6
+    assert aligned > 0.5
     assert abs(float(np.corrcoef(before.ravel(), wrong.ravel())[0, 1])) < 0.25
 
 

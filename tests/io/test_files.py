@@ -95,7 +95,6 @@ def test_importing_io_is_light() -> None:
 KINDS = [
     ("bivme-cine", "surfaces", {"patient_id": "patient1", "phases": 25, "closed": False}),
     ("bivme-cine/sax_4d.nii.gz", "image", {"size": [256, 208, 6], "phases": 25, "type": "int16"}),
-    ("heartdeform-wh/wh.nii.gz", "image", {"labels": [0, 1, 2, 3, 4, 5, 6, 7]}),
     ("heartdeform-wh/wh_template.vtp", "mesh", {"closed": True, "open_edges": 0}),
     ("lsqrrecipes/pivotCalibrationData.txt", "tool poses", {"samples": 481}),
     ("mitdb-ds1/101.hea", "ECG", {"rate_hz": 360.0, "leads": ["MLII", "V1"]}),
@@ -135,6 +134,8 @@ def test_inspect_scenario(tmp_path: Path, make_scenario: Callable[..., Any]) -> 
     assert result["kind"] == "scenario folder"
     assert result["patient_id"] == "heart-7"
     assert result["truth"] is True
+    labels = describe(str(tmp_path / "s" / "preop" / "labels.nrrd")).facts
+    assert (labels["labels"], labels["phases"], labels["type"]) == ([0, 1, 2, 3], 3, "uint8")
     for name in ("start.tfm", "landmarks_mr.mrk.json", "tool.igs.mha", "preop/mr.nrrd", "ecg.csv"):
         assert CliRunner().invoke(app, [str(tmp_path / "s" / name)]).exit_code == 0
 

@@ -1,0 +1,146 @@
+"""From raw streams to force: within its errors, blind to truth and future, silent without state."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dvf_ig.core import (
+    InvalidInputError,
+    NoOverlapError,
+    PoseStream,
+    Scenario,
+    Signal,
+    TrackedSequence,
+)
+from dvf_ig.guidance import Status
+from dvf_ig.replay import Replay, result_of, run_replay, table, validate
+from dvf_ig.replay.report import report_html
+
+
+def test_estimates_are_within_their_errors(replay: Replay) -> None:
+    result = result_of(replay)
+    assert result["start_tre_mm"]["mean"] > 8
+    assert result["tre_mm"]["median"] <= 2.0
+    assert result["phase_error_percent_rr"]["mean"] <= 3.0
+    assert abs(result["lag_error_s"]) <= 0.005
+    assert result["probe_error_mm"] <= 1.0
+    assert result["tip_error_mm"] <= 0.2
+    assert result["force_error_n"]["median"] <= 0.1
+    assert result["nonfinite_ticks"] == 0
+    assert result["force_n"]["max"] <= 0.6
+
+
+def test_no_force_without_valid_state(replay: Replay) -> None:
+    before = replay.tip.t_s < replay.poses[0][0]
+    assert before.any()
+    assert not replay.samples.force_n[before].any()
+    assert (replay.samples.status[before] != Status.OK).all()
+    refused = replay.samples.status != Status.OK
+    assert not replay.samples.force_n[refused].any()
+    np.testing.assert_array_equal(replay.valid, ~refused)
+
+
+def test_result_fits_its_schema_and_the_page_holds_every_picture(replay: Replay) -> None:
+    result = result_of(replay)
+    validate(result)
+    page = report_html(replay, result)
+    assert page.count("data:image/png;base64,") == 5
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert {label for label, _ in table(result)} >= {"tool tip", "latency", "TRE in use", "force error"}
+    result["tre_mm"]["median"] = -1.0
+    with pytest.raises(InvalidInputError, match="does not fit"):
+        validate(result)
+
+
+def test_estimates_do_not_read_the_truth(scenario: Scenario, replay: Replay) -> None:
+    blind = run_replay(dataclasses.replace(scenario, truth=None), model=replay.heart.model, seed=0)
+    _same_until(replay, blind, np.inf)
+    result = result_of(blind)
+    assert result["tre_mm"] is None
+    assert result["force_error_n"] is None
+
+
+def test_the_future_changes_nothing(scenario: Scenario, replay: Replay) -> None:
+    until = float(replay.poses[0][0]) + 3.0
+    cut = _cut(scenario, until)
+    _same_until(replay, run_replay(cut, model=replay.heart.model, seed=0), until - 0.01)
+
+
+def _same_until(first: Replay, second: Replay, until_s: float) -> None:
+    n = min(len(first.tip.t_s), len(second.tip.t_s), int(np.sum(first.tip.t_s < until_s)))
+    assert n > 1000
+    for name in ("force_n", "status", "distance_mm"):
+        np.testing.assert_array_equal(getattr(first.samples, name)[:n], getattr(second.samples, name)[:n])
+    np.testing.assert_array_equal(first.model_phase[:n], second.model_phase[:n])
+    assert first.samples.force_n[:n].any()
+
+
+def _cut(scenario: Scenario, until_s: float) -> Scenario:
+    """The recording as it was at `until_s`."""
+    ecg, us, tool = scenario.ecg, scenario.ultrasound, scenario.tool
+    lag_s = scenario.truth.lag_s if scenario.truth else 0.0
+    samples = int((until_s - ecg.start_s) * ecg.rate_hz)
+    frames = int(np.searchsorted(us.t_s + lag_s, until_s))
+    return dataclasses.replace(
+        scenario,
+        ecg=Signal(ecg.samples[:samples], ecg.rate_hz, ecg.start_s, ecg.leads, ecg.unit),
+        ultrasound=TrackedSequence(
+            us.t_s[:frames],
+            None if us.images is None else us.images[:frames],
+            us.image_valid[:frames],
+            {name: _first(stream, frames) for name, stream in us.poses.items()},
+        ),
+        tool=_first(tool, int(np.searchsorted(tool.t_s, until_s))),
+        truth=None,
+    )
+
+
+def _first(stream: PoseStream, n: int) -> PoseStream:
+    return PoseStream(
+        stream.target,
+        stream.source,
+        stream.t_s[:n],
+        stream.rotations[:n],
+        stream.translations_mm[:n],
+        stream.valid[:n],
+    )
+
+
+def _invalid(stream: PoseStream) -> PoseStream:
+    nothing = np.zeros(len(stream), dtype=bool)
+    return dataclasses.replace(stream, valid=nothing)
+
+
+def test_untracked_tool_or_probe_is_refused(scenario: Scenario) -> None:
+    with pytest.raises(InvalidInputError, match=r"tool\.igs\.mha: none of the .* poses .* has status OK"):
+        run_replay(dataclasses.replace(scenario, tool=_invalid(scenario.tool)))
+    us = scenario.ultrasound
+    blind = dataclasses.replace(us, poses={name: _invalid(s) for name, s in us.poses.items()})
+    with pytest.raises(InvalidInputError, match="has status OK"):
+        run_replay(dataclasses.replace(scenario, ultrasound=blind))
+
+
+def test_ecg_without_beats_is_refused(scenario: Scenario) -> None:
+    noise = 0.01 * np.random.default_rng(0).normal(size=scenario.ecg.samples.shape)
+    flat = dataclasses.replace(scenario.ecg, samples=noise)
+    with pytest.raises(InvalidInputError, match=r"R peaks in .* check the electrodes"):
+        run_replay(dataclasses.replace(scenario, ecg=flat))
+
+
+def test_ecg_on_another_clock_is_refused(scenario: Scenario) -> None:
+    late = dataclasses.replace(scenario.ecg, start_s=1e4)
+    with pytest.raises(NoOverlapError, match="share less than a second"):
+        run_replay(dataclasses.replace(scenario, ecg=late))
+
+
+def test_scenario_without_a_start_is_refused(scenario: Scenario) -> None:
+    lost = dataclasses.replace(scenario, start=None, landmarks_mr=None)
+    with pytest.raises(InvalidInputError, match="neither a start pose nor landmarks"):
+        run_replay(lost)
+
+
+def test_another_patients_model_is_refused(scenario: Scenario, replay: Replay) -> None:
+    foreign = dataclasses.replace(replay.heart.model, patient_id="somebody else")
+    with pytest.raises(InvalidInputError, match="the model is of patient 'somebody else'"):
+        run_replay(scenario, model=foreign)
