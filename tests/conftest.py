@@ -1,10 +1,15 @@
-"""Shared by all tests: where the real recordings are, and a hypothesis profile without deadlines."""
+"""Shared by all tests: where the real recordings are, one short synthetic intervention, and its replay."""
 
 import os
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from data_synth.presets import ScenarioSpec
+from data_synth.scenario import phantom_scenario
+from dvf_ig.core import Scenario
+from dvf_ig.replay import Replay, run_replay
 
 settings.register_profile("dvf_ig", deadline=None, derandomize=True)
 settings.load_profile("dvf_ig")
@@ -19,3 +24,14 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real recordings not found at {folder}; set DVF_IG_DATA")
     return folder.resolve()
+
+
+@pytest.fixture(scope="session")
+def scenario() -> Scenario:
+    """17 s of the synthetic operating room: long enough to register and to touch."""
+    return phantom_scenario(ScenarioSpec(preset="calm", motion="paper5mm", seconds=17.0, seed=77))
+
+
+@pytest.fixture(scope="session")
+def replay(scenario: Scenario) -> Replay:
+    return run_replay(scenario, seed=0)

@@ -132,8 +132,8 @@ def match_dwells(dwells: Dwells, landmarks: Points) -> tuple[LandmarkResult, tup
         dwells: rests in order of time.
         landmarks: (n, 3) in the order in which they were touched.
     Returns:
-        target_from_source with target = frame of the rests, source = frame of the landmarks, and which rest is
-        which landmark: the choice with the smallest residual.
+        target_from_source with target = frame of the rests, source = frame of the landmarks, and which rest
+        is which landmark: the choice with the smallest residual.
     Raises:
         InvalidInputError: fewer rests than landmarks, too many to try, or landmarks on one line.
         QualityGateError: another choice, that moves the map by more than 2 mm, fits as well.
@@ -141,8 +141,8 @@ def match_dwells(dwells: Dwells, landmarks: Points) -> tuple[LandmarkResult, tup
     count, need = len(dwells.points), len(landmarks)
     if count < need or comb(count, need) > MAX_CHOICES:
         raise InvalidInputError(
-            f"the tip rested in {count} places for {need} landmarks; needed {need}, or a few more: touch each "
-            "landmark once, in order, and hold still"
+            f"the tip rested in {count} places for {need} landmarks; needed {need} or a few more: touch "
+            "each landmark once, in order, and hold still"
         )
     tried = []
     for choice in combinations(range(count), need):
@@ -156,8 +156,8 @@ def match_dwells(dwells: Dwells, landmarks: Points) -> tuple[LandmarkResult, tup
         moved = chosen.apply(landmarks).xyz_mm - other.apply(landmarks).xyz_mm
         if other_rms <= max(1.5 * rms, rms + 0.2) and np.linalg.norm(moved, axis=1).max() > 2.0:
             raise QualityGateError(
-                f"two assignments of rests to landmarks fit equally well ({rms:.2f} and {other_rms:.2f} mm RMS); "
-                "touch each landmark once and rest nowhere else"
+                f"two assignments of rests to landmarks fit equally well ({rms:.2f} and {other_rms:.2f} mm "
+                "RMS); touch each landmark once and rest nowhere else"
             )
     rests = Points(dwells.points.frame, dwells.points.xyz_mm[list(best)])
     return register_landmarks(rests, landmarks), best

@@ -1,6 +1,7 @@
 """Temporal calibration: the lag between the tracker's clock and the video's, from one shared motion."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.signal import find_peaks
@@ -9,7 +10,6 @@ from scipy.stats import t as student_t
 from dvf_ig.core import (
     BoolArray,
     FloatArray,
-    InvalidInputError,
     LatencyRecording,
     NoOverlapError,
     PoseStream,
@@ -98,7 +98,6 @@ def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | N
         options: see LatencyOptions.
     Raises:
         NoOverlapError: the two recordings share too little time.
-        InvalidInputError: no valid pose in that time.
         QualityGateError: no motion, too few periods, poor correlation, or a second lag that fits as well.
     Source: PLUS temporal calibration (principal axis against line position).
     Differs from source: of the two motion signs the better fit is kept, not the smaller lag.
@@ -108,8 +107,8 @@ def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | N
     periods = _periods(motions)
     if periods < options.min_periods:
         raise QualityGateError(
-            f"the recording holds {periods:.1f} up-and-down movements, needed at least {options.min_periods:g}; "
-            "move the probe up and down for ten seconds or more"
+            f"the recording holds {periods:.1f} up-and-down movements, needed at least "
+            f"{options.min_periods:g}; move the probe up and down for ten seconds or more"
         )
     lags = np.arange(-options.search_s, options.search_s + options.coarse_s / 2, options.coarse_s)
     correlations = np.array([motions.correlation(float(lag)) for lag in lags])
@@ -176,7 +175,7 @@ def _motions(recording: LatencyRecording, options: LatencyOptions) -> _Motions:
 
 
 def _covered(video_t_s: FloatArray, tracker_t_s: FloatArray, search_s: float) -> BoolArray:
-    """Video frames with close tracker samples at every lag tried (edges, and gaps beyond 0.25 s, left out)."""
+    """Video frames with close tracker samples at every lag tried (not at edges or gaps beyond 0.25 s)."""
     inside = (video_t_s - search_s >= tracker_t_s[0]) & (video_t_s + search_s <= tracker_t_s[-1])
     for gap in np.flatnonzero(np.diff(tracker_t_s) > 0.25):
         inside &= (video_t_s + search_s < tracker_t_s[gap]) | (video_t_s - search_s > tracker_t_s[gap + 1])
@@ -193,7 +192,7 @@ def _periods(motions: _Motions) -> float:
 
 def _refined(motions: _Motions, lag_s: float, sign: float, options: LatencyOptions) -> tuple[float, float]:
     """Best lag near `lag_s` for one sign of motion, by fine steps and a parabola, with its correlation."""
-    steps = int(round(2 * options.coarse_s / options.fine_s))
+    steps = round(2 * options.coarse_s / options.fine_s)
     for _ in range(20):
         lags = lag_s + options.fine_s * np.arange(-steps, steps + 1)
         values = sign * np.array([motions.correlation(float(lag)) for lag in lags])
@@ -225,7 +224,7 @@ def _interval(motions: _Motions, lag_s: float, sign: float, options: LatencyOpti
     count = len(motions.video_t_s)
     edges = np.linspace(0, count, options.blocks + 1).astype(int)
     index = np.arange(count)
-    without = [(index < a) | (index >= b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    without = [(index < a) | (index >= b) for a, b in pairwise(edges.tolist())]
     lags = np.array([_refined(motions.part(keep), lag_s, sign, options)[0] for keep in without])
     share = (options.blocks - 1) / options.blocks
     error = float(np.sqrt(share * ((lags - lags.mean()) ** 2).sum()))
@@ -243,8 +242,8 @@ def _refuse_poor(
         )
     if ratio > options.max_second_ratio:
         raise QualityGateError(
-            f"two lags fit equally well ({lag_s:+.3f} s and {second_lag_s:+.3f} s, ratio {ratio:.3f}); record "
-            "again with movements of uneven pace so that only one can match"
+            f"two lags fit equally well ({lag_s:+.3f} s and {second_lag_s:+.3f} s, ratio {ratio:.3f}); "
+            "record again with movements of uneven pace so that only one can match"
         )
     if abs(lag_s) >= options.search_s - options.coarse_s:
         raise QualityGateError(

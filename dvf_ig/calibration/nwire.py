@@ -1,4 +1,4 @@
-"""Geometry of N-wire images: which point of the phantom the diagonal's dot shows, and how far a map misses."""
+"""Geometry of N-wire images: which phantom point the diagonal's dot shows, and how far a map misses."""
 
 from dataclasses import dataclass
 
@@ -171,8 +171,8 @@ def _meeting(diagonal: Wire, outer: Wire) -> FloatArray:
     gap = float(np.linalg.norm(np.cross(point - outer.front_mm, v)))
     if gap > 1.0:
         raise InvalidInputError(
-            f"wire {diagonal.name} passes {gap:.2f} mm from {outer.name}, needed at most 1 mm: the three wires "
-            "of an N lie in one plane"
+            f"wire {diagonal.name} passes {gap:.2f} mm from {outer.name}, needed at most 1 mm: the three "
+            "wires of an N lie in one plane"
         )
     return np.asarray(point)
 

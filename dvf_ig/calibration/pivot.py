@@ -143,7 +143,7 @@ def _result(
         poses=len(valid),
         span_deg=span,
         condition=condition,
-        covariance=variance * np.linalg.inv(matrix.T @ matrix),
+        covariance=np.asarray(variance * np.linalg.inv(matrix.T @ matrix), dtype=np.float64),
     )
 
 
@@ -164,7 +164,7 @@ def _agreeing(
         if np.array_equal(again, keep):
             break
         keep = again
-    return keep
+    return np.asarray(keep)
 
 
 def _best_hypothesis(

@@ -93,54 +93,58 @@ def calibrate_probe(
         options: see ProbeOptions.
     Raises:
         InvalidInputError: too few usable frames, or wires that do not form N patterns.
-        QualityGateError: dots that do not spread over the image, image axes far from orthogonal, a large error.
+        QualityGateError: dots that do not spread over the image, image axes far from orthogonal, or a
+            large error.
         NotConvergedError: the refinement did not settle.
     Source: Comeau 1998 / Chen 2009 (N-wire, linear); Carbajal 2013 (all wires, in plane).
     """
     options = options or ProbeOptions()
-    if options.method not in PROBE_METHODS:
-        raise InvalidInputError(
-            f"probe method '{options.method}' is unknown; choose {', '.join(PROBE_METHODS)}"
-        )
-    seen = usable_frames(recording)
-    if len(seen.frames) < options.min_frames:
-        raise InvalidInputError(
-            f"{len(seen.frames)} usable N-wire frames of {len(recording.phantom_from_probe)}; needed at least "
-            f"{options.min_frames}: record more of the phantom"
-        )
+    seen = _checked(recording, options)
     keep = _agreeing_frames(seen, rng, options)
     if keep.sum() < max(options.min_frames, len(keep) // 2):
         raise QualityGateError(
-            f"only {int(keep.sum())} of {len(keep)} N-wire frames agree on one probe calibration, needed half and "
-            f"at least {options.min_frames}; check that phantom, probe sensor and wire order are as described"
+            f"only {int(keep.sum())} of {len(keep)} N-wire frames agree on one probe calibration, needed half "
+            f"and at least {options.min_frames}; check that phantom, sensor and wire order are as described"
         )
     chosen = _subset(seen, keep)
     linear = _linear_map(chosen)
     covariance, edge_sd = _linear_covariance(chosen, linear)
     if edge_sd > options.max_edge_sd_mm:
         raise QualityGateError(
-            f"the wires leave the probe calibration uncertain by {edge_sd:.2f} mm where they were seen, needed at "
-            f"most {options.max_edge_sd_mm:g} mm; move the probe so that the dots wander over the image"
+            f"the wires leave the probe calibration uncertain by {edge_sd:.2f} mm where they were seen, needed "
+            f"at most {options.max_edge_sd_mm:g} mm; move the probe so that the dots wander over the image"
         )
     image_map = _fit(chosen, linear, recording, options)
-    shear = _shear_deg(linear)
-    result = ProbeResult(
+    mean = float(middle_errors_mm(_columns(image_map), chosen).mean())
+    if mean > options.max_mean_mm:
+        raise QualityGateError(
+            f"the middle wires miss by {mean:.2f} mm on average, needed at most {options.max_mean_mm:g} mm; "
+            "check the phantom's wiring, its registration and the tracker's latency"
+        )
+    return ProbeResult(
         probe_from_image=image_map,
         matrix=image_map.matrix,
         calibration=measure_errors(_columns(image_map), seen, recording),
         inliers=_inlier_flags(len(recording.phantom_from_probe), seen, keep),
         method=options.method,
-        shear_deg=shear,
+        shear_deg=_shear_deg(linear),
         edge_sd_mm=edge_sd,
         covariance=covariance,
     )
-    mean = float(middle_errors_mm(_columns(image_map), chosen).mean())
-    if mean > options.max_mean_mm:
-        raise QualityGateError(
-            f"the middle wires miss by {mean:.2f} mm on average, needed at most {options.max_mean_mm:g} mm; check "
-            "the phantom's wiring, its registration and the tracker's latency"
+
+
+def _checked(recording: NWireRecording, options: ProbeOptions) -> NWireFrames:
+    """The usable frames, or the reason why there can be no calibration."""
+    if options.method not in PROBE_METHODS:
+        listed = ", ".join(PROBE_METHODS)
+        raise InvalidInputError(f"probe method '{options.method}' is unknown; choose {listed}")
+    seen = usable_frames(recording)
+    if len(seen.frames) < options.min_frames:
+        raise InvalidInputError(
+            f"{len(seen.frames)} usable N-wire frames of {len(recording.phantom_from_probe)}; needed at "
+            f"least {options.min_frames}: record more of the phantom"
         )
-    return result
+    return seen
 
 
 def validate_probe(probe_from_image: ImageMap, recording: NWireRecording) -> WireErrors:
@@ -152,8 +156,8 @@ def validate_probe(probe_from_image: ImageMap, recording: NWireRecording) -> Wir
     sensor = recording.phantom_from_probe.source
     if probe_from_image.rigid.target != sensor:
         raise InvalidInputError(
-            f"the image calibration belongs to sensor '{probe_from_image.rigid.target}', the recording tracks "
-            f"'{sensor}'; use the calibration of the same probe"
+            f"the image calibration belongs to sensor '{probe_from_image.rigid.target}', the recording "
+            f"tracks '{sensor}'; use the calibration of the same probe"
         )
     return measure_errors(_columns(probe_from_image), usable_frames(recording), recording)
 

@@ -32,8 +32,8 @@ class RPeakOptions:
     refractory_s: float = 0.24
     t_wave_s: float = 0.40
     t_wave_share: float = 0.75
-    share: float = 0.5
-    late_share: float = 0.3
+    share: float = 0.42
+    late_share: float = 0.25
     search_back_share: float = 0.2
     search_back_rr: float = 1.5
     close_share: float = 0.6
@@ -68,7 +68,7 @@ class BeatFinder:
         self._last_height = 0.0
         self._rr = 0.8 * rate_hz
         self._intervals: deque[int] = deque(maxlen=8)
-        self._candidates: list[Complex] = []
+        self._candidates: deque[Complex] = deque(maxlen=16)
 
     def step(self, row: Sequence[float], off: Sequence[bool]) -> list[Complex]:
         """Envelope values and "lead off" flags of the next sample."""
@@ -139,7 +139,9 @@ class BeatFinder:
                 options.search_back_share, options.contrast * self._levels.background()
             ):
                 self._accept(Complex(best.top, self._now, best.height), found)
-                self._candidates = [c for c in late if c.top > best.top + options.refractory_s * self._rate]
+                self._candidates.extend(
+                    c for c in late if c.top > best.top + options.refractory_s * self._rate
+                )
         second = round(self._rate)
         if waited > 2 * second and waited % second == 0:
             self._levels.silence()
@@ -149,7 +151,7 @@ class BeatFinder:
             self._intervals.append(beat.top - self._last)
             self._rr = sorted(self._intervals)[len(self._intervals) // 2]
         self._last, self._last_height = beat.top, beat.height
-        self._candidates = []
+        self._candidates.clear()
         back = self._now - beat.top
         if back < len(self._history):
             self._levels.beat(self._history[-1 - back])

@@ -13,6 +13,8 @@ false small beats cannot drag the threshold down with it."""
 NOISE_TIME_S = 0.4
 NOISE_QUANTILE = 0.6
 """Noise is this quantile of the envelope, which the complexes themselves hardly touch."""
+SILENT_CONTRAST = 3.0
+"""While no beat comes, levels fall no further than this many times the noise."""
 NOISE_FLOOR = 0.02
 """Smallest noise assumed, as a share of the level: a perfectly clean lead does not silence the others."""
 
@@ -70,8 +72,11 @@ class LeadLevels:
         self._weigh()
 
     def silence(self) -> None:
-        """No beat for long: expect smaller ones."""
-        self._level = [0.8 * v for v in self._level]
+        """No beat for long: expect smaller ones, but still such that stand out from the noise."""
+        self._level = [
+            min(level, max(0.8 * level, SILENT_CONTRAST * noise))
+            for level, noise in zip(self._level, self._noise, strict=True)
+        ]
         self._weigh()
 
     def _weigh(self) -> None:

@@ -123,7 +123,7 @@ class PhaseClock:
         """
         if t_s < self._asked_s:
             raise InvalidInputError(
-                f"phase at {t_s:.4f} s was asked for after {self._asked_s:.4f} s; the clock runs forwards only"
+                f"phase at {t_s:.4f} s was asked for after {self._asked_s:.4f} s; the clock only runs forwards"
             )
         self._advance(t_s)
         return PhaseReading(float(self._phase % 1.0), self._sigma(t_s), self._rr_s, self._state)
@@ -155,7 +155,7 @@ class PhaseClock:
         self._asked_s = t_s
 
     def _sigma(self, t_s: float) -> float:
-        """One standard deviation: RR prediction error grown with the beat, R timing, and what is to catch up."""
+        """One standard deviation: RR prediction error grown with the beat, R timing, what is to catch up."""
         if not self._rr_s > 0:
             return float("nan")
         share = max(0.0, t_s - self._last_r_s) / self._rr_s

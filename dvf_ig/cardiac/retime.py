@@ -1,4 +1,4 @@
-"""From phase to the pre-operative cycle: what the heart looks like at this moment of a beat of this length."""
+"""From phase to the pre-operative cycle: what the heart looks like now, in a beat of this length."""
 
 from typing import Literal
 
@@ -42,8 +42,8 @@ def retime(
         raise InvalidInputError(f"retiming '{mode}' is unknown; choose uniform or two-segment")
     if not timing_rr_s > 0 or not 0.05 < es_fraction < 0.95:
         raise InvalidInputError(
-            f"the model was acquired at RR {timing_rr_s:g} s with end-systole at {es_fraction:g} of the cycle; "
-            "needed RR above 0 and end-systole within 0.05 to 0.95"
+            f"the model was acquired at RR {timing_rr_s:g} s with end-systole at {es_fraction:g} of the "
+            "cycle; needed RR above 0 and end-systole within 0.05 to 0.95"
         )
     phase, rr = np.broadcast_arrays(
         np.asarray(phi, dtype=np.float64) % 1.0, np.asarray(rr_s, dtype=np.float64)

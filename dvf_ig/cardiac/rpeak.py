@@ -6,7 +6,7 @@ import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, Signal
 
-from .beat_finder import BeatFinder, RPeakOptions
+from .beat_finder import BeatFinder, Complex, RPeakOptions
 from .lead_watch import LeadChange, LeadWatch
 from .qrs_feature import QrsFeature
 from .r_locator import RLocator
@@ -68,12 +68,11 @@ class RPeakDetector:
         filled, off = self._watch.push(chunk)
         envelope = self._feature.push(filled)
         self._locator.push(filled)
-        self._note_changes(off.all(axis=1))
-        found = []
+        self._note_changes(np.asarray(off.all(axis=1)))
+        found: list[RPeak] = []
         for row, flags in zip(envelope.tolist(), off.tolist(), strict=True):
             self._count += 1
-            for beat in self._finder.step(row, flags):
-                found.append(self._peak(beat.top, beat.judged, beat.height))
+            found += [self._peak(beat) for beat in self._finder.step(row, flags)]
         self._locator.forget()
         return found
 
@@ -88,9 +87,9 @@ class RPeakDetector:
         self._finder = BeatFinder(self.rate_hz, self.leads, self._options)
         self._count = 0
 
-    def _peak(self, top: int, judged: int, height: float) -> RPeak:
-        at = self._locator.locate(top - self._feature.delay, judged)
-        return RPeak(self._time(at), self._time(judged), min(1.0, height))
+    def _peak(self, beat: Complex) -> RPeak:
+        at = self._locator.locate(beat.top - self._feature.delay, beat.judged)
+        return RPeak(self._time(at), self._time(beat.judged), min(1.0, beat.height))
 
     def _note_changes(self, lost: BoolArray) -> None:
         for index in np.flatnonzero(np.diff(np.concatenate([[not self._on], lost]).astype(np.int8))):

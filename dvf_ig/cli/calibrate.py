@@ -214,8 +214,8 @@ def _needed_points(points: Path | None, sequence: Path) -> Path:
 
     if points is None:
         raise InvalidInputError(
-            f"wires are not yet found in the images of {sequence}; give their positions with --points RESULTS.xml "
-            "(the file that PLUS's fCal writes)"
+            f"wires are not yet found in the images of {sequence}; give their positions with "
+            "--points RESULTS.xml (the file that PLUS's fCal writes)"
         )
     return points
 
@@ -233,8 +233,8 @@ def _latency_recording(tracker: Path, video: Path, line_table: Path | None, seed
     frames = read_sequence(video)
     if frames.images is None or not frames.has_timestamps:
         raise InvalidInputError(
-            f"{video} has no {'images' if frames.images is None else 'time stamps'}; give the lines with --line-table "
-            "or a video with both"
+            f"{video} has no {'images' if frames.images is None else 'time stamps'}; give the lines with "
+            "--line-table, or a video with both"
         )
     rng = np.random.default_rng(seed)
     rows = wall_trace(frames.t_s, frames.images, frames.image_valid, rng=rng)

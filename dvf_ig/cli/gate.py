@@ -8,7 +8,7 @@ import typer
 from .shell import JsonFlag, command, emit, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.cardiac import PhaseTracking, PredictorName
+    from dvf_ig.cardiac import PhaseTracking
     from dvf_ig.core import Signal
 
 VALIDITY_RATE_HZ = 100.0
@@ -39,8 +39,6 @@ def gate(
 
 
 def _track(signal: "Signal", rate_hz: float, predictor: str) -> "PhaseTracking":
-    from typing import cast
-
     import numpy as np
 
     from dvf_ig.cardiac import PREDICTORS, PhaseClockOptions, track_phase
@@ -50,7 +48,7 @@ def _track(signal: "Signal", rate_hz: float, predictor: str) -> "PhaseTracking":
         raise InvalidInputError(f"RR predictor '{predictor}' is unknown; choose {', '.join(PREDICTORS)}")
     duration_s = len(signal) / signal.rate_hz
     t_s = signal.start_s + np.arange(max(1, int(duration_s * rate_hz))) / rate_hz
-    options = PhaseClockOptions(predictor=cast("PredictorName", predictor))
+    options = PhaseClockOptions(predictor=predictor)
     return track_phase(signal, t_s, options=options)
 
 

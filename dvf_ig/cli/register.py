@@ -32,18 +32,24 @@ def register(
     The evidence is written in any case; exits 5, 6 or 7 when the pose must not be used.
     """
     with command(threads):
+        from dvf_ig.io import output_folder, write_json, write_transform
+
         if out is None:
             raise typer.BadParameter("say where to write: -o OUT")
         if (scenario is None) == (fixed is None and moving is None):
             raise typer.BadParameter("give either a scenario folder, or --fixed US and --moving MR")
-        if scenario is not None:
-            result, name = _scenario(scenario, init, seed), "mr_from_tracker"
-        else:
-            if fixed is None or moving is None:
-                raise typer.BadParameter("an image pair needs both --fixed US and --moving MR")
-            result, name = _pair(fixed, moving, init, mask, seed), "moving_from_fixed"
-        payload = _payload(result, name, seed)
-        _write(out, result, name, payload)
+        name = "mr_from_tracker" if scenario is not None else "moving_from_fixed"
+        transform, evidence = _files(out, name)
+        with output_folder(transform.parent):
+            if scenario is not None:
+                result = _scenario(scenario, init, seed)
+            else:
+                result = _pair(fixed, moving, init, mask, seed)
+            payload = _payload(result, name, seed)
+            write_transform(result.mr_from_tracker, transform)
+            write_json(evidence, payload)
+        wrote(transform, name)
+        wrote(evidence)
         emit(payload, _rows(result, name), as_json=as_json)
         _judge(result)
 
@@ -57,13 +63,17 @@ def _scenario(folder: Path, init: Path | None, seed: int) -> "RegistrationResult
         return register_scenario(read_scenario(folder), start, seed=seed, progress=report)
 
 
-def _pair(fixed: Path, moving: Path, init: Path | None, mask: Path | None, seed: int) -> "RegistrationResult":
+def _pair(
+    fixed: Path | None, moving: Path | None, init: Path | None, mask: Path | None, seed: int
+) -> "RegistrationResult":
     import numpy as np
 
     from dvf_ig.core import Rigid
     from dvf_ig.io import read_transform, read_volume
     from dvf_ig.registration import register_pair
 
+    if fixed is None or moving is None:
+        raise typer.BadParameter("an image pair needs both --fixed US and --moving MR")
     ultrasound, anatomy = read_volume(fixed, frame="fixed"), read_volume(moving, frame="moving")
     start = (
         read_transform(init, target="moving", source="fixed")
@@ -101,18 +111,11 @@ def _payload(result: "RegistrationResult", name: str, seed: int) -> dict[str, An
     }
 
 
-def _write(out: Path, result: "RegistrationResult", name: str, payload: dict[str, Any]) -> None:
-    from dvf_ig.io import make_folder, write_json, write_transform
-
+def _files(out: Path, name: str) -> tuple[Path, Path]:
+    """Where the transform and its evidence go."""
     if out.suffix == ".tfm":
-        transform, evidence = out, out.with_name(f"{out.stem}.result.json")
-    else:
-        transform, evidence = out / f"{name}.tfm", out / "result.json"
-    make_folder(transform.parent)
-    write_json(evidence, payload)
-    write_transform(result.mr_from_tracker, transform)
-    wrote(transform, name)
-    wrote(evidence)
+        return out, out.with_name(f"{out.stem}.result.json")
+    return out / f"{name}.tfm", out / "result.json"
 
 
 def _rows(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:

@@ -26,21 +26,20 @@ def replay(
     """
     with command(threads):
         from dvf_ig.core import QualityGateError
-        from dvf_ig.io import make_folder, read_model, read_scenario, write_json, write_text
+        from dvf_ig.io import output_folder, read_model, read_scenario, write_json, write_text
         from dvf_ig.replay import result_of, run_replay, table
         from dvf_ig.replay.report import report_html
 
         recorded = read_scenario(scenario)
         patient = recorded.preop.patient_id
         built = read_model(model, patient_id=patient) if model is not None else None
-        with progress("replay") as report:
-            done = run_replay(recorded, model=built, seed=seed, progress=report)
-        result = result_of(done)
-        page = report_html(done, result)
-        make_folder(out)
         result_path, report_path = out / "result.json", out / "report.html"
-        write_json(result_path, result)
-        write_text(report_path, page)
+        with output_folder(out):
+            with progress("replay") as report:
+                done = run_replay(recorded, model=built, seed=seed, progress=report)
+            result = result_of(done)
+            write_text(report_path, report_html(done, result))
+            write_json(result_path, result)
         emit(result, table(result), as_json=as_json)
         wrote(result_path)
         wrote(report_path)

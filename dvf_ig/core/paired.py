@@ -45,6 +45,6 @@ def _refuse_line(centred_mm: FloatArray, frame: str) -> None:
     spread = np.linalg.svd(centred_mm, compute_uv=False)
     if spread[1] <= COLLINEAR_RATIO * spread[0]:
         raise InvalidInputError(
-            f"the points in '{frame}' lie on one line (spread {spread[0]:.3g} mm along it, {spread[1]:.3g} mm "
-            "across); add a point away from the line"
+            f"the points in '{frame}' lie on one line (spread {spread[0]:.3g} mm along it, {spread[1]:.3g} "
+            "mm across); add a point away from the line"
         )

@@ -1,6 +1,6 @@
 """Files to core values and back: the only place that knows LPS/RAS, pixels, bytes and PLUS names."""
 
-from .atomic import make_folder as make_folder
+from .atomic import output_folder as output_folder
 from .atomic import write_text as write_text
 from .describe import Description as Description
 from .describe import describe as describe

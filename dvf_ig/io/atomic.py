@@ -42,16 +42,26 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
-def make_folder(folder: Path) -> None:
-    """Make a folder and its parents where they are missing.
+@contextmanager
+def output_folder(folder: Path) -> Iterator[Path]:
+    """A folder to write results into, made before the work begins so that a bad place is refused at once.
+
+    When the block fails before it has written anything, folders that were made here are removed again.
 
     Raises:
         OutputError: a file is in the way, or not permitted.
     """
+    made = [p for p in (folder, *folder.parents) if not p.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as exc:
         raise OutputError(f"cannot make the folder {folder}: {exc.strerror or exc}") from exc
+    try:
+        yield folder
+    finally:
+        for path in made:
+            if path.is_dir() and not any(path.iterdir()):
+                path.rmdir()
 
 
 @contextmanager

@@ -1,5 +1,7 @@
 """The three calibrations of a scenario: tool tip, image, latency."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +14,7 @@ from dvf_ig.calibration import (
     calibrate_probe,
     estimate_latency,
 )
-from dvf_ig.core import Scenario
+from dvf_ig.core import DvfIgError, Scenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +29,19 @@ class Rulers:
 def calibrate(scenario: Scenario, seed: int) -> Rulers:
     """Calibrate tool, probe and latency from their recordings; refusals are the methods' own."""
     rng_pivot, rng_probe = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-    return Rulers(
-        pivot=calibrate_pivot(scenario.pivot, rng=rng_pivot),
-        probe=calibrate_probe(scenario.nwire, rng=rng_probe),
-        latency=estimate_latency(scenario.latency),
-    )
+    with _naming("pivot calibration"):
+        pivot = calibrate_pivot(scenario.pivot, rng=rng_pivot)
+    with _naming("probe calibration"):
+        probe = calibrate_probe(scenario.nwire, rng=rng_probe)
+    with _naming("latency calibration"):
+        latency = estimate_latency(scenario.latency)
+    return Rulers(pivot, probe, latency)
+
+
+@contextmanager
+def _naming(stage: str) -> Iterator[None]:
+    """Say which calibration refused its recording."""
+    try:
+        yield
+    except DvfIgError as error:
+        raise type(error)(f"{stage}: {error}") from error

@@ -2,15 +2,17 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import InvalidInputError, Landmarks, Points, Rigid, Stop
+from dvf_ig.core import Grid, InvalidInputError, Landmarks, Points, Rigid, Stop, Volume
 from dvf_ig.registration import (
     Level,
     RegistrationOptions,
     channels_from_mr,
     gate_frames,
     pose_difference,
+    register_pair,
     register_rigid,
     start_from_landmarks,
     summarise,
@@ -141,3 +143,20 @@ def test_gate_counts_each_reason_once() -> None:
         "irregular or unfinished beat": 1,
         "between model phases": 1,
     }
+
+
+def test_an_image_pair_is_registered_from_its_volumes() -> None:
+    mr = toy_mr().phase(0)
+    pose = Rigid.from_rotation_vector([0.05, -0.06, 0.04], [4.0, -3.0, 5.0], "moving", "fixed")
+    grid = Grid.axis_aligned("fixed", (62, 58, 54), CENTER_MM - np.array([62, 58, 54]), 2.0)
+    at = mr.grid.to_index(pose.apply_array(grid.centers_mm()))
+    sampled = ndimage.map_coordinates(mr.values, np.moveaxis(at, -1, 0), order=1, mode="nearest")
+    speckle = 1 + 0.2 * np.random.default_rng(0).normal(size=sampled.shape)
+    ultrasound = Volume(grid, (400.0 - sampled) * speckle)
+    moving = Volume(Grid.axis_aligned("moving", mr.grid.shape, mr.grid.origin_mm, 2.0), mr.values)
+    start = Rigid.identity("moving", "fixed")
+    result = register_pair(ultrasound, moving, start, rng=np.random.default_rng(0))
+    targets = Points("moving", CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3)))
+    assert target_errors_mm(start, pose, targets).mean() > 5
+    assert result.stop is Stop.CONVERGED
+    assert target_errors_mm(result.mr_from_tracker, pose, targets).mean() < 0.6  # 0.3 of a voxel
