@@ -42,6 +42,18 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder and its parents where they are missing.
+
+    Raises:
+        OutputError: a file is in the way, or not permitted.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as exc:
+        raise OutputError(f"cannot make the folder {folder}: {exc.strerror or exc}") from exc
+
+
 @contextmanager
 def output_folder(folder: Path) -> Iterator[Path]:
     """A folder to write results into, made before the work begins so that a bad place is refused at once.
@@ -52,10 +64,7 @@ def output_folder(folder: Path) -> Iterator[Path]:
         OutputError: a file is in the way, or not permitted.
     """
     made = [p for p in (folder, *folder.parents) if not p.exists()]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as exc:
-        raise OutputError(f"cannot make the folder {folder}: {exc.strerror or exc}") from exc
+    make_folder(folder)
     try:
         yield folder
     finally:
