@@ -28,7 +28,7 @@ class LeadWatch:
         self._started = False
 
     def push(self, samples: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """(n, leads) samples, NaN where missing, to samples with gaps held and (n, leads) "lead off" flags."""
+        """(n, leads) samples, NaN where missing, to samples with gaps held and "lead off" flags."""
         if not self._started:
             self._held = np.where(np.isfinite(samples[0]), samples[0], 0.0)
             self._started = True

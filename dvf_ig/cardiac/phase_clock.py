@@ -69,6 +69,7 @@ class PhaseClock:
         self._rr_s = float("nan")
         self._beats = 0
         self._intervals: deque[float] = deque(maxlen=self._options.irregular_beats)
+        self._sound: deque[float] = deque(maxlen=self._options.relock_beats)
         self._consistent = 0
         self._latencies: deque[float] = deque(maxlen=9)
         self._latency_s = 0.15
@@ -123,7 +124,7 @@ class PhaseClock:
         """
         if t_s < self._asked_s:
             raise InvalidInputError(
-                f"phase at {t_s:.4f} s was asked for after {self._asked_s:.4f} s; the clock only runs forwards"
+                f"phase at {t_s:.4f} s was asked for after {self._asked_s:.4f} s; ask in order of time"
             )
         self._advance(t_s)
         return PhaseReading(float(self._phase % 1.0), self._sigma(t_s), self._rr_s, self._state)
@@ -146,10 +147,10 @@ class PhaseClock:
         gap = self._target(t_s) + self._turns - self._phase
         if self._state != PhaseState.LOCKED:
             # only the place in the cycle counts now: run there forwards, or wait where that is shorter
-            whole = np.floor(gap + 0.5)
+            whole = float(np.floor(gap + 0.5))
             self._turns -= whole
-            self._phase += max(0.0, gap - whole)
-        elif gap > 0:
+            gap -= whole
+        if gap > 0 and self._rr_s > 0:
             reach = self._options.catch_up * (t_s - self._asked_s) / self._rr_s
             self._phase += min(gap, reach)
         self._asked_s = t_s
@@ -170,9 +171,12 @@ class PhaseClock:
         options = self._options
         predicted = self._rr_s
         self._intervals.append(interval)
+        self._sound.append(interval)
         known = predicted > 0
         early = known and interval < options.early_share * predicted
         weak = quality < options.min_quality
+        if weak:
+            self._sound.clear()
         fits = known and abs(interval - predicted) <= options.consistent_share * predicted and not weak
         self._consistent = self._consistent + 1 if fits else 0
         if known and fits:
@@ -192,7 +196,7 @@ class PhaseClock:
     def _follow_new_rate(self) -> None:
         """After a lasting change of rate the recent beats agree with each other, not with the prediction."""
         need = self._options.relock_beats
-        recent = list(self._intervals)[-need:]
+        recent = list(self._sound)
         if self._state in (PhaseState.LOCKED, PhaseState.INIT) or len(recent) < need or self._consistent:
             return
         middle = float(np.median(recent))

@@ -40,7 +40,8 @@ def replay(
             result = result_of(done)
             write_text(report_path, report_html(done, result))
             write_json(result_path, result)
-        emit(result, table(result), as_json=as_json)
+        heading = ("", "estimate", "error against the truth" if done.scenario.truth is not None else "")
+        emit(result, [heading, *table(result)], as_json=as_json)
         wrote(result_path)
         wrote(report_path)
         if not done.poses:

@@ -66,15 +66,16 @@ def limit_threads(threads: int) -> None:
         os.environ[name] = str(threads)
 
 
-def emit(result: Mapping[str, Any], rows: Sequence[tuple[str, str]], *, as_json: bool) -> None:
-    """Print a result: one JSON object, or its rows as two aligned columns."""
+def emit(result: Mapping[str, Any], rows: Sequence[tuple[str, ...]], *, as_json: bool) -> None:
+    """Print a result: one JSON object, or its rows as aligned columns."""
     if as_json:
         json.dump(result, sys.stdout, indent=2, allow_nan=False)
         sys.stdout.write("\n")
         return
-    width = max((len(label) for label, _ in rows), default=0)
-    for label, value in rows:
-        print(f"{label:<{width}}  {value}")
+    columns = max((len(row) for row in rows), default=0)
+    widths = [max(len(row[c]) for row in rows if len(row) > c) for c in range(columns)]
+    for row in rows:
+        print("  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=False)).rstrip())
 
 
 def wrote(path: Path, frame: str | None = None) -> None:

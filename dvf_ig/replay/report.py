@@ -18,7 +18,9 @@ body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1080px; 
        padding: 0 1rem; }
 h1 { font-size: 1.5rem; margin-bottom: .2rem; } h2 { font-size: 1.1rem; margin: 2rem 0 .3rem; }
 p.note { color: #555; margin: .2rem 0 .8rem; max-width: 75ch; }
-table { border-collapse: collapse; } td { padding: .25rem 1rem .25rem 0; border-bottom: 1px solid #e4e4e4; }
+table { border-collapse: collapse; }
+th { text-align: left; font-weight: 600; }
+td { padding: .25rem 1rem .25rem 0; border-bottom: 1px solid #e4e4e4; }
 td:first-child { color: #555; white-space: nowrap; } img { max-width: 100%; height: auto; }
 .verdict { display: inline-block; padding: .3rem .8rem; border-radius: .3rem; color: #fff; }
 .good { background: #2b7a3d; } .bad { background: #b3261e; }
@@ -60,15 +62,15 @@ def report_html(replay: Replay, result: dict[str, Any]) -> str:
         if figure is not None
     )
     rows = "".join(
-        f"<tr><td>{html.escape(label)}</td><td>{html.escape(value)}</td></tr>"
-        for label, value in table(result)
+        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in table(result)
     )
+    heading = "<tr><th></th><th>estimate</th><th>error against the truth</th></tr>"
     return (
         "<!doctype html><html lang=en><meta charset=utf-8>"
         f"<title>Replay of {html.escape(result['scenario'])}</title><style>{STYLE}</style>"
         f"<h1>Replay of {html.escape(result['scenario'])}</h1>"
         f"<p class=note>patient {html.escape(result['patient_id'])}, dvf_ig {dvf_ig.__version__}</p>"
-        f"{_verdict(result)}<h2>Estimates</h2><table>{rows}</table>{body}</html>"
+        f"{_verdict(result)}<h2>Estimates</h2><table>{heading}{rows}</table>{body}</html>"
     )
 
 

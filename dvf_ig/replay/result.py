@@ -215,88 +215,91 @@ def _nearest(times: FloatArray, wanted: FloatArray) -> np.ndarray[Any, np.dtype[
     return right - (wanted - times[right - 1] < times[right] - wanted)
 
 
-def table(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """The short table: every estimate, beside its error where the truth is known."""
-    est, rows = result["estimates"], []
-    tip = ", ".join(f"{v:.2f}" for v in est["tip_mm"])
-    rows.append(("tool tip", f"({tip}) mm" + _beside("error", result["tip_error_mm"], "mm")))
-    rows.append(
-        (
-            "probe",
-            f"N-wire residual {est['probe_calibration_mean95_mm']:.2f} mm"
-            + _beside("error at the far corner", result["probe_error_mm"], "mm"),
-        )
-    )
-    lag_error = result["lag_error_s"]
-    error_ms = None if lag_error is None else 1000 * lag_error
-    rows.append(("latency", f"{1000 * est['lag_s']:.1f} ms" + _beside("error", error_ms, "ms")))
-    rows += _clock_rows(result)
-    rows += _pose_rows(result)
-    rows += _force_rows(result)
-    rows.append(("time", f"{result['seconds']:.1f} s"))
-    return rows
-
-
-def _beside(what: str, value: float | None, unit: str) -> str:
-    return "" if value is None else f"   {what} {value:.2f} {unit}"
-
-
-def _clock_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
+def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """The short table: quantity, estimate, and its error where the truth is known (else empty)."""
     est = result["estimates"]
-    beats = f"{est['beats']} beats, phase locked {100 * result['valid_phase_share']:.0f} % of the time"
-    if est["rr_s"]:
-        beats += f", RR {est['rr_s']:.3f} s, T_d {1000 * est['frame_period_s']:.1f} ms × {est['phases']}"
-    rows = [("heart", beats)]
-    phase, surface = result["phase_error_percent_rr"], result["model_phase_error_mm"]
+    tip = ", ".join(f"{v:.2f}" for v in est["tip_mm"])
+    lag_error_s = result["lag_error_s"]
+    return [
+        ("tool tip", f"({tip}) mm", _error(result["tip_error_mm"], "{:.2f} mm")),
+        (
+            "probe image",
+            f"N-wire residual {est['probe_calibration_mean95_mm']:.2f} mm",
+            _error(result["probe_error_mm"], "{:.2f} mm at the far corner"),
+        ),
+        (
+            "latency",
+            f"{1000 * est['lag_s']:.1f} ms",
+            _error(None if lag_error_s is None else 1000 * lag_error_s, "{:+.2f} ms"),
+        ),
+        *_clock_rows(result),
+        *_pose_rows(result),
+        *_force_rows(result),
+        ("time", f"{result['seconds']:.1f} s", ""),
+    ]
+
+
+def _error(value: float | None, form: str) -> str:
+    return "" if value is None else form.format(value)
+
+
+def _clock_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
+    est, phase, surface = (
+        result["estimates"],
+        result["phase_error_percent_rr"],
+        result["model_phase_error_mm"],
+    )
+    beats = f"{est['beats']} beats, phase valid {100 * result['valid_phase_share']:.0f} % of the time"
+    error = ""
     if phase is not None and surface is not None:
-        rows.append(
-            (
-                "phase error",
-                f"{phase['mean']:.2f} % of RR mean, {phase['p95']:.2f} % p95; "
-                f"{surface['mean']:.2f} mm mean at the surface",
-            )
+        error = (
+            f"{phase['mean']:.2f} % of RR mean, {phase['p95']:.2f} p95; {surface['mean']:.2f} mm of surface"
         )
+    rows = [("heart", beats, error)]
+    if est["rr_s"]:
+        period = f"RR {est['rr_s']:.3f} s, T_d {1000 * est['frame_period_s']:.1f} ms × {est['phases']} phases"
+        rows.append(("retiming", period, ""))
     return rows
 
 
-def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
+def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     attempts: Sequence[dict[str, Any]] = result["registrations"]
     usable = [a for a in attempts if a["usable"]]
+    start, tre = result["start_tre_mm"], result["tre_mm"]
+    rows = []
+    if start is not None:
+        rows.append(("start pose", "", f"TRE {start['median']:.2f} mm median, {start['max']:.2f} max"))
     if usable:
         text = (
-            f"{len(usable)} of {len(attempts)} usable, first in use at {usable[0]['ready_s']:.1f} s, "
-            f"last success probability {usable[-1]['success_probability']:.2f}"
+            f"{len(usable)} of {len(attempts)} usable, in use from {usable[0]['ready_s']:.1f} s, "
+            f"success probability {usable[-1]['success_probability']:.2f}"
         )
     else:
         text = f"none of {len(attempts)} usable" + (f": {attempts[-1]['reason']}" if attempts else "")
-    rows = [("registration", text)]
-    start, tre = result["start_tre_mm"], result["tre_mm"]
-    if start is not None:
-        rows.append(("TRE at start", f"{start['median']:.2f} mm median, {start['max']:.2f} mm max"))
-    if tre is not None:
-        rows.append(
-            ("TRE in use", f"{tre['median']:.2f} mm median, {tre['p95']:.2f} mm p95, {tre['max']:.2f} mm max")
-        )
-    return rows
+    error = (
+        ""
+        if tre is None
+        else f"TRE {tre['median']:.2f} mm median, {tre['p95']:.2f} p95, {tre['max']:.2f} max"
+    )
+    return [*rows, ("registration", text, error)]
 
 
-def _force_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
-    force = result["force_n"]
+def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
+    force, contact, error = result["force_n"], result["contact"], result["force_error_n"]
     rows = [
         (
             "force",
-            f"{force['mean']:.3f} N mean, {force['max']:.3f} N max over {result['valid_ticks']} valid ticks; "
-            f"{result['refused_ticks']} of {result['ticks']} refused, {result['nonfinite_ticks']} non-finite",
-        )
+            f"{force['mean']:.3f} N mean, {force['max']:.3f} max over valid ticks",
+            "" if error is None else f"{error['median']:.3f} N median, {error['p95']:.3f} p95 in contact",
+        ),
+        (
+            "ticks",
+            f"{result['valid_ticks']} valid, {result['refused_ticks']} refused, "
+            f"{result['nonfinite_ticks']} non-finite",
+            "",
+        ),
     ]
-    contact, error = result["contact"], result["force_error_n"]
     if contact is not None:
-        rows.append(
-            (
-                "contact",
-                f"{100 * contact['share']:.0f} % of ticks, served in {100 * contact['served_share']:.0f} %",
-            )
-        )
-    if error is not None:
-        rows.append(("force error", f"{error['median']:.3f} N median, {error['p95']:.3f} N p95 in contact"))
+        share, served = 100 * contact["share"], 100 * contact["served_share"]
+        rows.append(("contact", "", f"in {share:.0f} % of ticks, force given in {served:.0f} % of those"))
     return rows
