@@ -1,7 +1,6 @@
 """The contract every synthetic heart fulfils, and the closed-form phantom that fulfils it."""
 
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -14,10 +13,12 @@ from dvf_ig.core import FloatArray, IntArray, Landmarks, Points, Preop, Rigid
 from .anatomical_points import TOUCHABLE, heart_landmarks, with_box_grid
 from .heart import HeartShape, heart_shape, outside_layers
 from .kernels import lv
-from .mismatch import SmoothField, random_mismatch
-from .motion import ES_FRACTION, InverseMotion, MotionPreset, activation, preset_scale
+from .mismatch import SmoothField, random_mismatch, tabulated_inverse
+from .motion import ES_FRACTION, MotionPreset, PullBack, preset_scale
 from .mr import MrProtocol, cine_preop
+from .mr_stack import StackCine, StackProtocol, stack_cine, stack_grid
 from .outline import outline, project_to_outline
+from .phantom_motion import PhantomMotion
 from .reference import Layers, ReferenceMap, build_reference, tissue_at
 from .tissue import Tissue
 
@@ -25,10 +26,7 @@ RR_S = 0.86
 """RR interval of the phantom's pre-operative acquisition (about 70 per minute)."""
 
 REFERENCE_SPACING_MM = 1.25
-MOTION_SPACING_MM = 3.5
 MARGIN_MM = 32.0
-_KNOTS = 9
-_THREADS = 2
 
 
 class BeatingAnatomy(Protocol):
@@ -56,7 +54,7 @@ class BeatingAnatomy(Protocol):
     @property
     def reference(self) -> ReferenceMap: ...
     @property
-    def inverse_motion(self) -> InverseMotion: ...
+    def inverse_motion(self) -> PullBack: ...
 
     def tissue(self, xyz_mm: FloatArray, model_phase: float) -> NDArray[np.uint8]:
         """(n,) tissue codes of the intra-operative anatomy at (n, 3) points."""
@@ -110,11 +108,10 @@ class PhantomShapes:
 
 @dataclass(frozen=True, eq=False)
 class PhantomAnatomy:
-    """A four-chamber heart whose motion is known in closed form (see `kernels.lv`).
+    """A four-chamber heart whose motion is known everywhere (see `kernels.lv` and `kernels.flow`).
 
-    The wall of the left ventricle moves exactly incompressibly; the right ventricle, atria and great vessels
-    ride on the smooth extension of that map: the right ventricle is squeezed towards the septum, the atria
-    are stretched by the descending base.
+    The wall of the left ventricle moves exactly incompressibly; right ventricle, atria and great vessels ride
+    on the extension of that map after a smooth flow, which empties the right ventricle and fills the atria.
 
     Attributes:
         shapes: implicit shapes at end-diastole.
@@ -145,20 +142,23 @@ class PhantomAnatomy:
         return build_reference(self.shapes, self._wide_box(), REFERENCE_SPACING_MM)
 
     @cached_property
-    def inverse_motion(self) -> InverseMotion:
-        return self._tabulated(self.mismatch)
+    def resting_motion(self) -> PhantomMotion:
+        """χ of the pre-operative anatomy."""
+        return PhantomMotion(self.shapes.mr_from_heart, self.shapes.heart.lobes(), self.scale)
+
+    @cached_property
+    def inverse_motion(self) -> PhantomMotion:
+        """χ of the intra-operative anatomy."""
+        if self.mismatch.rms_mm == 0:
+            return self.resting_motion
+        return replace(self.resting_motion, mismatch=tabulated_inverse(self.mismatch, self._wide_box()))
 
     def deformed(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        """χ: (n, 3) positions at a phase of (n, 3) reference points, exact, without mismatch."""
-        pose = self.shapes.mr_from_heart
-        local = np.ascontiguousarray((xyz_mm - pose.translation_mm) @ pose.rotation)
-        out = np.empty_like(local)
-        lv.forward(local, np.full(len(local), self._activation(model_phase)), out)
-        return pose.apply_array(out)
+        """χ: (n, 3) positions at a phase of (n, 3) reference points, without mismatch."""
+        return self.resting_motion.push_forward(xyz_mm, model_phase)
 
     def material(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        guess = self.inverse_motion.pull_back(xyz_mm, model_phase)
-        return self._undeformed(self.mismatch.inverse(xyz_mm), self._activation(model_phase), guess)
+        return self.inverse_motion.pull_back(xyz_mm, model_phase)
 
     def tissue(self, xyz_mm: FloatArray, model_phase: float) -> NDArray[np.uint8]:
         return tissue_at(self.shapes, self.material(xyz_mm, model_phase))
@@ -176,48 +176,29 @@ class PhantomAnatomy:
         return Landmarks(TOUCHABLE, Points("mr", project_to_outline(self.shapes.organ, chosen)))
 
     def preop(self, rng: np.random.Generator) -> Preop:
-        zero = random_mismatch(self.box_mm, 0.0, np.random.default_rng(0))
-        motion = self.inverse_motion if self.mismatch.rms_mm == 0 else self._tabulated(zero)
         return cine_preop(
-            f"phantom-{self.seed}", self.reference, motion, self.box_mm, self.rr_s, rng, MrProtocol()
+            f"phantom-{self.seed}",
+            self.reference,
+            self.resting_motion,
+            self.box_mm,
+            self.rr_s,
+            rng,
+            MrProtocol(),
         )
 
-    def _activation(self, model_phase: float) -> float:
-        return self.scale * float(activation(model_phase))
+    def short_axis_cine(self, rng: np.random.Generator, protocol: StackProtocol | None = None) -> StackCine:
+        """A short-axis stack over the ventricles, from below the apex to above the mitral plane."""
+        chosen = protocol or StackProtocol()
+        pose = self.shapes.mr_from_heart
+        local = pose.inverse().apply_array(self.ed_vertices_mm)
+        low, high = local.min(axis=0) - MrProtocol().margin_mm, local.max(axis=0) + MrProtocol().margin_mm
+        low[2], high[2] = -0.5 * chosen.pitch_mm, lv.BASE + chosen.pitch_mm
+        grid = stack_grid(pose.rotation, pose.apply_array(low), high - low, chosen)
+        timing = (self.rr_s, self.es_fraction)
+        return stack_cine(self.reference, self.resting_motion, grid, timing, rng, chosen)
 
     def _wide_box(self) -> FloatArray:
         return np.asarray(self.box_mm + np.array([[-MARGIN_MM], [MARGIN_MM]]))
-
-    def _undeformed(self, xyz_mm: FloatArray, level: float, guess_mm: FloatArray) -> FloatArray:
-        pose = self.shapes.mr_from_heart
-        local = np.ascontiguousarray((xyz_mm - pose.translation_mm) @ pose.rotation)
-        guess = np.ascontiguousarray((guess_mm - pose.translation_mm) @ pose.rotation)
-        out = np.empty_like(local)
-        lv.inverse(local, np.full(len(local), level), guess, out)
-        return pose.apply_array(out)
-
-    def _tabulated(self, mismatch: SmoothField) -> InverseMotion:
-        """χ⁻¹ after the inverse mismatch, on a grid, at evenly spaced activations."""
-        box = self._wide_box()
-        count = np.ceil((box[1] - box[0]) / MOTION_SPACING_MM).astype(int) + 1
-        axes = [box[0, k] + MOTION_SPACING_MM * np.arange(count[k]) for k in range(3)]
-        nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        levels = np.linspace(0.0, self.scale, _KNOTS)
-        table = np.empty((_KNOTS, len(nodes), 3), dtype=np.float32)
-
-        def fill(part: IntArray) -> None:
-            still = mismatch.inverse(nodes[part], 2e-3)
-            before, last = still, still
-            for k, level in enumerate(levels):
-                # the previous two knots extrapolate to an excellent first guess
-                guess = still if k == 0 else 2 * last - before
-                before, last = last, self._undeformed(still, float(level), guess)
-                table[k, part] = last - nodes[part]
-
-        with ThreadPoolExecutor(_THREADS) as pool:
-            list(pool.map(fill, np.array_split(np.arange(len(nodes)), 32)))
-        shaped = table.reshape(_KNOTS, *count, 3)
-        return InverseMotion(shaped, np.array(box[0]), MOTION_SPACING_MM, levels, self.scale)
 
 
 def phantom_anatomy(*, motion: MotionPreset, mismatch_mm: float, seed: int) -> PhantomAnatomy:

@@ -6,12 +6,12 @@ where the rhythm puts it; QRS has a fixed duration in seconds, and the T wave fo
 records, rather than RR^0.5.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from dvf_ig.core import FloatArray, Signal
+from dvf_ig.core import FloatArray, InvalidInputError, Signal
 
 from .rhythm import Beats
 
@@ -45,7 +45,10 @@ class EcgSpec:
         mains_mv, mains_hz: amplitude and frequency of mains interference (with its third harmonic).
         resolution_mv: step of the digitiser.
         lead_off_s: (start, stop) pairs in which the electrodes have come off: a flat line.
-        missed_beats: indices of beats that leave no trace in the ECG although the heart beat.
+        noise_bursts_s: (start, stop) pairs with strong noise: electrocautery, a patient who shivers.
+        burst_mv: RMS of that noise, in the muscle's band.
+        missed_beats: indices of beats that leave no trace in the ECG although the heart beat; beat 0 is the
+            first with an R peak in the recording.
     """
 
     rate_hz: float = 500.0
@@ -58,15 +61,29 @@ class EcgSpec:
     mains_hz: float = 50.0
     resolution_mv: float = 0.0025
     lead_off_s: tuple[tuple[float, float], ...] = ()
+    noise_bursts_s: tuple[tuple[float, float], ...] = ()
+    burst_mv: float = 0.8
     missed_beats: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.leads not in (1, 2) or not 100.0 <= self.rate_hz <= 10_000.0:
+            raise InvalidInputError(
+                f"the ECG has {self.leads} leads at {self.rate_hz:g} Hz; needed 1 or 2, and 100 to 10 000 Hz"
+            )
+        sizes = (self.baseline_mv, self.emg_mv, self.mains_mv, self.burst_mv)
+        if min(sizes) < 0 or self.resolution_mv <= 0:
+            raise InvalidInputError("an ECG disturbance is negative, or its resolution is not positive")
+        if any(a >= b for a, b in (*self.lead_off_s, *self.noise_bursts_s)):
+            raise InvalidInputError("an ECG disturbance ends before it begins; give (start, stop)")
 
 
 def clean_ecg(beats: Beats, t_s: FloatArray, spec: EcgSpec) -> FloatArray:
     """(n, leads) mV without any disturbance; each R wave peaks at its R peak."""
     out = np.zeros((len(t_s), spec.leads))
     rr_before = np.diff(beats.r_peaks_s, prepend=2 * beats.r_peaks_s[0] - beats.r_peaks_s[1])
+    first_beat = int(np.searchsorted(beats.r_peaks_s, t_s[0]))
     for k, r_s in enumerate(beats.r_peaks_s):
-        if k in spec.missed_beats:
+        if k - first_beat in spec.missed_beats:
             continue
         offsets_s, widths_s, mv = _beat_waves(float(rr_before[k]), bool(beats.ectopic[k]))
         first, last = np.searchsorted(t_s, (r_s - 0.35, r_s + 0.75))
@@ -93,6 +110,11 @@ def synthetic_ecg(beats: Beats, seconds: float, spec: EcgSpec, rng: np.random.Ge
     mv = clean_ecg(beats, t_s, spec)
     for lead in range(spec.leads):
         mv[:, lead] += _baseline(t_s, spec, rng) + _muscle(n, spec, rng) + _mains(t_s, spec, rng)
+    for start_s, stop_s in spec.noise_bursts_s:
+        inside = (t_s >= start_s) & (t_s < stop_s)
+        strong = replace(spec, emg_mv=spec.burst_mv)
+        for lead in range(spec.leads):
+            mv[inside, lead] += _muscle(n, strong, rng)[inside]
     for start_s, stop_s in spec.lead_off_s:
         mv[(t_s >= start_s) & (t_s < stop_s)] = 0.0
     mv = np.round(mv / spec.resolution_mv) * spec.resolution_mv

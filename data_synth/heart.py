@@ -21,6 +21,16 @@ RIM_MM = 6.0
 SKELETON_CENTER = np.array([0.0, 0.0, BASE + 3.0])
 SKELETON_SEMI = np.array([28.0, 28.0, 12.0])
 """Fibrous skeleton and fat between the valve rings."""
+LOBE = float(np.sqrt(3.0))
+"""Size of the motion's lobes re the chambers: their divergence changes sign at a chamber's outer wall."""
+RV_RATE = -0.46
+LA_RATE = 0.2
+RA_RATE = 0.18
+"""Contraction or swelling at the middle of a chamber, per unit of activation."""
+PULMONARY_VEINS = np.array([[-0.92, 0.3, 0.18], [-0.93, -0.3, 0.0], [0.1, -0.16, 0.94], [0.08, -0.76, 0.58]])
+"""Left superior and inferior, right superior and inferior: directions from the left atrium."""
+VENAE_CAVAE = np.array([[0.2, 0.83, 0.52], [-0.03, -0.85, -0.52]])
+"""Superior and inferior: directions from the right atrium."""
 MIN_WALL_MM = 2.0
 FAT_MM = 2.5
 PERICARDIUM_MM = 1.0
@@ -80,8 +90,12 @@ class HeartShape:
     laa_radii: FloatArray
     aorta_path: FloatArray
     pulmonary_path: FloatArray
+    vein_paths: FloatArray
+    cava_paths: FloatArray
     aorta_radius_mm: float = 14.5
     pulmonary_radius_mm: float = 13.0
+    vein_radius_mm: float = 7.0
+    cava_radius_mm: float = 10.5
     papillary: FloatArray = field(
         default_factory=lambda: np.array(
             [[[-10.0, 15.5, 36.0], [-6.0, 8.0, 60.0]], [[-14.0, -13.0, 36.0], [-7.0, -7.0, 60.0]]]
@@ -96,7 +110,8 @@ class HeartShape:
         depth = smooth_union(depth, ellipsoid_depth(p, self.ra_center, self.ra_semi), GROOVE_MM)
         depth = smooth_union(depth, tube_depth(p, self.laa_path, self.laa_radii))
         depth = smooth_union(depth, tube_depth(p, self.aorta_path, self._radii(self.aorta_radius_mm)))
-        return smooth_union(depth, tube_depth(p, self.pulmonary_path, self._radii(self.pulmonary_radius_mm)))
+        depth = smooth_union(depth, tube_depth(p, self.pulmonary_path, self._radii(self.pulmonary_radius_mm)))
+        return smooth_union(depth, np.maximum(*self._veins(p)))
 
     def inside(self, p: FloatArray, organ: FloatArray) -> Layers:
         """Parts of the heart, painted in this order over ATRIAL_WALL; no valves, no papillaries."""
@@ -111,10 +126,12 @@ class HeartShape:
         laa = np.minimum(tube_depth(p, self.laa_path, self.laa_radii) - 2.0, lumen)
         rv_cavity = np.minimum(np.minimum(rv - 4.0, -lv), np.minimum(below - 1.0, lumen - 1.5))
         septum = np.maximum(aorta, la + 2.0)
+        veins, cavae = self._veins(p)
         return [
             (Tissue.RV_WALL, np.minimum(rv + BLEND_MM, below + 2.0)),
             (Tissue.VESSEL_WALL, np.minimum(np.maximum(aorta, pulmonary) + 1.0, above)),
-            (Tissue.LA_BLOOD, la),
+            (Tissue.RA_BLOOD, np.minimum(np.minimum(cavae - 1.5, lumen + 0.5), -septum)),
+            (Tissue.LA_BLOOD, np.maximum(la, np.minimum(veins - 1.5, lumen + 0.5))),
             (Tissue.LAA_BLOOD, np.minimum(laa, -la - 0.5)),
             (Tissue.RA_BLOOD, np.minimum(np.minimum(ra, above - 1.0), np.minimum(lumen, -septum))),
             (Tissue.LV_MYOCARDIUM, lv),
@@ -140,6 +157,26 @@ class HeartShape:
             (Tissue.VALVE, np.maximum(np.maximum(mitral, tricuspid), aortic)),
         ]
 
+    def _veins(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Depths in the pulmonary veins and in the venae cavae."""
+        veins, cavae = (
+            np.max([tube_depth(p, path, np.full(2, radius)) for path in paths], axis=0)
+            for paths, radius in (
+                (self.vein_paths, self.vein_radius_mm),
+                (self.cava_paths, self.cava_radius_mm),
+            )
+        )
+        return veins, cavae
+
+    def lobes(self) -> FloatArray:
+        """(3, 7) lobes of the motion around the left ventricle, see `kernels.flow.velocity`."""
+        parts = (
+            (self.rv_center, self.rv_semi, RV_RATE),
+            (self.la_center, self.la_semi, LA_RATE),
+            (self.ra_center, self.ra_semi, RA_RATE),
+        )
+        return np.stack([[*center, *(1.0 / (LOBE * semi)), rate] for center, semi, rate in parts])
+
     def _lv(self, p: FloatArray) -> FloatArray:
         return bullet_depth(p, 0.0, OUTER, RIM_MM)
 
@@ -156,18 +193,29 @@ def heart_shape(rng: np.random.Generator) -> HeartShape:
     laa = np.array([[-20.0, 10.0, 106.0], [-36.0, 24.0, 101.0], [-34.0, 41.0, 93.0]])
     aorta = np.array([[8.0, 12.0, 80.0], [10.0, 14.0, 112.0], [20.0, 12.0, 138.0]])
     pulmonary = np.array([[34.0, 26.0, 74.0], [20.0, 40.0, 104.0], [0.0, 44.0, 126.0]])
+    rv_center, rv_semi = near(25.0, 2.0, 52.0), near(37.0, 36.0, 46.0)
+    la_center, la_semi = near(-13.0, -12.0, 109.0), near(31.0, 26.0, 28.0)
+    ra_center, ra_semi = near(40.0, -16.0, 106.0), near(26.0, 25.0, 27.0)
     return HeartShape(
-        rv_center=near(25.0, 2.0, 52.0),
-        rv_semi=near(37.0, 36.0, 46.0),
-        la_center=near(-13.0, -12.0, 109.0),
-        la_semi=near(31.0, 26.0, 28.0),
-        ra_center=near(40.0, -16.0, 106.0),
-        ra_semi=near(26.0, 25.0, 27.0),
+        rv_center=rv_center,
+        rv_semi=rv_semi,
+        la_center=la_center,
+        la_semi=la_semi,
+        ra_center=ra_center,
+        ra_semi=ra_semi,
         laa_path=laa + rng.uniform(-2, 2, 3),
         laa_radii=np.array([10.0, 9.0, 6.5]),
         aorta_path=aorta,
         pulmonary_path=pulmonary,
+        vein_paths=_outward(la_center, PULMONARY_VEINS, 12.0, 40.0),
+        cava_paths=_outward(ra_center, VENAE_CAVAE, 12.0, 40.0),
     )
+
+
+def _outward(center: FloatArray, directions: FloatArray, start_mm: float, stop_mm: float) -> FloatArray:
+    """(n, 2, 3) straight paths from a centre along directions."""
+    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.asarray(center + unit[:, None] * np.array([[start_mm], [stop_mm]]))
 
 
 def outside_layers(relative_mm: FloatArray, organ: FloatArray) -> Layers:

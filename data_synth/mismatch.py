@@ -6,8 +6,12 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError
 
+from .kernels.lookup import cubic_at
+from .kernels.waves import wave_sum
+
 CORRELATION_MM = 30.0
 MODES = 48
+TABLE_MM = 5.0
 _FIT_CELLS = 16
 
 
@@ -36,9 +40,9 @@ class SmoothField:
         """(n, 3) displacement at (n, 3) points."""
         if self.rms_mm == 0:
             return np.zeros_like(xyz_mm)
-        relative = xyz_mm - self.center_mm
-        angle = relative @ self.waves.T
-        wave = np.cos(angle) @ self.cosine + np.sin(angle) @ self.sine
+        relative = np.ascontiguousarray(xyz_mm - self.center_mm)
+        wave = np.empty_like(relative)
+        wave_sum(relative, self.waves, self.cosine, self.sine, wave)
         return np.asarray(wave - self.shift_mm - np.cross(self.turn_rad, relative))
 
     def forward(self, xyz_mm: FloatArray) -> FloatArray:
@@ -56,6 +60,38 @@ class SmoothField:
             if np.abs(correction).max(initial=0.0) < tolerance_mm:
                 break
         return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InverseField:
+    """The inverse of a smooth field on a grid, cubic between nodes: x + displacement(x).
+
+    Attributes:
+        displacement_mm: (nx, ny, nz, 3).
+        origin_mm: (3,) first node.
+        spacing_mm: node pitch.
+    """
+
+    displacement_mm: FloatArray
+    origin_mm: FloatArray
+    spacing_mm: float
+
+    def at(self, xyz_mm: FloatArray) -> FloatArray:
+        """(n, 3) pre-operative positions of (n, 3) intra-operative ones."""
+        points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
+        out = np.empty_like(points)
+        cubic_at(points, self.displacement_mm, self.origin_mm, 1.0 / self.spacing_mm, out)
+        return points + out
+
+
+def tabulated_inverse(field: SmoothField, box_mm: FloatArray, spacing_mm: float = TABLE_MM) -> InverseField:
+    """`field.inverse` over `box_mm` (2, 3) and one node around it; to about 0.001 mm for a 5 mm field."""
+    origin = box_mm[0] - spacing_mm
+    count = np.ceil((box_mm[1] - box_mm[0]) / spacing_mm).astype(int) + 3
+    axes = [origin[k] + spacing_mm * np.arange(count[k]) for k in range(3)]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    flat = nodes.reshape(-1, 3)
+    return InverseField((field.inverse(flat) - flat).reshape(nodes.shape), origin, spacing_mm)
 
 
 def random_mismatch(
@@ -97,19 +133,11 @@ def random_mismatch(
 
 
 def _rigid_part(relative_mm: FloatArray, field_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least-squares shift (3,) and small rotation vector (3,) of a displacement field."""
-    x, y, z = relative_mm.T
-    zero = np.zeros_like(x)
-    # ω × r, one column for each component of ω
-    turn = np.stack(
-        [
-            np.column_stack([zero, -z, y]),
-            np.column_stack([z, zero, -x]),
-            np.column_stack([-y, x, zero]),
-        ],
-        axis=-1,
-    )
-    shift = np.broadcast_to(np.eye(3), (len(x), 3, 3))
-    design = np.concatenate([shift, turn], axis=-1).reshape(-1, 6)
-    solution = np.linalg.lstsq(design, field_mm.reshape(-1), rcond=None)[0]
-    return solution[:3], solution[3:]
+    """Least-squares shift (3,) and small rotation vector (3,) of a displacement field.
+
+    The nodes are those of a box about its centre: their first and mixed second moments vanish, and the normal
+    equations fall apart into one quotient for each unknown, summed in an order no thread count changes.
+    """
+    moments = (relative_mm**2).sum(axis=0)
+    torque = np.cross(relative_mm, field_mm).sum(axis=0)
+    return field_mm.mean(axis=0), torque / (moments.sum() - moments)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,40 +49,40 @@ def preset_scale(motion: str) -> float:
     return PRESET_SCALE[motion]
 
 
+class PullBack(Protocol):
+    """Where what is at a place now was at end-diastole: all that imaging needs of a motion."""
+
+    def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
+        """(n, 3) reference positions X = χ⁻¹(x) of points, at one phase or each at its own (n,)."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class InverseMotion:
     """χ⁻¹ on a grid, tabulated at knots: X = x + displacement(x, knot), trilinear in space, linear in knots.
 
+    As good as the grid is fine where the motion is smooth; creases (the walls of a heart) are rounded off by
+    some tenths of a millimetre. `PhantomMotion` and `SurfaceMotion` are exact there.
+
     Attributes:
-        displacement_mm: (k, nx, ny, nz, 3) float32, frame "mr".
+        displacement_mm: (k, nx, ny, nz, 3) float32, frame "mr"; knots lie at i/k of the cycle.
         origin_mm: (3,) first node.
         spacing_mm: node pitch, the same along each axis.
-        levels: (k,) activation of each knot, or None where knots lie at i/k of the cycle.
-        scale: activation preset factor (used with `levels`).
     """
 
     displacement_mm: NDArray[np.float32]
     origin_mm: FloatArray
     spacing_mm: float
-    levels: FloatArray | None
-    scale: float = 1.0
 
-    def bracket(self, model_phase: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-        """Neighbouring knots of each phase and the weight of the second: (n,) each."""
-        phase = np.asarray(model_phase, dtype=np.float64) % 1.0
-        count = len(self.displacement_mm)
-        if self.levels is None:
-            position = phase * count
-            first = np.minimum(position.astype(np.int64), count - 1)
-            return first, (first + 1) % count, position - first
-        level = np.clip(activation(phase) * self.scale, self.levels[0], self.levels[-1])
-        first = np.clip(np.searchsorted(self.levels, level, side="right") - 1, 0, count - 2).astype(np.int64)
-        step = self.levels[first + 1] - self.levels[first]
-        return first, first + 1, (level - self.levels[first]) / step
+    def knots(self, model_phase: FloatArray | float, count: int) -> tuple[IntArray, IntArray, FloatArray]:
+        """Neighbouring knots and weight of the second, (count,) each, at one phase or at (count,) of them."""
+        phase = np.array(np.broadcast_to(model_phase, (count,)), dtype=np.float64) % 1.0
+        position = phase * len(self.displacement_mm)
+        first = np.minimum(position.astype(np.int64), len(self.displacement_mm) - 1)
+        return first, (first + 1) % len(self.displacement_mm), position - first
 
-    def pull_back(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        """(n, 3) reference positions of points at one phase."""
-        first, second, weight = self.bracket(np.array([model_phase]))
+    def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
+        """(n, 3) reference positions of points, at one phase or each at its own (n,)."""
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
         lookup.pull_back(
@@ -90,9 +90,7 @@ class InverseMotion:
             self.displacement_mm,
             self.origin_mm,
             1.0 / self.spacing_mm,
-            first[0],
-            second[0],
-            weight[0],
+            *self.knots(model_phase, len(points)),
             out,
         )
         return out

@@ -9,13 +9,13 @@ from scipy.ndimage import gaussian_filter
 
 from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, VolumeSeries
 
-from .kernels import lookup
-from .motion import InverseMotion
+from .motion import PullBack
 from .reference import ReferenceMap
 from .tissue import FIRST_OUTSIDE, LABEL_NAMES, Tissue, bssfp_signal
 
 _THREADS = 2
 _BLOOD_LEVEL = 800.0
+FWHM_PER_SIGMA = 2.3548
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class MrProtocol:
 def cine_preop(
     patient_id: str,
     reference: ReferenceMap,
-    motion: InverseMotion,
+    motion: PullBack,
     box_mm: FloatArray,
     rr_s: float,
     rng: np.random.Generator,
@@ -61,15 +61,16 @@ def cine_preop(
     shape = (int(count[0]), int(count[1]), int(count[2]))
     grid = Grid.axis_aligned("mr", shape, low, protocol.spacing_mm)
     timing = CycleTiming.uniform(protocol.phases, rr_s)
-    shading = _shading(grid, protocol.bias, rng)
+    shading = coil_shading(grid, protocol.bias, rng)
     noise_rngs = rng.spawn(protocol.phases)
+    sigma_px = np.full(3, protocol.psf_fwhm_mm / FWHM_PER_SIGMA / protocol.spacing_mm)
     image = np.empty((protocol.phases, *shape), dtype=np.int16)
     labels = np.empty((protocol.phases, *shape), dtype=np.uint8)
 
     def acquire(i: int) -> None:
         signal, codes = _phase(grid, reference, motion, float(timing.fractions[i]))
-        image[i] = _measured(signal * shading, protocol, noise_rngs[i])
-        labels[i] = np.where((codes > 0) & (codes < FIRST_OUTSIDE), codes, 0)
+        image[i] = measured(signal * shading, sigma_px, protocol.snr, noise_rngs[i])
+        labels[i] = heart_labels(codes)
 
     with ThreadPoolExecutor(_THREADS) as pool:
         list(pool.map(acquire, range(protocol.phases)))
@@ -83,49 +84,43 @@ def cine_preop(
 
 
 def _phase(
-    grid: Grid, reference: ReferenceMap, motion: InverseMotion, model_phase: float
+    grid: Grid, reference: ReferenceMap, motion: PullBack, model_phase: float
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Noise-free signal and tissue codes of one phase."""
-    first, second, weight = motion.bracket(np.array([model_phase]))
     signal = np.empty(grid.shape, dtype=np.float32)
     codes = np.empty(grid.shape, dtype=np.uint8)
-    lookup.image_slab(
-        0,
-        grid.shape[0],
-        grid.origin_mm,
-        float(grid.spacing_mm[0]),
-        motion.displacement_mm,
-        motion.origin_mm,
-        1.0 / motion.spacing_mm,
-        first[0],
-        second[0],
-        weight[0],
-        reference.organ_mm,
-        reference.inner,
-        reference.outer,
-        reference.signal,
-        reference.origin_mm,
-        1.0 / reference.spacing_mm,
-        signal,
-        codes,
-    )
+    y, z = (grid.origin_mm[k] + grid.spacing_mm[k] * np.arange(grid.shape[k]) for k in (1, 2))
+    plane = np.stack(np.meshgrid(y, z, indexing="ij"), axis=-1).reshape(-1, 2)
+    points = np.column_stack([np.empty(len(plane)), plane])
+    for i in range(grid.shape[0]):
+        points[:, 0] = grid.origin_mm[0] + i * grid.spacing_mm[0]
+        reference.sample(motion.pull_back(points, model_phase), signal[i].reshape(-1), codes[i].reshape(-1))
     return signal, codes
 
 
-def _measured(
-    signal: NDArray[np.float32], protocol: MrProtocol, rng: np.random.Generator
+def heart_labels(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Tissue codes of the heart; 0 elsewhere."""
+    return np.where((codes > 0) & (codes < FIRST_OUTSIDE), codes, np.uint8(0))
+
+
+def measured(
+    signal: NDArray[np.float32], sigma_px: FloatArray, snr: float, rng: np.random.Generator
 ) -> NDArray[np.int16]:
-    """Point-spread function, Rician noise and the receiver's integer scale."""
-    sigma_px = protocol.psf_fwhm_mm / 2.3548 / protocol.spacing_mm
+    """Point-spread function, Rician noise and the receiver's integer scale.
+
+    Args:
+        sigma_px: SD of the point-spread function along each axis, in voxels.
+        snr: blood signal over the SD of the noise in one channel.
+    """
     gain = _BLOOD_LEVEL / bssfp_signal(Tissue.LV_BLOOD)
     level = gain * gaussian_filter(signal, sigma_px)
-    noise = _BLOOD_LEVEL / protocol.snr
+    noise = _BLOOD_LEVEL / snr
     real = level + noise * rng.standard_normal(level.shape, dtype=np.float32)
     imaginary = noise * rng.standard_normal(level.shape, dtype=np.float32)
     return np.asarray(np.rint(np.hypot(real, imaginary)), dtype=np.int16)
 
 
-def _shading(grid: Grid, bias: float, rng: np.random.Generator) -> NDArray[np.float32]:
+def coil_shading(grid: Grid, bias: float, rng: np.random.Generator) -> NDArray[np.float32]:
     """Smooth coil sensitivity 1 ± bias: a random second-order polynomial over the field of view."""
     axes = [np.linspace(-1, 1, n) for n in grid.shape]
     x, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)

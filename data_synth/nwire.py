@@ -17,10 +17,14 @@ from dvf_ig.core import (
     NWirePhantom,
     NWireRecording,
     Rigid,
+    TrackedSequence,
     Wire,
 )
 
-from .tracker import PosePath, TrackerSpec, tracked
+from .tank import noisy_features, probe_from_plane, still_poses, tracked_images
+from .tank_image import water_images, wire_echoes
+from .tracker import TrackerSpec
+from .ultrasound_probe import SectorProbe
 
 _LENGTH_MM = 40.0
 _PATTERNS: tuple[tuple[float, tuple[tuple[str, float, float], ...]], ...] = (
@@ -99,17 +103,43 @@ def nwire_recording(
     Raises:
         InvalidInputError: the sector cannot hold the phantom.
     """
+    poses, points = _placements(fcal_phantom(), probe_from_image, fan, image_size_px, spec, rng)
+    return _recorded(poses, points, probe_from_image, tracker, spec, rng)
+
+
+def nwire_images(
+    probe_from_image: ImageMap,
+    probe: SectorProbe,
+    tracker: TrackerSpec,
+    spec: NWireSpec,
+    rng: np.random.Generator,
+) -> tuple[NWireRecording, TrackedSequence]:
+    """The same recording (from the same `rng`) together with its images.
+
+    Returns:
+        The recording, and its images with phantom_from_probe at their times.
+    """
     phantom = fcal_phantom()
-    poses, points = _placements(phantom, probe_from_image, fan, image_size_px, spec, rng)
-    t_s = np.round(spec.frame_s * np.arange(spec.frames), 6)
-    matrices = np.stack([pose.matrix for pose in poses])
-    path: PosePath = lambda _: (matrices[:, :3, :3], matrices[:, :3, 3])  # noqa: E731
-    measured = tracked(path, "phantom", "probe", t_s, t_s, tracker, rng)
-    noisy = points + rng.standard_normal(points.shape) * (
-        spec.point_noise_mm / probe_from_image.scale_mm_per_px
-    )
-    noisy[rng.uniform(size=spec.frames) < spec.failed_share] = np.nan
-    return NWireRecording(phantom, measured, noisy)
+    size = (probe.columns, probe.rows)
+    poses, points = _placements(phantom, probe_from_image, probe.fan, size, spec, rng)
+    recording = _recorded(poses, points, probe_from_image, tracker, spec, rng)
+    mounted = probe_from_plane(probe_from_image, probe)
+    seed = int(rng.integers(2**31))
+    frames = [wire_echoes(phantom.wires, (pose @ mounted).inverse(), probe, seed) for pose in poses]
+    return recording, tracked_images(recording.phantom_from_probe, water_images(probe, frames, seed))
+
+
+def _recorded(
+    poses: list[Rigid],
+    points: FloatArray,
+    probe_from_image: ImageMap,
+    tracker: TrackerSpec,
+    spec: NWireSpec,
+    rng: np.random.Generator,
+) -> NWireRecording:
+    measured = still_poses(poses, spec.frame_s, tracker, rng)
+    noisy = noisy_features(points, probe_from_image, spec.point_noise_mm, spec.failed_share, rng)
+    return NWireRecording(fcal_phantom(), measured, noisy)
 
 
 def _placements(

@@ -64,6 +64,13 @@ class ReferenceMap:
     signal: NDArray[np.float32]
     acoustics: NDArray[np.float32]
 
+    def sample(self, xyz_mm: FloatArray, signal: NDArray[np.float32], codes: NDArray[np.uint8]) -> None:
+        """MR signal and tissue code at (n, 3) reference positions, into `signal` and `codes` (n,)."""
+        lookup.sampled(
+            xyz_mm, self.organ_mm, self.inner, self.outer, self.signal, self.origin_mm,
+            1.0 / self.spacing_mm, signal, codes,
+        )  # fmt: skip
+
 
 def tissue_at(shapes: ReferenceShapes, xyz_mm: FloatArray, *, ultrasound: bool = True) -> NDArray[np.uint8]:
     """(n,) exact tissue codes of reference points; with or without the parts only ultrasound sees."""

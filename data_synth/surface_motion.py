@@ -9,9 +9,11 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import lu_factor, lu_solve
 from scipy.spatial import cKDTree
 
-from dvf_ig.core import CycleTiming, FloatArray
+from dvf_ig.core import CycleTiming, FloatArray, IntArray
 
-from .kernels import distance
+from .kernels import distance, lookup
+from .mismatch import InverseField
+from .motion import InverseMotion
 
 NODE_MM = 3.5
 CONTROL_MM = 3.5
@@ -42,25 +44,54 @@ class GriddedMotion:
         axes = [self.origin_mm[k] + self.spacing_mm * np.arange(shape[k]) for k in range(3)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
-    def field(self, model_phase: float) -> NDArray[np.float32]:
-        """(nx, ny, nz, 3) displacement at one phase."""
-        count = len(self.forward_mm)
-        position = (model_phase % 1.0) * count
-        first = min(int(position), count - 1)
-        weight = np.float32(position - first)
-        return np.asarray(
-            (1 - weight) * self.forward_mm[first] + weight * self.forward_mm[(first + 1) % count]
-        )
+    def backward(self) -> InverseMotion:
+        """The inverse at the same nodes and knots: a first guess between them."""
+        nodes = self.nodes()
+        table = np.empty_like(self.forward_mm)
 
-    def inverse(self, xyz_mm: FloatArray, model_phase: float, guess_mm: FloatArray) -> FloatArray:
-        """(n, 3) reference positions of (n, 3) points, to 1e-4 mm."""
-        out = np.empty((len(xyz_mm), 3))
-        distance.invert_displacement(
-            np.ascontiguousarray(xyz_mm, dtype=np.float64),
-            self.field(model_phase),
-            self.origin_mm,
-            1.0 / self.spacing_mm,
-            np.ascontiguousarray(guess_mm, dtype=np.float64),
+        def fill(part: IntArray) -> None:
+            found = nodes[part]
+            for k in range(len(table)):
+                knot = np.full(len(part), k)
+                lookup.polish(
+                    nodes[part], self.forward_mm, self.origin_mm, 1.0 / self.spacing_mm,
+                    knot, knot, np.zeros(len(part)), found,
+                )  # fmt: skip
+                table[k].reshape(-1, 3)[part] = found - nodes[part]
+
+        with ThreadPoolExecutor(_THREADS) as pool:
+            list(pool.map(fill, np.array_split(np.arange(len(nodes)), 32)))
+        return InverseMotion(table, self.origin_mm, self.spacing_mm)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceMotion:
+    """χ⁻¹ of a gridded motion, to 1e-4 mm, behind the inverse mismatch.
+
+    Where a real cavity nearly empties, the interpolated motion squeezes its blood hard (det ∇χ down to 0.05
+    in the real patient, below 0.2 in 0.6 % of the heart box): two in 100 000 searches there end up to 0.2 mm
+    off.
+
+    Attributes:
+        forward: the motion.
+        backward: guesses of its inverse.
+        mismatch: intra-operative to pre-operative positions, applied first; None: the same anatomy.
+    """
+
+    forward: GriddedMotion
+    backward: InverseMotion
+    mismatch: InverseField | None = None
+
+    def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
+        """(n, 3) reference positions of (n, 3) points."""
+        points = np.ascontiguousarray(xyz_mm if self.mismatch is None else self.mismatch.at(xyz_mm))
+        out = self.backward.pull_back(points, model_phase)
+        lookup.polish(
+            points,
+            self.forward.forward_mm,
+            self.forward.origin_mm,
+            1.0 / self.forward.spacing_mm,
+            *self.backward.knots(model_phase, len(points)),
             out,
         )
         return out

@@ -16,11 +16,10 @@ from .anatomical_points import with_box_grid
 from .anatomy import MARGIN_MM, REFERENCE_SPACING_MM
 from .heart import outside_layers
 from .kernels import distance
-from .mismatch import SmoothField, random_mismatch
-from .motion import InverseMotion
+from .mismatch import SmoothField, random_mismatch, tabulated_inverse
 from .reference import Layers, ReferenceMap, build_reference, tissue_at
 from .surface_closing import ClosedSeries, closed_series, refined
-from .surface_motion import GriddedMotion, dense_motion, periodic_spline
+from .surface_motion import GriddedMotion, SurfaceMotion, dense_motion, periodic_spline
 from .tissue import Tissue
 
 EPICARDIAL, LV, RV = "EPICARDIAL", "LV_ENDOCARDIAL", "RV_ENDOCARDIAL"
@@ -151,20 +150,12 @@ class SurfaceAnatomy:
         return dense_motion(vertices, self.series[0].timing, reference, self._wide_box())
 
     @cached_property
-    def inverse_motion(self) -> InverseMotion:
-        dense = self.dense
-        nodes = dense.nodes()
-        still = self.mismatch.inverse(nodes)
-        table = np.empty(dense.forward_mm.shape, dtype=np.float32)
-        last = still
-        for k in range(len(table)):
-            last = dense.inverse(still, k / len(table), last)
-            table[k] = (last - nodes).reshape(table.shape[1:])
-        return InverseMotion(table, dense.origin_mm, dense.spacing_mm, None)
+    def inverse_motion(self) -> SurfaceMotion:
+        field = None if self.mismatch.rms_mm == 0 else tabulated_inverse(self.mismatch, self._wide_box())
+        return SurfaceMotion(self.dense, self.dense.backward(), field)
 
     def material(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        guess = self.inverse_motion.pull_back(xyz_mm, model_phase)
-        return self.dense.inverse(self.mismatch.inverse(xyz_mm), model_phase, guess)
+        return self.inverse_motion.pull_back(xyz_mm, model_phase)
 
     def tissue(self, xyz_mm: FloatArray, model_phase: float) -> NDArray[np.uint8]:
         return tissue_at(self.shapes, self.material(xyz_mm, model_phase))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import BoolArray, FloatArray, PoseStream
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, PoseStream
 
 PosePath = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """True motion: times (n,) to rotations (n, 3, 3) and translations (n, 3) mm of target_from_source."""
@@ -24,6 +24,8 @@ class TrackerSpec:
         rotation_deg: RMS angle of the rotation noise.
         dropouts_per_min: mean number of drop-outs a minute.
         dropout_s: (shortest, longest) drop-out.
+        latency_s: the stamp is this much later than the instant at which the pose held.
+        lost_s: (start, stop) pairs, true time, in which the sensor was out of sight.
     """
 
     rate_hz: float
@@ -33,6 +35,17 @@ class TrackerSpec:
     rotation_deg: float = 0.1
     dropouts_per_min: float = 0.0
     dropout_s: tuple[float, float] = (0.015, 0.05)
+    latency_s: float = 0.0
+    lost_s: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.rate_hz <= 5000.0:
+            raise InvalidInputError(f"the tracker's rate is {self.rate_hz:g} Hz; needed 0.1 to 5000 Hz")
+        sizes = (self.jitter_s, self.stamp_noise_s, self.position_mm, self.rotation_deg, self.latency_s)
+        if min(*sizes, self.dropouts_per_min, self.dropout_s[0]) < 0:
+            raise InvalidInputError("a tracker's error is negative; needed 0 or more")
+        if self.dropout_s[0] > self.dropout_s[1] or any(a >= b for a, b in self.lost_s):
+            raise InvalidInputError("a tracker's drop-out ends before it begins; give (start, stop)")
 
 
 def sampling_times(
@@ -43,7 +56,9 @@ def sampling_times(
     grid = np.arange(start_s, stop_s - 1e-9, step)
     limit = 0.4 * step
     true_s = grid + np.clip(spec.jitter_s * rng.standard_normal(len(grid)), -limit, limit)
-    stamp_s = true_s + np.clip(spec.stamp_noise_s * rng.standard_normal(len(grid)), -limit / 8, limit / 8)
+    stamp_s = (true_s + spec.latency_s) + np.clip(
+        spec.stamp_noise_s * rng.standard_normal(len(grid)), -limit / 8, limit / 8
+    )
     return true_s, np.round(stamp_s, 6)
 
 
@@ -78,4 +93,6 @@ def _dropped(t_s: FloatArray, spec: TrackerSpec, rng: np.random.Generator) -> Bo
     for _ in range(int(rng.poisson(spec.dropouts_per_min * minutes))):
         start = rng.uniform(t_s[0], t_s[-1])
         lost |= (t_s >= start) & (t_s < start + rng.uniform(*spec.dropout_s))
+    for start, stop in spec.lost_s:
+        lost |= (t_s >= start) & (t_s < stop)
     return lost

@@ -1,5 +1,6 @@
-"""A phased-sector probe: its beam, its receiver, and where its lines and pixels lie."""
+"""A fan-shaped scan: its beam, its receiver, and where its lines and pixels lie."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,29 +8,19 @@ from numpy.typing import NDArray
 
 from dvf_ig.core import Fan, FloatArray, ImageMap, InvalidInputError, Rigid
 
+from .scan_conversion import PixelGrid, PolarGrid, ScanConverter
+
 SOUND_MM_PER_US = 1.54
-
-
-LATTICE_MM = 0.15
-"""Pitch of the scatterer lattice: a third of the default pulse's axial width."""
-
-
-def lattice_correlation(distance_mm: FloatArray) -> FloatArray:
-    """Chance that two points this far apart lie in the same lattice cell, averaged over directions."""
-    turn = np.pi * (3 - np.sqrt(5)) * np.arange(64)
-    height = 1 - (np.arange(64) + 0.5) / 32
-    ring = np.sqrt(1 - height**2)
-    directions = np.abs(np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height]))
-    share = 1 - np.asarray(distance_mm)[..., None, None] * directions / LATTICE_MM
-    return np.asarray(np.maximum(share, 0.0).prod(axis=-1).mean(axis=-1))
+FWHM_PER_SIGMA = 2.3548
 
 
 @dataclass(frozen=True, slots=True)
 class SectorProbe:
-    """Geometry and physics of a phased sector scan.
+    """Geometry and physics of a phased or curvilinear sector scan.
 
-    Plane frame "plane", mm: origin at the fan apex (the centre of the transducer face), x lateral (towards
-    growing image columns and line numbers), y depth, z elevation = x × y. One elevation plane.
+    Plane frame "plane", mm: origin at the fan apex (the centre of a phased array's face, or the centre of a
+    curved array's arc), x lateral (towards growing image columns and line numbers), y depth,
+    z elevation = x × y. Depths count from the transducer's face.
 
     Attributes:
         lines, samples: scan lines, and receive samples along each.
@@ -46,6 +37,15 @@ class SectorProbe:
         specular_db: echo of a facing interface, re its reflection coefficient.
         specular_power: exponent of the cosine with which interface echoes fall off when not facing the beam.
         fine_lines: lateral oversampling of the scatterers.
+        face_radius_mm: radius of a curved array; 0 is a phased array.
+        elevation_planes: planes summed over the beam's thickness; 1 is an infinitely thin slice.
+        elevation_aperture_mm, elevation_focus_mm: height of the array and focus of its lens.
+        bands: frequency compounding: this many disjoint sub-bands are detected and averaged.
+        persistence: weight of the image shown before in the one shown now, in a sequence.
+        haze_db, haze_mm: level at the face (re myocardium) and decay length of near-field clutter.
+        face_reflection: amplitude that the transducer's face sends back into the body: the reverberations
+            behind lung and bone.
+        dirt_db: clutter behind a total reflector, re the level that reaches it.
     """
 
     lines: int = 128
@@ -68,6 +68,16 @@ class SectorProbe:
     specular_db: float = 24.0
     specular_power: float = 3.0
     fine_lines: int = 4
+    face_radius_mm: float = 0.0
+    elevation_planes: int = 1
+    elevation_aperture_mm: float = 12.0
+    elevation_focus_mm: float = 70.0
+    bands: int = 1
+    persistence: float = 0.0
+    haze_db: float = -math.inf
+    haze_mm: float = 12.0
+    face_reflection: float = 0.2
+    dirt_db: float = -30.0
 
     def __post_init__(self) -> None:
         if self.lines < 8 or self.samples < 64 or self.samples % 8:
@@ -79,6 +89,12 @@ class SectorProbe:
             raise InvalidInputError(f"half angle is {self.half_angle_rad:g} rad; needed 0.05 to 1.5")
         if self.fine_lines < 2 or self.fine_lines % 2:
             raise InvalidInputError(f"fine_lines is {self.fine_lines}; needed a positive even number")
+        if self.elevation_planes < 1 or self.bands < 1:
+            raise InvalidInputError(
+                f"probe has {self.elevation_planes} elevation planes and {self.bands} bands; needed 1 or more"
+            )
+        if not 0.0 <= self.persistence < 1.0:
+            raise InvalidInputError(f"persistence is {self.persistence:g}; needed 0 to below 1")
 
     @property
     def step_mm(self) -> float:
@@ -86,9 +102,36 @@ class SectorProbe:
         return self.depth_mm / self.samples
 
     @property
+    def depths_mm(self) -> FloatArray:
+        """(samples,) depth of each receive sample below the face."""
+        return np.asarray((np.arange(self.samples) + 0.5) * self.step_mm)
+
+    @property
+    def polar(self) -> PolarGrid:
+        """The scan lines about the fan apex."""
+        stop_mm = self.face_radius_mm + self.depth_mm
+        return PolarGrid(self.lines, self.samples, self.face_radius_mm, stop_mm, self.half_angle_rad)
+
+    @property
     def line_angles_rad(self) -> FloatArray:
         """(lines,) angle of each line from the depth axis, towards +x."""
-        return np.linspace(-self.half_angle_rad, self.half_angle_rad, self.lines)
+        return self.polar.angles_rad
+
+    @property
+    def pixels(self) -> PixelGrid:
+        """The image raster."""
+        return PixelGrid(self.rows, self.columns, self.mm_per_px, self.apex_px)
+
+    def pixel_lookup(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(rows, columns) fractional line and sample index of each pixel; line −1 outside the sector."""
+        converter = ScanConverter.of(self.polar, self.pixels)
+        return converter.line, converter.sample
+
+    @property
+    def directions(self) -> FloatArray:
+        """(lines, 3) unit vectors of the scan lines, frame "plane"."""
+        angles = self.line_angles_rad
+        return np.column_stack([np.sin(angles), np.cos(angles), np.zeros(self.lines)])
 
     @property
     def wavelength_mm(self) -> float:
@@ -96,19 +139,27 @@ class SectorProbe:
 
     @property
     def axial_fwhm_mm(self) -> float:
-        """0.44 c/Δf."""
-        return 0.44 * SOUND_MM_PER_US / self.bandwidth_mhz
+        """0.44 c/Δf of the whole band; sub-bands are `bands` times longer."""
+        return 0.44 * SOUND_MM_PER_US / self.bandwidth_mhz * self.bands
 
     def lateral_fwhm_mm(self, depth_mm: FloatArray | float) -> FloatArray:
         """0.886 λ d/D · √(1 + ((d − focus)/depth of field)²): the off-focus law of this simulator."""
+        return self._beam_fwhm(depth_mm, self.aperture_mm, self.focus_mm)
+
+    def elevation_fwhm_mm(self, depth_mm: FloatArray | float) -> FloatArray:
+        """Thickness of the beam: the lateral law with the array's height and its lens."""
+        return self._beam_fwhm(depth_mm, self.elevation_aperture_mm, self.elevation_focus_mm)
+
+    def _beam_fwhm(self, depth_mm: FloatArray | float, aperture_mm: float, focus_mm: float) -> FloatArray:
         d = np.asarray(depth_mm, dtype=np.float64)
-        focal = 0.886 * self.wavelength_mm * d / self.aperture_mm
-        return np.asarray(focal * np.sqrt(1 + ((d - self.focus_mm) / self.depth_of_field_mm) ** 2))
+        focal = 0.886 * self.wavelength_mm * d / aperture_mm
+        return np.asarray(focal * np.sqrt(1 + ((d - focus_mm) / self.depth_of_field_mm) ** 2))
 
     @property
     def fan(self) -> Fan:
         """The insonified sector in image pixels."""
-        return Fan(np.array(self.apex_px), 0.0, self.depth_mm / self.mm_per_px, self.half_angle_rad)
+        start, stop = self.polar.start_mm / self.mm_per_px, self.polar.stop_mm / self.mm_per_px
+        return Fan(np.array(self.apex_px), start, stop, self.half_angle_rad)
 
     @property
     def plane_from_image(self) -> ImageMap:
@@ -117,45 +168,3 @@ class SectorProbe:
         return ImageMap(
             Rigid("plane", "image", np.eye(3), origin), np.array([self.mm_per_px, self.mm_per_px])
         )
-
-    def pixel_lookup(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(rows, columns) fractional line and sample index of each pixel; line −1 outside the sector."""
-        row, column = np.mgrid[: self.rows, : self.columns]
-        x = (column - self.apex_px[0]) * self.mm_per_px
-        y = (row - self.apex_px[1]) * self.mm_per_px
-        radius, angle = np.hypot(x, y), np.arctan2(x, y)
-        inside = (radius <= self.depth_mm) & (np.abs(angle) <= self.half_angle_rad)
-        line = (angle + self.half_angle_rad) / (2 * self.half_angle_rad) * (self.lines - 1)
-        sample = np.clip(radius / self.step_mm - 0.5, 0, self.samples - 1)
-        return np.where(inside, line, -1.0).astype(np.float32), sample.astype(np.float32)
-
-    def axial_taps(self) -> NDArray[np.float32]:
-        """Even number of Gaussian weights on the half-step raster, of unit energy."""
-        sigma = self.axial_fwhm_mm / 2.3548 / (0.5 * self.step_mm)
-        reach = int(np.ceil(3 * sigma))
-        weights = np.exp(-0.5 * ((np.arange(2 * reach) - reach + 0.5) / sigma) ** 2)
-        return np.asarray(weights / np.sqrt((weights**2).sum()), dtype=np.float32)
-
-    def lateral_taps(self) -> NDArray[np.float32]:
-        """(k, samples) Gaussian weights over fine lines at each depth; k is even.
-
-        Scaled so that scatterers of unit power give unit power at every depth, although neighbouring fine
-        lines share lattice cells near the probe.
-        """
-        depth = np.asarray((np.arange(self.samples) + 0.5) * self.step_mm, dtype=np.float64)
-        pitch = 2 * self.half_angle_rad / (self.lines - 1) / self.fine_lines
-        sigma = self.lateral_fwhm_mm(depth) / depth / 2.3548 / pitch
-        reach = int(np.ceil(3 * sigma.max()))
-        offset = (np.arange(2 * reach) - reach + 0.5)[:, None]
-        weights = np.exp(-0.5 * (offset / sigma) ** 2)
-        power = (weights**2).sum(axis=0)
-        for lag in range(1, 2 * reach):
-            shared = lattice_correlation(lag * pitch * depth)
-            power += 2 * shared * (weights[lag:] * weights[:-lag]).sum(axis=0)
-        return np.asarray(weights / np.sqrt(power), dtype=np.float32)
-
-    def receive_gain(self) -> NDArray[np.float32]:
-        """(samples,) time-gain compensation as an amplitude factor."""
-        depth_cm = (np.arange(self.samples) + 0.5) * self.step_mm / 10
-        decibel = 2 * self.tgc_db_per_cm_mhz * self.frequency_mhz * depth_cm
-        return np.asarray(10 ** (decibel / 20), dtype=np.float32)

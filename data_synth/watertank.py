@@ -5,11 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import Fan, FloatArray, ImageMap, LatencyRecording, Rigid, Trace
+from dvf_ig.core import Fan, FloatArray, ImageMap, LatencyRecording, Rigid, Trace, TrackedSequence
 
 from .hand import reframed, tremor
 from .smooth_noise import smooth_noise
+from .tank import tank_in_tracker
+from .tank_image import wall_echoes, water_images
 from .tracker import PosePath, TrackerSpec, sampling_times, tracked
+from .ultrasound_probe import SectorProbe
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,30 +53,54 @@ def watertank_recording(
 
     An event at tracker time t is stamped t − lag_s on the video clock.
     """
+    return _swept(probe_from_image, fan, lag_s, tracker, spec, rng)[0]
+
+
+def watertank_images(
+    probe_from_image: ImageMap,
+    probe: SectorProbe,
+    lag_s: float,
+    tracker: TrackerSpec,
+    spec: WaterTankSpec,
+    rng: np.random.Generator,
+) -> tuple[LatencyRecording, TrackedSequence]:
+    """The same recording (from the same `rng`), and its images on the video clock, without poses."""
+    recording, tank_from_plane, seen_s = _swept(probe_from_image, probe.fan, lag_s, tracker, spec, rng)
+    seed = int(rng.integers(2**31))
+    speckle = np.random.default_rng(seed)
+    rotations, apexes = tank_from_plane(seen_s)
+    frames = [
+        wall_echoes(turn[2], -float(apex[2]), probe, speckle)
+        for turn, apex in zip(rotations, apexes, strict=True)
+    ]
+    stamps = recording.wall_row_px.t_s
+    seen = np.ones(len(stamps), dtype=np.bool_)
+    return recording, TrackedSequence(stamps, water_images(probe, frames, seed), seen, {})
+
+
+def _swept(
+    probe_from_image: ImageMap,
+    fan: Fan,
+    lag_s: float,
+    tracker: TrackerSpec,
+    spec: WaterTankSpec,
+    rng: np.random.Generator,
+) -> tuple[LatencyRecording, PosePath, FloatArray]:
+    """The recording, the true motion, and when each image was truly taken."""
     apex_mm = fan.apex_px * probe_from_image.scale_mm_per_px
     image_from_plane = Rigid(probe_from_image.rigid.source, "plane", np.eye(3), np.append(apex_mm, 0.0))
     plane_from_probe = (probe_from_image.rigid @ image_from_plane).inverse()
     tank_from_plane = _bobbing(spec, rng)
-    turn = Rotation.random(rng=rng).as_matrix()
-    tank_mm = rng.uniform((-200.0, -200.0, -900.0), (200.0, 200.0, -500.0))
-    tracker_from_tank = Rigid("tracker", "tank", turn, tank_mm)
+    path = reframed(tank_from_plane, tank_in_tracker(rng), plane_from_probe)
     true_s, stamp_s = sampling_times(tracker, 0.0, spec.seconds, rng)
-    stream = tracked(
-        reframed(tank_from_plane, tracker_from_tank, plane_from_probe),
-        "tracker",
-        "probe",
-        true_s,
-        stamp_s,
-        tracker,
-        rng,
-    )
+    stream = tracked(path, "tracker", "probe", true_s, stamp_s, tracker, rng)
     margin_s = 0.2
     seen_s = np.arange(margin_s, spec.seconds - margin_s, 1.0 / spec.video_hz)
     seen_s += np.clip(spec.video_jitter_s * rng.standard_normal(len(seen_s)), -0.01, 0.01)
     depth = floor_depth_mm(tank_from_plane, seen_s)
     depth += spec.row_noise_mm * rng.standard_normal(len(depth))
     rows = fan.apex_px[1] + depth / probe_from_image.scale_mm_per_px[1]
-    return LatencyRecording(stream, Trace(np.round(seen_s - lag_s, 6), rows))
+    return LatencyRecording(stream, Trace(np.round(seen_s - lag_s, 6), rows)), tank_from_plane, seen_s
 
 
 def floor_depth_mm(tank_from_plane: PosePath, t_s: FloatArray) -> FloatArray:

@@ -100,64 +100,6 @@ def mark_crossings(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def invert_displacement(
-    nodes: AnyArray,
-    forward: AnyArray,
-    origin: AnyArray,
-    inverse_spacing: float,
-    guess: AnyArray,
-    out: AnyArray,
-) -> float:
-    """X with X + u(X) = x for (n, 3) nodes, u trilinear on a grid; returns the largest residual in mm."""
-    worst = 0.0
-    for n in range(len(nodes)):
-        x, y, z = nodes[n, 0], nodes[n, 1], nodes[n, 2]
-        gx, gy, gz = guess[n, 0], guess[n, 1], guess[n, 2]
-        best, damping, step = 1e18, 1.0, 0
-        bx, by, bz = gx, gy, gz
-        ex, ey, ez = 0.0, 0.0, 0.0
-        while step < 80:
-            ux, uy, uz = displacement_at(gx, gy, gz, forward, origin, inverse_spacing)
-            rx, ry, rz = x - gx - ux, y - gy - uy, z - gz - uz
-            error = rx * rx + ry * ry + rz * rz
-            if error < best:
-                best, bx, by, bz, ex, ey, ez = error, gx, gy, gz, rx, ry, rz
-                if error < 1e-8:
-                    break
-            else:
-                damping *= 0.6
-            gx, gy, gz = bx + damping * ex, by + damping * ey, bz + damping * ez
-            step += 1
-        out[n, 0], out[n, 1], out[n, 2] = bx, by, bz
-        worst = max(worst, best)
-    return float(np.sqrt(worst))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def displacement_at(
-    x: float, y: float, z: float, field: AnyArray, origin: AnyArray, inverse_spacing: float
-) -> Point:
-    """Trilinear value of a (nx, ny, nz, 3) field, clamped at its border."""
-    u = min(max((x - origin[0]) * inverse_spacing, 0.0), field.shape[0] - 1.000001)
-    v = min(max((y - origin[1]) * inverse_spacing, 0.0), field.shape[1] - 1.000001)
-    w = min(max((z - origin[2]) * inverse_spacing, 0.0), field.shape[2] - 1.000001)
-    i, j, k = int(u), int(v), int(w)
-    fx, fy, fz = u - i, v - j, w - k
-    dx, dy, dz = 0.0, 0.0, 0.0
-    for a in range(2):
-        wa = fx if a else 1.0 - fx
-        for b in range(2):
-            wb = wa * (fy if b else 1.0 - fy)
-            for c in range(2):
-                share = wb * (fz if c else 1.0 - fz)
-                node = field[i + a, j + b, k + c]
-                dx += share * node[0]
-                dy += share * node[1]
-                dz += share * node[2]
-    return dx, dy, dz
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def radial_field(
     nodes: AnyArray, centers: AnyArray, weights: AnyArray, affine: AnyArray, out: AnyArray
 ) -> None:

@@ -61,12 +61,12 @@ def pull_back(
     displacement: AnyArray,
     origin: AnyArray,
     inverse_spacing: float,
-    first: int,
-    second: int,
-    weight: float,
+    first: AnyArray,
+    second: AnyArray,
+    weight: AnyArray,
     out: AnyArray,
 ) -> None:
-    """Reference positions of (n, 3) points at one pair of knots."""
+    """Reference positions of (n, 3) points, each at its own pair of knots (n,)."""
     for i in range(len(points)):
         out[i, 0], out[i, 1], out[i, 2] = reference_point(
             points[i, 0],
@@ -75,9 +75,86 @@ def pull_back(
             displacement,
             origin,
             inverse_spacing,
-            first,
-            second,
-            weight,
+            first[i],
+            second[i],
+            weight[i],
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def polish(
+    points: AnyArray,
+    forward: AnyArray,
+    origin: AnyArray,
+    inverse_spacing: float,
+    first: AnyArray,
+    second: AnyArray,
+    weight: AnyArray,
+    out: AnyArray,
+) -> None:
+    """Improve `out`, guesses of X with X + u(X) = x, to 1e-4 mm; u trilinear, each point at its own knots."""
+    for i in range(len(points)):
+        gx, gy, gz = out[i, 0], out[i, 1], out[i, 2]
+        best, damping = 1e18, 1.0
+        bx, by, bz, ex, ey, ez = gx, gy, gz, 0.0, 0.0, 0.0
+        for _ in range(80):
+            fx, fy, fz = reference_point(
+                gx, gy, gz, forward, origin, inverse_spacing, first[i], second[i], weight[i]
+            )
+            rx, ry, rz = points[i, 0] - fx, points[i, 1] - fy, points[i, 2] - fz
+            error = rx * rx + ry * ry + rz * rz
+            if error < best:
+                best, bx, by, bz, ex, ey, ez = error, gx, gy, gz, rx, ry, rz
+                if error < 1e-8:
+                    break
+            else:
+                damping *= 0.6
+            gx, gy, gz = bx + damping * ex, by + damping * ey, bz + damping * ez
+        out[i, 0], out[i, 1], out[i, 2] = bx, by, bz
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _taps(f: float) -> tuple[float, float, float, float]:
+    """Catmull-Rom weights of the four nodes around a fraction."""
+    return (
+        f * (-0.5 + f * (1.0 - 0.5 * f)),
+        1.0 + f * f * (-2.5 + 1.5 * f),
+        f * (0.5 + f * (2.0 - 1.5 * f)),
+        f * f * (-0.5 + 0.5 * f),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cubic_point(
+    x: float, y: float, z: float, field: AnyArray, origin: AnyArray, inverse_spacing: float
+) -> Point:
+    """Tricubic (Catmull-Rom) value of a (nx, ny, nz, 3) field, clamped one node inside its border."""
+    u = min(max((x - origin[0]) * inverse_spacing, 1.0), field.shape[0] - 2.000001)
+    v = min(max((y - origin[1]) * inverse_spacing, 1.0), field.shape[1] - 2.000001)
+    w = min(max((z - origin[2]) * inverse_spacing, 1.0), field.shape[2] - 2.000001)
+    i, j, k = int(u), int(v), int(w)
+    wi, wj, wk = _taps(u - i), _taps(v - j), _taps(w - k)
+    dx, dy, dz = 0.0, 0.0, 0.0
+    for a in range(4):
+        for b in range(4):
+            share = wi[a] * wj[b]
+            for c in range(4):
+                weight = share * wk[c]
+                node = field[i + a - 1, j + b - 1, k + c - 1]
+                dx += weight * node[0]
+                dy += weight * node[1]
+                dz += weight * node[2]
+    return dx, dy, dz
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cubic_at(
+    points: AnyArray, field: AnyArray, origin: AnyArray, inverse_spacing: float, out: AnyArray
+) -> None:
+    """`cubic_point` of (n, 3) points."""
+    for i in range(len(points)):
+        out[i, 0], out[i, 1], out[i, 2] = cubic_point(
+            points[i, 0], points[i, 1], points[i, 2], field, origin, inverse_spacing
         )
 
 
@@ -104,17 +181,8 @@ def nearest(u: float, count: int) -> int:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def image_slab(
-    start: int,
-    stop: int,
-    grid_origin: AnyArray,
-    grid_spacing: float,
-    displacement: AnyArray,
-    motion_origin: AnyArray,
-    motion_inverse_spacing: float,
-    first: int,
-    second: int,
-    weight: float,
+def sampled(
+    positions: AnyArray,
     organ: AnyArray,
     inner: AnyArray,
     outer: AnyArray,
@@ -124,23 +192,15 @@ def image_slab(
     signal_out: AnyArray,
     code_out: AnyArray,
 ) -> None:
-    """MR signal and tissue code of voxels start <= i < stop along the first axis, at one pair of knots."""
-    ny, nz = signal_out.shape[1], signal_out.shape[2]
-    for i in range(start, stop):
-        x = grid_origin[0] + i * grid_spacing
-        for j in range(ny):
-            y = grid_origin[1] + j * grid_spacing
-            for k in range(nz):
-                z = grid_origin[2] + k * grid_spacing
-                u, v, w = reference_point(
-                    x, y, z, displacement, motion_origin, motion_inverse_spacing, first, second, weight
-                )
-                signal_out[i, j, k] = scalar_at(u, v, w, signal, map_origin, map_inverse_spacing)
-                depth = scalar_at(u, v, w, organ, map_origin, map_inverse_spacing)
-                a = nearest((u - map_origin[0]) * map_inverse_spacing, inner.shape[0])
-                b = nearest((v - map_origin[1]) * map_inverse_spacing, inner.shape[1])
-                c = nearest((w - map_origin[2]) * map_inverse_spacing, inner.shape[2])
-                code_out[i, j, k] = inner[a, b, c] if depth > 0.0 else outer[a, b, c]
+    """MR signal and tissue code (n,) at (n, 3) reference positions."""
+    for i in range(len(positions)):
+        u, v, w = positions[i, 0], positions[i, 1], positions[i, 2]
+        signal_out[i] = scalar_at(u, v, w, signal, map_origin, map_inverse_spacing)
+        depth = scalar_at(u, v, w, organ, map_origin, map_inverse_spacing)
+        a = nearest((u - map_origin[0]) * map_inverse_spacing, inner.shape[0])
+        b = nearest((v - map_origin[1]) * map_inverse_spacing, inner.shape[1])
+        c = nearest((w - map_origin[2]) * map_inverse_spacing, inner.shape[2])
+        code_out[i] = inner[a, b, c] if depth > 0.0 else outer[a, b, c]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -157,3 +217,13 @@ def gradient_norm(acoustics: AnyArray, inverse_spacing: float) -> None:
                 gy = (acoustics[i, d, k, 0] - acoustics[i, c, k, 0]) / (d - c)
                 gz = (acoustics[i, j, f, 0] - acoustics[i, j, e, 0]) / (f - e)
                 acoustics[i, j, k, last] = np.sqrt(gx * gx + gy * gy + gz * gz) * inverse_spacing
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_middles(path: AnyArray, stride: int) -> None:
+    """Put the point half-way between every `stride`-th point of (lines, count, 3) paths into their middle."""
+    half = stride // 2
+    for line in range(path.shape[0]):
+        for i in range(0, path.shape[1] - stride, stride):
+            for k in range(3):
+                path[line, i + half, k] = 0.5 * (path[line, i, k] + path[line, i + stride, k])

@@ -5,15 +5,12 @@ In the wall (R_i <= R <= R_o, 0 <= Z <= BASE) the map is exactly incompressible:
     z = Z - a H Z²/L,  g' = 1 - 2aHZ/L,  r² = R²/g' + c(Z),  c = [(1 - κa)² - 1/g'] R_i²,
     θ = Θ + a (-10° (1 - Z/L) + 4° Z/L).
 Blood scales with the endocardium, r = R r_i/R_i. Outside the epicardium the wall's motion decays with
-exp(-(R - R_o)/ℓ); on the right-ventricular side the decay is slower and the space beyond the septum is
-squeezed towards it, so that the right ventricle ejects. Above the base the motion tapers, so that the atria
-fill in systole.
+exp(-(R - R_o)/ℓ), its longitudinal part more slowly on the right-ventricular side. Above the base the motion
+tapers, which stretches the atria in systole.
 """
 
 import numpy as np
 from numba import njit
-
-from dvf_ig.core import AnyArray
 
 Point = tuple[float, float, float]
 
@@ -28,11 +25,11 @@ TWIST_APEX = np.deg2rad(-10.0)
 TWIST_BASE = np.deg2rad(4.0)
 DECAY = 25.0
 RV_EXTRA_DECAY = 35.0
-RV_SQUEEZE = 0.30
-RV_REACH = 55.0
 AXIAL_TAPER = 45.0
 RADIAL_TAPER = 10.0
 OVERSHOOT = 0.5
+TOLERANCE2 = 2.5e-5
+"""Squared residual, mm², at which the search for an inverse stops."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -85,12 +82,10 @@ def forward_point(x: float, y: float, z: float, a: float) -> Point:
     else:
         rho = radius - r_out
         side = rv_side(x / radius, z)
-        squeeze = a * RV_SQUEEZE * side * taper * np.exp(-((rho / RV_REACH) ** 3))
-        moved = r_out + rho * (1.0 - squeeze)
         decay = np.exp(-rho / DECAY)
         axial_decay = np.exp(-rho / (DECAY + RV_EXTRA_DECAY * side))
         wall = (1.0 / g - 1.0) * r_out * r_out + c
-        r = np.sqrt(max(moved * moved + wall * decay, 0.0))
+        r = np.sqrt(max(radius * radius + wall * decay, 0.0))
     turn = a * twist * decay
     ct, st = np.cos(turn), np.sin(turn)
     scale = r / radius if radius > 1e-12 else (shrink if r_in > 0.0 else 1.0 / np.sqrt(g))
@@ -98,14 +93,46 @@ def forward_point(x: float, y: float, z: float, a: float) -> Point:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _closed_inverse(x: float, y: float, z: float, a: float) -> tuple[bool, float, float, float]:
+    """Whether (x, y, z) comes from the left ventricle's wall or blood, and from where: closed form."""
+    root = 1.0 - 4.0 * a * H * z / BASE
+    if z < 0.0 or root <= 0.0:
+        return False, x, y, z
+    height = 2.0 * z / (1.0 + np.sqrt(root))
+    if height > BASE:
+        return False, x, y, z
+    r_out, r_in = radii(height)
+    w = height / BASE
+    g = 1.0 - 2.0 * a * H * w
+    shrink = 1.0 - KAPPA * a
+    squared = x * x + y * y
+    if squared <= (shrink * r_in) ** 2:
+        scale = 1.0 / shrink
+    else:
+        original = (squared - (shrink * shrink - 1.0 / g) * r_in * r_in) * g
+        if original > r_out * r_out:
+            return False, x, y, z
+        scale = np.sqrt(original / squared) if squared > 0.0 else np.sqrt(g)
+    turn = a * (TWIST_APEX * (1.0 - w) + TWIST_BASE * w)
+    ct, st = np.cos(turn), np.sin(turn)
+    return True, scale * (ct * x + st * y), scale * (ct * y - st * x), height
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def inverse_point(x: float, y: float, z: float, a: float, gx: float, gy: float, gz: float) -> Point:
-    """Reference point that χ_a carries to (x, y, z), from the guess (gx, gy, gz); damped Newton, 1e-4 mm."""
+    """Reference point that χ_a carries to (x, y, z).
+
+    Closed form in the left ventricle; elsewhere damped Newton from the guess (gx, gy, gz), to 5 µm.
+    """
+    found, hx, hy, hz = _closed_inverse(x, y, z, a)
+    if found:
+        return hx, hy, hz
     fx, fy, fz = forward_point(gx, gy, gz, a)
     ex, ey, ez = x - fx, y - fy, z - fz
     worst = ex * ex + ey * ey + ez * ez
     # χ is close to a shift: plain correction steps settle nearly everywhere and cost one evaluation each
     for _ in range(6):
-        if worst < 1e-8:
+        if worst < TOLERANCE2:
             return gx, gy, gz
         tx, ty, tz = gx + ex, gy + ey, gz + ez
         fx, fy, fz = forward_point(tx, ty, tz, a)
@@ -116,7 +143,7 @@ def inverse_point(x: float, y: float, z: float, a: float, gx: float, gy: float, 
         gx, gy, gz, ex, ey, ez, worst = tx, ty, tz, ux, uy, uz, error
     h = 1e-4
     for _ in range(20):
-        if worst < 1e-8:
+        if worst < TOLERANCE2:
             break
         fx, fy, fz = x - ex, y - ey, z - ez
         ax, ay, az = forward_point(gx + h, gy, gz, a)
@@ -140,19 +167,3 @@ def inverse_point(x: float, y: float, z: float, a: float, gx: float, gy: float, 
             step *= 0.5
         gx, gy, gz, ex, ey, ez, worst = tx, ty, tz, ux, uy, uz, error
     return gx, gy, gz
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def forward(points: AnyArray, a: AnyArray, out: AnyArray) -> None:
-    """χ_a of (n, 3) points into `out`; `a` is (n,)."""
-    for i in range(len(points)):
-        out[i, 0], out[i, 1], out[i, 2] = forward_point(points[i, 0], points[i, 1], points[i, 2], a[i])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def inverse(points: AnyArray, a: AnyArray, guess: AnyArray, out: AnyArray) -> None:
-    """χ_a⁻¹ of (n, 3) points into `out`; `a` is (n,), `guess` (n, 3)."""
-    for i in range(len(points)):
-        out[i, 0], out[i, 1], out[i, 2] = inverse_point(
-            points[i, 0], points[i, 1], points[i, 2], a[i], guess[i, 0], guess[i, 1], guess[i, 2]
-        )

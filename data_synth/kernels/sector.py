@@ -1,17 +1,20 @@
-"""Kernels of the phased-sector simulator, in the order in which a frame is made."""
+"""Kernels of the ultrasound simulator, in the order in which a frame is made."""
 
 import numpy as np
 from numba import njit
 
 from dvf_ig.core import AnyArray
 
-from .lookup import cell, reference_point
+from .lookup import cell
 
 TABLE = 8192
 """Entries in the table of complex normal deviates that lattice hashes point into."""
 
-COARSE = 8
-"""Samples between two exact pull-backs along a line; straight in between."""
+MIRROR = 0.5
+"""An interface whose reflection coefficient exceeds this one is a total reflector: lung or bone."""
+
+_ECHO_REACH = 8
+_DIRT_MM = 20.0
 
 _U1 = np.uint64(0xFF51AFD7ED558CCD)
 _U2 = np.uint64(0xC4CEB9FE1A85EC53)
@@ -35,42 +38,6 @@ def lattice_hash(i: int, j: int, k: int, seed: np.uint64) -> int:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def trace_lines(
-    origin: AnyArray,
-    lateral: AnyArray,
-    depth: AnyArray,
-    angles: AnyArray,
-    step_mm: float,
-    displacement: AnyArray,
-    motion_origin: AnyArray,
-    motion_inverse: float,
-    first: AnyArray,
-    second: AnyArray,
-    weight: AnyArray,
-    path: AnyArray,
-) -> None:
-    """Reference positions `path` (lines, coarse, 3) along each scan line, every COARSE samples."""
-    for line in range(len(angles)):
-        sx, cx = np.sin(angles[line]), np.cos(angles[line])
-        dx = sx * lateral[0] + cx * depth[0]
-        dy = sx * lateral[1] + cx * depth[1]
-        dz = sx * lateral[2] + cx * depth[2]
-        for c in range(path.shape[1]):
-            d = COARSE * c * step_mm
-            path[line, c, 0], path[line, c, 1], path[line, c, 2] = reference_point(
-                origin[0] + d * dx,
-                origin[1] + d * dy,
-                origin[2] + d * dz,
-                displacement,
-                motion_origin,
-                motion_inverse,
-                first[line],
-                second[line],
-                weight[line],
-            )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def insonify(
     path: AnyArray,
     acoustics: AnyArray,
@@ -83,6 +50,7 @@ def insonify(
     tissue: AnyArray,
     blood: AnyArray,
     echo: AnyArray,
+    mirror: AnyArray,
 ) -> None:
     """Amplitudes that return to the probe from each sample of each line.
 
@@ -92,19 +60,20 @@ def insonify(
     cosine between beam and interface normal, to the given power.
 
     Args:
-        path: (lines, coarse, 3) reference positions.
+        path: (lines, samples + 1, 3) reference positions of the ends of the samples.
         tissue, blood, echo: (lines, samples) float32 out: scatter amplitudes and specular amplitude.
+        mirror: (lines, 3) out: sample of the first total reflector (−1: none), its reflection coefficient,
+            and the two-way amplitude of what reaches it.
     """
     samples = tissue.shape[1]
     absorb = -2.0 * frequency * 0.1 * step_mm * np.log(10.0) / 20.0
     for line in range(tissue.shape[0]):
         loss, passed, run, last, seen = 0.0, 1.0, 0.0, 0.0, 1.0
+        mirror[line, 0] = -1.0
         for i in range(samples):
-            c = i // COARSE
-            f = (i - COARSE * c + 0.5) / COARSE
-            x = path[line, c, 0] + f * (path[line, c + 1, 0] - path[line, c, 0])
-            y = path[line, c, 1] + f * (path[line, c + 1, 1] - path[line, c, 1])
-            z = path[line, c, 2] + f * (path[line, c + 1, 2] - path[line, c, 2])
+            x = 0.5 * (path[line, i, 0] + path[line, i + 1, 0])
+            y = 0.5 * (path[line, i, 1] + path[line, i + 1, 1])
+            z = 0.5 * (path[line, i, 2] + path[line, i + 1, 2])
             u, fx = cell((x - map_origin[0]) * map_inverse, acoustics.shape[0])
             v, fy = cell((y - map_origin[1]) * map_inverse, acoustics.shape[1])
             w, fz = cell((z - map_origin[2]) * map_inverse, acoustics.shape[2])
@@ -126,16 +95,49 @@ def insonify(
             if rise * run < 0.0 or abs(rise) < 1e-5:
                 passed *= seen
                 run, seen = 0.0, 1.0
-            before = np.tanh(0.5 * run)
-            run += rise
-            after = np.tanh(0.5 * run)
-            seen = 1.0 - after * after
             loss += absorb * alpha
-            level = np.exp(loss) * passed * seen
-            facing = min(abs(rise) / (slope * step_mm + 1e-6), 1.0)
-            tissue[line, i] = muscle * level
-            blood[line, i] = plasma * level
-            echo[line, i] = specular * abs(after - before) * facing**power * np.exp(loss) * passed
+            level = np.exp(loss)
+            echo[line, i] = 0.0
+            after = 0.0
+            if run + rise != 0.0:
+                before = np.tanh(0.5 * run)
+                run += rise
+                after = np.tanh(0.5 * run)
+                seen = 1.0 - after * after
+                facing = min(abs(rise) / (slope * step_mm + 1e-6), 1.0)
+                echo[line, i] = specular * abs(after - before) * facing**power * level * passed
+            tissue[line, i] = muscle * level * passed * seen
+            blood[line, i] = plasma * level * passed * seen
+            if mirror[line, 0] < 0.0 and abs(after) > MIRROR:
+                mirror[line, 0], mirror[line, 1], mirror[line, 2] = i, after, level * passed
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def reverberate(
+    mirror: AnyArray, step_mm: float, face: float, dirt: float, tissue: AnyArray, echo: AnyArray
+) -> None:
+    """Add what a total reflector returns late: (lines, samples) `tissue` and `echo` are added to.
+
+    The pulse bounces between reflector and transducer, so its echo comes back at every multiple of the
+    reflector's depth, each time smaller by the face's reflection and the way there and back. Air also sends
+    clutter out of itself that dies out over some 20 mm; the shadow of bone stays clean.
+    """
+    samples = echo.shape[1]
+    for line in range(len(mirror)):
+        i = int(mirror[line, 0])
+        if i < 0:
+            continue
+        if mirror[line, 1] < 0.0:
+            for j in range(i, samples):
+                tissue[line, j] += dirt * mirror[line, 2] * np.exp(-(j - i) * step_mm / _DIRT_MM)
+        trip = face * abs(mirror[line, 1]) * mirror[line, 2]
+        bounce, size = 2, trip
+        while i > 2 * _ECHO_REACH and bounce * i + bounce // 2 - _ECHO_REACH < samples and size > 1e-6:
+            center = bounce * i + bounce // 2
+            for w in range(-_ECHO_REACH, min(_ECHO_REACH + 1, samples - center)):
+                if i + w < samples:
+                    echo[line, center + w] += size * echo[line, i + w]
+            bounce, size = bounce + 1, size * trip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -155,7 +157,8 @@ def scatter(
     """Complex echoes of the scatterers on a laterally and axially finer raster.
 
     Tissue scatterers are fixed to lattice cells of the reference heart and move with it; blood is redrawn
-    with every frame. `real`, `imaginary`: (lines·fine, samples·2) float32 out.
+    with every frame. `real`, `imaginary`: (lines·fine, 2·samples) float32, added to: in each row all first
+    halves of the samples, then all second halves.
     """
     lines, samples = tissue.shape
     for m in range(lines * fine):
@@ -166,17 +169,15 @@ def scatter(
         for i in range(samples):
             t, b, s = tissue[near, i], blood[near, i], echo[near, i]
             for half in range(2):
-                j = 2 * i + half
+                j = half * samples + i
                 if t < 1e-6 and b < 1e-6:
-                    real[m, j] = s
-                    imaginary[m, j] = 0.0
+                    real[m, j] += s
                     continue
-                c = i // COARSE
-                f = (i - COARSE * c + 0.25 + 0.5 * half) / COARSE
+                f = 0.25 + 0.5 * half
                 n1, f1 = (1.0 - g) * (1.0 - f), (1.0 - g) * f
                 n2, f2 = g * (1.0 - f), g * f
-                near1, far1 = path[left, c], path[left, c + 1]
-                near2, far2 = path[left + 1, c], path[left + 1, c + 1]
+                near1, far1 = path[left, i], path[left, i + 1]
+                near2, far2 = path[left + 1, i], path[left + 1, i + 1]
                 u = n1 * near1[0] + f1 * far1[0] + n2 * near2[0] + f2 * far2[0]
                 v = n1 * near1[1] + f1 * far1[1] + n2 * near2[1] + f2 * far2[1]
                 w = n1 * near1[2] + f1 * far1[2] + n2 * near2[2] + f2 * far2[2]
@@ -192,28 +193,59 @@ def scatter(
                     h = lattice_hash(ui, vi, wi, frame_seed)
                     re += b * table[h, 0]
                     im += b * table[h, 1]
-                real[m, j] = re
-                imaginary[m, j] = im
+                real[m, j] += re
+                imaginary[m, j] += im
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_clutter(
+    level: AnyArray,
+    arc_index: AnyArray,
+    depth_index: float,
+    table: AnyArray,
+    seed: np.uint64,
+    real: AnyArray,
+    imaginary: AnyArray,
+) -> None:
+    """Add speckle that stands still before the probe, to rasters as `scatter` has them.
+
+    Args:
+        level: (samples,) its amplitude.
+        arc_index: (samples,) lattice cells between two fine lines; `depth_index` cells per half sample.
+    """
+    samples = len(level)
+    for m in range(real.shape[0]):
+        for i in range(samples):
+            if level[i] < 1e-6:
+                continue
+            arc = np.int64(m * arc_index[i])
+            for half in range(2):
+                h = lattice_hash(arc, np.int64((2 * i + half) * depth_index), 1, seed)
+                real[m, half * samples + i] += level[i] * table[h, 0]
+                imaginary[m, half * samples + i] += level[i] * table[h, 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
-def axial_blur(fine_signal: AnyArray, taps: AnyArray, out: AnyArray) -> None:
-    """Axial pulse: (m, 2·samples) to (m, samples); `taps` has even length, centred between the two halves."""
+def axial_blur(halves: AnyArray, taps: AnyArray, out: AnyArray) -> None:
+    """Axial pulse: (m, 2·samples) as `scatter` has them to (m, samples).
+
+    `taps` has even length, centred between the two halves of a sample.
+    """
     reach = len(taps) // 2
-    width = fine_signal.shape[1]
+    samples = out.shape[1]
     for m in range(out.shape[0]):
-        for i in range(out.shape[1]):
-            total = np.float32(0.0)
-            start = 2 * i + 1 - reach
-            low, high = max(0, -start), min(len(taps), width - start)
-            for k in range(low, high):
-                total += taps[k] * fine_signal[m, start + k]
-            out[m, i] = total
+        for i in range(samples):
+            out[m, i] = 0.0
+        for k in range(len(taps)):
+            shift = k + 1 - reach
+            ahead, base = shift >> 1, (shift & 1) * samples
+            for i in range(max(0, -ahead), min(samples, samples - ahead)):
+                out[m, i] += taps[k] * halves[m, base + i + ahead]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 def lateral_blur(signal: AnyArray, taps: AnyArray, fine: int, out: AnyArray) -> None:
-    """Beam pattern: (lines·fine, samples) to (lines, samples); `taps` (k, samples), k even."""
+    """Beam pattern: (lines·fine, n) to (lines, n); `taps` (k, n), k even."""
     reach = taps.shape[0] // 2
     rows = signal.shape[0]
     for line in range(out.shape[0]):
@@ -233,33 +265,23 @@ def detect(
     imaginary: AnyArray,
     noise: float,
     gain: AnyArray,
+    band: int,
     table: AnyArray,
     frame_seed: np.uint64,
-    level_db: AnyArray,
+    envelope: AnyArray,
 ) -> None:
-    """Receiver noise, time-gain compensation and envelope, in dB re myocardium's scatter amplitude."""
+    """Receiver noise, then time-gain compensation, then the envelope, which is added to `envelope`."""
     for line in range(real.shape[0]):
         for i in range(real.shape[1]):
-            h = lattice_hash(line, i, 3, frame_seed)
+            h = lattice_hash(line, i, 3 + band, frame_seed)
             re = (real[line, i] + noise * table[h, 0]) * gain[i]
             im = (imaginary[line, i] + noise * table[h, 1]) * gain[i]
-            level_db[line, i] = 10.0 * np.log10(re * re + im * im + 1e-20)
+            envelope[line, i] += np.sqrt(re * re + im * im)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def scan_convert(grey: AnyArray, line_index: AnyArray, sample_index: AnyArray, out: AnyArray) -> None:
-    """Bilinear interpolation of (lines, samples) to pixels; pixels with a negative line index stay 0."""
-    lines, samples = grey.shape
-    for row in range(out.shape[0]):
-        for column in range(out.shape[1]):
-            p = line_index[row, column]
-            if p < 0.0:
-                out[row, column] = 0
-                continue
-            q = sample_index[row, column]
-            a, b = min(int(p), lines - 2), min(int(q), samples - 2)
-            f, g = p - a, q - b
-            value = (1.0 - f) * ((1.0 - g) * grey[a, b] + g * grey[a, b + 1]) + f * (
-                (1.0 - g) * grey[a + 1, b] + g * grey[a + 1, b + 1]
-            )
-            out[row, column] = np.uint8(value + 0.5)
+def decibel(envelope: AnyArray, scale: float) -> None:
+    """In place: 20 log10 of the scaled envelope, at least −200."""
+    for line in range(envelope.shape[0]):
+        for i in range(envelope.shape[1]):
+            envelope[line, i] = 20.0 * np.log10(max(envelope[line, i] * scale, 1e-10))

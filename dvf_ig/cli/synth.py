@@ -6,16 +6,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
+from .shell import JsonFlag, ThreadsOption, command, emit, progress, wrote
+from .synth_calibration import calibration
 
 if TYPE_CHECKING:
-    from data_synth import Motion, ReplayedPath, ScenarioSpec
+    from data_synth import ReplayedPath, ScenarioSpec
     from dvf_ig.core import Scenario
+
+    from .synth_spec import SpecFile
 
 app = typer.Typer(no_args_is_help=True, help="Make synthetic recordings with known truth.")
 
 SURFACES = ("EPICARDIAL", "LV_ENDOCARDIAL", "RV_ENDOCARDIAL")
 """Read from --surfaces; all but the first where present."""
+
+app.command("calibration")(calibration)
 
 
 class Anatomy(StrEnum):
@@ -32,15 +37,29 @@ def synth() -> None:
 
 @app.command("scenario")
 def scenario(
-    out: Annotated[Path, typer.Option("-o", "--out", help="Scenario folder to write.")],
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="Scenario folder to write.")] = None,
+    spec_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--spec", help="YAML that describes the scenario; options given here replace its values."
+        ),
+    ] = None,
+    print_spec: Annotated[
+        bool, typer.Option("--print-spec", help="Print the YAML of this scenario and make nothing.")
+    ] = False,
     anatomy: Annotated[
-        Anatomy, typer.Option("--anatomy", help="The four-chamber phantom, or real surfaces.")
-    ] = Anatomy.phantom,
-    preset: Annotated[str, typer.Option("--preset", help="Rhythm, noise and disturbances.")] = "calm",
+        Anatomy | None,
+        typer.Option("--anatomy", help="The four-chamber phantom (default), or real surfaces."),
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option("--preset", help="Rhythm, noise and disturbances (default: calm).")
+    ] = None,
     motion: Annotated[
-        str, typer.Option("--motion", help="Phantom only: paper5mm or physiological.")
-    ] = "paper5mm",
-    seconds: Annotated[float, typer.Option("--seconds", help="Length of the live part.")] = 60.0,
+        str | None, typer.Option("--motion", help="Phantom only: paper5mm (default) or physiological.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", help="Length of the live part (default: 60).")
+    ] = None,
     surfaces: Annotated[
         Path | None, typer.Option("--surfaces", help="Folder of corresponding surfaces.")
     ] = None,
@@ -53,43 +72,65 @@ def scenario(
     mismatch_mm: Annotated[
         float | None, typer.Option("--mismatch-mm", help="RMS difference between MR and ultrasound anatomy.")
     ] = None,
-    us_rate_hz: Annotated[float, typer.Option("--us-rate-hz", help="Ultrasound frames a second.")] = 12.0,
+    us_rate_hz: Annotated[
+        float | None, typer.Option("--us-rate-hz", help="Ultrasound frames a second (default: 12).")
+    ] = None,
     as_json: JsonFlag = False,
-    seed: SeedOption = 1,
+    seed: Annotated[
+        int | None, typer.Option("--seed", help="Seed of every random choice (default: 1).")
+    ] = None,
     threads: ThreadsOption = None,
 ) -> None:
     """Simulate one intervention: pre-operative data, calibration recordings, ECG, ultrasound, tool, truth.
 
     The same options and seed give bit-identical recordings. With --anatomy surfaces the heart, its motion,
-    the ECG and the hand motion are real; only the ultrasound is simulated. Truth goes to OUT/truth.
+    the ECG and the hand motion are real; only the ultrasound is simulated. Truth, and the YAML from which
+    the scenario can be made again, go to OUT/truth.
     """
     with command(threads):
-        from data_synth import ScenarioSpec
-        from dvf_ig.io import write_scenario
+        from data_synth import describe_faults
+        from dvf_ig.io import ScenarioNotes, write_scenario
 
-        spec = ScenarioSpec(preset, _motion(motion), seconds, seed, us_rate_hz, mismatch_mm)
-        if anatomy is Anatomy.phantom:
-            if surfaces is not None or ecg is not None or probe_path is not None:
-                raise typer.BadParameter("--surfaces, --ecg and --probe-path belong to --anatomy surfaces")
-            made, path = _on_the_phantom(spec), None
-        else:
-            if surfaces is None or ecg is None or probe_path is None:
-                raise typer.BadParameter("--anatomy surfaces needs --surfaces, --ecg and --probe-path")
-            made, path = _on_real_anatomy(spec, surfaces, ecg, probe_path)
-        write_scenario(made, out)
+        from .synth_spec import SpecFile, read_spec, scenario_spec, spec_text
+
+        given = {
+            "anatomy": None if anatomy is None else anatomy.value,
+            "surfaces": None if surfaces is None else str(surfaces),
+            "ecg": ecg,
+            "probe_path": None if probe_path is None else str(probe_path),
+            "preset": preset,
+            "motion": motion,
+            "seconds": seconds,
+            "seed": seed,
+            "us_rate_hz": us_rate_hz,
+            "mismatch_mm": mismatch_mm,
+        }
+        if spec_file is not None and preset is not None:
+            raise typer.BadParameter("--preset and --spec both say what is wrong; change it in the file")
+        file = read_spec(spec_file) if spec_file is not None else SpecFile()
+        file = file.model_copy(update={key: value for key, value in given.items() if value is not None})
+        spec = scenario_spec(file)
+        if print_spec:
+            print(spec_text(file), end="")
+            return
+        if out is None:
+            raise typer.BadParameter("give a folder to write with -o, or --print-spec")
+        made, path = _made(file, spec)
+        write_scenario(made, out, ScenarioNotes(describe_faults(spec.options), spec_text(file)))
         emit(_facts(made, out, path), _rows(made, path), as_json=as_json)
         wrote(out, "mr, tracker")
 
 
-def _motion(name: str) -> "Motion":
-    """The motion of that name; an unknown one is refused here, before anything is computed."""
-    from data_synth import MOTIONS
-    from dvf_ig.core import InvalidInputError
-
-    for known in MOTIONS:
-        if known == name:
-            return known
-    raise InvalidInputError(f"there is no motion '{name}'; choose from {', '.join(MOTIONS)}")
+def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPath | None]":
+    inputs = (file.surfaces, file.ecg, file.probe_path)
+    if file.anatomy == "phantom":
+        if any(given is not None for given in inputs):
+            raise typer.BadParameter("--surfaces, --ecg and --probe-path belong to --anatomy surfaces")
+        return _on_the_phantom(spec), None
+    surfaces, ecg, probe_path = inputs
+    if surfaces is None or ecg is None or probe_path is None:
+        raise typer.BadParameter("--anatomy surfaces needs --surfaces, --ecg and --probe-path")
+    return _on_real_anatomy(spec, Path(surfaces), ecg, Path(probe_path))
 
 
 def _on_the_phantom(spec: "ScenarioSpec") -> "Scenario":
@@ -131,6 +172,7 @@ def _facts(made: "Scenario", out: Path, path: "ReplayedPath | None") -> dict[str
     facts: dict[str, Any] = {
         "scenario": str(out),
         "name": made.name,
+        "preset": made.preset,
         "patient_id": made.preop.patient_id,
         "seed": made.seed,
         "us_frames": len(made.ultrasound),

@@ -94,6 +94,12 @@ class ScenarioTruth:
         surface: the true moving surface in frame "mr" (of the anatomy the tool meets).
         tool: true contact of the tool.
         mismatch_mm: RMS of the non-rigid difference between pre-operative and intra-operative anatomy.
+        later_probe_from_image: image calibrations after the first, with the times (tracker clock) from which
+            each holds: a probe whose marker slipped.
+        calibrated_probe_from_image: what the calibration recordings hold, where they are of another probe.
+        video_drift_ppm: t_tracker(event) = t_video(event)·(1 + ppm·1e-6) + lag_s.
+        respiration_mm: excursion of the heart in breathing; `mr_from_tracker`, `targets` and `surface` are
+            those of end-expiration, while `tool` holds what was truly met.
     """
 
     mr_from_tracker: tuple[tuple[float, Rigid], ...]
@@ -105,6 +111,10 @@ class ScenarioTruth:
     surface: SurfaceSeries
     tool: ToolTruth
     mismatch_mm: float
+    later_probe_from_image: tuple[tuple[float, ImageMap], ...] = ()
+    calibrated_probe_from_image: ImageMap | None = None
+    video_drift_ppm: float = 0.0
+    respiration_mm: float = 0.0
 
     def mr_from_tracker_at(self, t_s: float) -> Rigid:
         """The planted pose that holds at `t_s`."""
@@ -112,6 +122,14 @@ class ScenarioTruth:
         for start_s, pose in self.mr_from_tracker:
             if start_s <= t_s:
                 held = pose
+        return held
+
+    def probe_from_image_at(self, t_s: float) -> ImageMap:
+        """The planted image calibration that holds at `t_s`."""
+        held = self.probe_from_image
+        for start_s, later in self.later_probe_from_image:
+            if start_s <= t_s:
+                held = later
         return held
 
 

@@ -33,6 +33,7 @@ from .plus_xml import read_coordinate_definitions as read_coordinate_definitions
 from .plus_xml import write_coordinate_definitions as write_coordinate_definitions
 from .poses import read_poses as read_poses
 from .scenario_read import read_scenario as read_scenario
+from .scenario_readme import ScenarioNotes as ScenarioNotes
 from .scenario_write import write_scenario as write_scenario
 from .sequence_read import read_sequence as read_sequence
 from .sequence_write import write_poses as write_poses

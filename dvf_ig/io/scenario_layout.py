@@ -13,13 +13,17 @@ from .reading import read_text
 SCHEMA = "dvf_ig.scenario/1"
 CONFIG = "scenario.yaml"
 TRUTH = "truth"
+README = "README.md"
+PREVIEW = "preview.png"
+SPEC = "spec.yaml"
+"""Beside the truth, because it tells what was planted."""
 
 _OURS = re.compile(
-    r"scenario\.yaml|ecg\.csv|ultrasound\.igs\.mha|tool\.igs\.mha|landmarks_(mr|tracker)\.mrk\.json"
+    r"scenario\.yaml|README\.md|preview\.png|ecg\.csv|ultrasound\.igs\.mha|tool\.igs\.mha|landmarks_(mr|tracker)\.mrk\.json"
     r"|start\.(tfm|json)|preop/((mr|labels)\.nrrd|timing\.json|[^/]+_\d+\.vtp)"
     r"|calibration/(pivot|nwire|latency_tracker|latency_video)\.igs\.mha"
     r"|calibration/(nwire|nwire_points|latency_lines)\.xml"
-    r"|truth/(truth\.json|r_peaks\.csv|tool\.npz|surface\.npz)"
+    r"|truth/(spec\.yaml|truth\.json|r_peaks\.csv|tool\.npz|surface\.npz)"
 )
 
 

@@ -33,7 +33,7 @@ def write_truth(truth: ScenarioTruth, folder: Path) -> None:
         OutputError: not writable.
     """
     make_folder(folder)
-    image = truth.probe_from_image
+    calibrated = truth.calibrated_probe_from_image
     write_json(
         folder / "truth.json",
         {
@@ -42,13 +42,17 @@ def write_truth(truth: ScenarioTruth, folder: Path) -> None:
             "mr_from_tracker": [
                 {"from_s": start_s, "matrix": pose.matrix} for start_s, pose in truth.mr_from_tracker
             ],
-            "probe_from_image": image.matrix,
-            "probe_from_image_rigid": image.rigid.matrix,
-            "probe_from_image_scale_mm_per_px": image.scale_mm_per_px,
-            "probe_from_image_shear_deg": image.shear_deg,
+            **_image_document(truth.probe_from_image),
+            "later_probe_from_image": [
+                {"from_s": start_s, **_image_document(image)}
+                for start_s, image in truth.later_probe_from_image
+            ],
+            "calibrated_probe_from_image": None if calibrated is None else _image_document(calibrated),
             "tip_mm": truth.tip.xyz_mm,
             "tip_frame": truth.tip.frame,
             "lag_s": truth.lag_s,
+            "video_drift_ppm": truth.video_drift_ppm,
+            "respiration_mm": truth.respiration_mm,
             "mismatch_mm": truth.mismatch_mm,
             "targets": dict(zip(truth.targets.names, truth.targets.points.xyz_mm, strict=True)),
             "surface": {
@@ -91,13 +95,10 @@ def read_truth(folder: Path) -> ScenarioTruth:
 
 def _truth(folder: Path, document: dict[str, Any]) -> ScenarioTruth:
     tool = _read_arrays(folder / "tool.npz", _TOOL)
+    calibrated = document.get("calibrated_probe_from_image")
     return ScenarioTruth(
         mr_from_tracker=tuple(_planted(entry) for entry in document["mr_from_tracker"]),
-        probe_from_image=ImageMap(
-            rigid_from_matrix(document["probe_from_image_rigid"], "probe", "image"),
-            document["probe_from_image_scale_mm_per_px"],
-            document["probe_from_image_shear_deg"],
-        ),
+        probe_from_image=_image(document),
         tip=Points(document["tip_frame"], np.array(document["tip_mm"]).reshape(-1, 3)),
         lag_s=float(document["lag_s"]),
         r_peaks_s=_read_peaks(folder / "r_peaks.csv"),
@@ -108,6 +109,29 @@ def _truth(folder: Path, document: dict[str, Any]) -> ScenarioTruth:
         surface=_surface(folder, document["surface"]),
         tool=ToolTruth(*(tool[name] for name in _TOOL)),
         mismatch_mm=float(document["mismatch_mm"]),
+        later_probe_from_image=tuple(
+            (float(entry["from_s"]), _image(entry)) for entry in document.get("later_probe_from_image", ())
+        ),
+        calibrated_probe_from_image=None if calibrated is None else _image(calibrated),
+        video_drift_ppm=float(document.get("video_drift_ppm", 0.0)),
+        respiration_mm=float(document.get("respiration_mm", 0.0)),
+    )
+
+
+def _image_document(image: ImageMap) -> dict[str, Any]:
+    return {
+        "probe_from_image": image.matrix,
+        "probe_from_image_rigid": image.rigid.matrix,
+        "probe_from_image_scale_mm_per_px": image.scale_mm_per_px,
+        "probe_from_image_shear_deg": image.shear_deg,
+    }
+
+
+def _image(document: dict[str, Any]) -> ImageMap:
+    return ImageMap(
+        rigid_from_matrix(document["probe_from_image_rigid"], "probe", "image"),
+        document["probe_from_image_scale_mm_per_px"],
+        document["probe_from_image_shear_deg"],
     )
 
 

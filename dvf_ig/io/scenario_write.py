@@ -12,7 +12,7 @@ from ..core.rigid import Rigid
 from ..core.scenario import LatencyRecording, Preop, Scenario
 from ..core.sequence import TrackedSequence
 from ..core.stream import PoseStream
-from .atomic import atomic_folder, make_folder, write_text
+from .atomic import atomic_folder, make_folder, write_bytes, write_text
 from .ecg import write_ecg_csv
 from .json_file import write_json
 from .landmarks import write_landmarks
@@ -20,6 +20,9 @@ from .latency import write_line_table
 from .nwire import write_nwire_phantom, write_wire_points
 from .scenario_layout import (
     CONFIG,
+    PREVIEW,
+    README,
+    SPEC,
     TRUTH,
     FanConfig,
     FilesConfig,
@@ -28,6 +31,7 @@ from .scenario_layout import (
     config_text,
     is_our_folder,
 )
+from .scenario_readme import ScenarioNotes, readme_text
 from .scenario_truth import write_truth
 from .sequence_write import write_poses, write_sequence
 from .surfaces import write_surface_series
@@ -36,11 +40,13 @@ from .transform import write_transform
 from .volume import write_volume_series
 
 
-def write_scenario(scenario: Scenario, folder: Path | str) -> None:
+def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes | None = None) -> None:
     """Write a scenario folder whole or not at all; `read_scenario` gives back every array exactly.
 
     An existing scenario folder is replaced; any other folder that is not empty is refused.
 
+    Args:
+        notes: for people: what README.md, preview.png and truth/spec.yaml say; None leaves these out.
     Raises:
         OutputError: the folder holds something else, or cannot be written.
         InvalidInputError: neither labels nor surfaces, or a name that its file format cannot hold.
@@ -66,6 +72,17 @@ def write_scenario(scenario: Scenario, folder: Path | str) -> None:
         if scenario.truth is not None:
             write_truth(scenario.truth, new / TRUTH)
         write_text(new / CONFIG, config_text(config))
+        if notes is not None:
+            _write_notes(scenario, new, notes)
+
+
+def _write_notes(scenario: Scenario, folder: Path, notes: ScenarioNotes) -> None:
+    from .scenario_preview import preview_png
+
+    write_text(folder / README, readme_text(scenario, notes))
+    write_bytes(folder / PREVIEW, preview_png(scenario))
+    if notes.spec and scenario.truth is not None:
+        write_text(folder / TRUTH / SPEC, notes.spec)
 
 
 def _config(scenario: Scenario) -> ScenarioConfig:

@@ -13,11 +13,6 @@ from dvf_ig.core.mesh import enclosed_volume_mm3
 
 
 @pytest.fixture(scope="module")
-def anatomy() -> PhantomAnatomy:
-    return phantom_anatomy(motion="physiological", mismatch_mm=1.2, seed=1)
-
-
-@pytest.fixture(scope="module")
 def preop(anatomy: PhantomAnatomy) -> Preop:
     return anatomy.preop(np.random.default_rng(5))
 
@@ -45,7 +40,7 @@ def test_surface_is_closed_outward_and_fine_enough(anatomy: PhantomAnatomy) -> N
     assert all((b, a) in edges for a, b in edges)
     for phase in (0.0, 0.36):
         assert enclosed_volume_mm3(anatomy.surface_vertices(phase), triangles) > 4e5
-    assert 8000 <= len(anatomy.surface_vertices(0.0)) <= 10_000
+    assert 8000 <= len(anatomy.surface_vertices(0.0)) <= 11_000
 
 
 def test_tissue_changes_at_the_moving_surface(anatomy: PhantomAnatomy) -> None:
@@ -66,11 +61,11 @@ def test_material_is_the_exact_inverse_of_the_motion(anatomy: PhantomAnatomy) ->
         assert np.linalg.norm(back - points, axis=1).max() < 0.05
 
 
-def test_tabulated_inverse_follows_the_exact_one(anatomy: PhantomAnatomy) -> None:
-    """Trilinear tables put surfaces where they are to a tenth of a pixel (0.5 mm) of the ultrasound image."""
+def test_imaged_surface_is_the_true_one(anatomy: PhantomAnatomy) -> None:
+    """What imaging goes back through puts surfaces where they are."""
     for phase in (0.0, 0.2, 0.36):
         depth = anatomy.shapes.organ(anatomy.inverse_motion.pull_back(anatomy.surface_vertices(phase), phase))
-        assert np.sqrt((depth**2).mean()) < 0.08
+        assert np.abs(depth).max() < 0.05
 
 
 def test_largest_motion_of_the_named_presets() -> None:
@@ -107,8 +102,8 @@ def test_mismatch_leaves_targets_and_preop_alone(anatomy: PhantomAnatomy) -> Non
 def test_preop_ejects_like_a_heart(preop: Preop) -> None:
     full, empty = volume_ml(preop, Tissue.LV_BLOOD, 0), volume_ml(preop, Tissue.LV_BLOOD, 7)
     assert 0.55 < 1 - empty / full < 0.70
-    assert 0.25 < 1 - volume_ml(preop, Tissue.RV_BLOOD, 7) / volume_ml(preop, Tissue.RV_BLOOD, 0) < 0.6
-    assert volume_ml(preop, Tissue.LA_BLOOD, 7) > 1.04 * volume_ml(preop, Tissue.LA_BLOOD, 0)
+    assert 0.4 < 1 - volume_ml(preop, Tissue.RV_BLOOD, 7) / volume_ml(preop, Tissue.RV_BLOOD, 0) < 0.6
+    assert volume_ml(preop, Tissue.LA_BLOOD, 7) > 1.25 * volume_ml(preop, Tissue.LA_BLOOD, 0)
     wall = [volume_ml(preop, Tissue.LV_MYOCARDIUM, i) for i in range(20)]
     assert np.ptp(wall) / np.mean(wall) < 0.08
 

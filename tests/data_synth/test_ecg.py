@@ -6,6 +6,7 @@ from scipy.signal import welch
 
 from data_synth.ecg import EcgSpec, clean_ecg, synthetic_ecg
 from data_synth.rhythm import Beats, RhythmSpec, beat_series
+from dvf_ig.core import InvalidInputError
 
 QUIET = EcgSpec(baseline_mv=0.0, emg_mv=1e-9, mains_mv=0.0)
 
@@ -51,13 +52,36 @@ def test_disturbances_have_the_stated_power() -> None:
 
 def test_lead_off_is_flat_and_a_missed_beat_leaves_no_trace() -> None:
     truth = beats()
-    k = int(np.searchsorted(truth.r_peaks_s, 30.0))
-    spec = EcgSpec(lead_off_s=((10.0, 12.0),), missed_beats=(k,))
+    inside = truth.r_peaks_s[truth.r_peaks_s >= 0]
+    spec = EcgSpec(lead_off_s=((10.0, 12.0),), missed_beats=(30,))
     ecg = synthetic_ecg(truth, 60.0, spec, np.random.default_rng(4))
     off = (ecg.t_s >= 10.0) & (ecg.t_s < 12.0)
     assert (ecg.samples[off] == 0).all()
     mv = clean_ecg(truth, ecg.t_s, spec)[:, 0]
-    assert np.abs(mv[np.abs(ecg.t_s - truth.r_peaks_s[k]) < 0.06]).max() < 0.1
+    peaks = [np.abs(mv[np.abs(ecg.t_s - r_s) < 0.06]).max() for r_s in inside[29:32]]
+    assert peaks[1] < 0.1
+    assert min(peaks[0], peaks[2]) > 0.8
+
+
+def test_noise_bursts_have_their_power_and_change_nothing_else() -> None:
+    spec = EcgSpec(noise_bursts_s=((5.0, 25.0),), burst_mv=0.5)
+    quiet = synthetic_ecg(beats(), 40.0, EcgSpec(), np.random.default_rng(6))
+    noisy = synthetic_ecg(beats(), 40.0, spec, np.random.default_rng(6))
+    burst = (quiet.t_s >= 5.0) & (quiet.t_s < 25.0)
+    added = noisy.samples - quiet.samples
+    assert (added[~burst] == 0).all()
+    # 20 s of a 180 Hz band: 7200 independent values, so the RMS is good to about 1 %
+    np.testing.assert_allclose(added[burst].std(axis=0), 0.5, rtol=0.04)
+    assert abs(np.corrcoef(added[burst].T)[0, 1]) < 0.06
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"leads": 3}, {"lead_off_s": ((3.0, 2.0),)}, {"noise_bursts_s": ((3.0, 3.0),)}, {"burst_mv": -1.0}],
+)
+def test_impossible_disturbances_are_refused(changes: dict[str, object]) -> None:
+    with pytest.raises(InvalidInputError):
+        EcgSpec(**changes)  # type: ignore[arg-type]
 
 
 def test_early_beats_are_broad() -> None:

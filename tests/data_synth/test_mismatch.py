@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_synth.mismatch import random_mismatch
+from data_synth.mismatch import random_mismatch, tabulated_inverse
 from dvf_ig.core import FloatArray, InvalidInputError
 
 BOX = np.array([[-60.0, -100.0, -40.0], [70.0, 35.0, 85.0]])
@@ -39,6 +39,25 @@ def test_inverse_undoes_forward(seed: int) -> None:
     field = random_mismatch(BOX, 5.0, np.random.default_rng(seed))
     nodes = box_nodes(6)
     assert np.abs(field.inverse(field.forward(nodes)) - nodes).max() < 1e-3
+
+
+@given(seed=st.integers(0, 1000))
+@settings(max_examples=3)
+def test_tabulated_inverse_is_as_good(seed: int) -> None:
+    field = random_mismatch(BOX, 5.0, np.random.default_rng(seed))
+    table = tabulated_inverse(field, BOX)
+    points = np.random.default_rng(seed).uniform(*BOX, (2000, 3))
+    assert np.linalg.norm(field.forward(table.at(points)) - points, axis=1).max() < 0.03
+
+
+def test_field_is_the_sum_of_its_waves() -> None:
+    """The kernel against plain NumPy."""
+    field = random_mismatch(BOX, 2.0, np.random.default_rng(3))
+    relative = box_nodes(5) - field.center_mm
+    angle = relative @ field.waves.T
+    expected = np.cos(angle) @ field.cosine + np.sin(angle) @ field.sine
+    expected -= field.shift_mm + np.cross(field.turn_rad, relative)
+    assert np.abs(field.at(box_nodes(5)) - expected).max() < 1e-10
 
 
 def test_zero_mismatch_moves_nothing() -> None:

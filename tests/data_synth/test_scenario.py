@@ -5,86 +5,10 @@ import pytest
 
 import data_synth.scenario as scenario_module
 from data_synth import ScenarioSpec, phantom_scenario, replayed_path, surface_scenario
-from data_synth.anatomy import PhantomAnatomy, phantom_anatomy
+from data_synth.anatomy import BeatingAnatomy, PhantomAnatomy, phantom_anatomy
 from data_synth.seeds import child_seed
 from data_synth.tissue import Tissue
-from dvf_ig.core import (
-    CycleTiming,
-    FloatArray,
-    InvalidInputError,
-    Landmarks,
-    Points,
-    PoseStream,
-    Preop,
-    Scenario,
-    Signal,
-    SurfaceSeries,
-)
-
-BALL_CENTER_MM = np.array([40.0, -25.0, 60.0])
-
-
-class Ball:
-    """A beating ball with everything that a scenario asks of an anatomy, except ultrasound."""
-
-    rr_s = 0.86
-    es_fraction = 0.36
-
-    def __init__(self) -> None:
-        steps = np.arange(1, 24) * np.pi / 24
-        theta, azimuth = np.meshgrid(steps, np.arange(48) * np.pi / 24, indexing="ij")
-        rings = np.stack(
-            [np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1
-        )
-        self.unit = np.vstack([[0, 0, 1], rings.reshape(-1, 3), [0, 0, -1]])
-        last, k = len(self.unit) - 1, np.arange(48)
-        following = (k + 1) % 48
-        faces = [np.column_stack([0 * k, 1 + k, 1 + following])]
-        for ring in range(22):
-            a, b = 1 + 48 * ring, 49 + 48 * ring
-            faces += [np.column_stack([a + k, b + k, b + following])]
-            faces += [np.column_stack([a + k, b + following, a + following])]
-        faces += [np.column_stack([1 + 48 * 22 + k, 0 * k + last, 1 + 48 * 22 + following])]
-        self.surface_triangles = np.concatenate(faces)
-
-    @property
-    def box_mm(self) -> FloatArray:
-        return BALL_CENTER_MM + np.array([[-50.0], [50.0]])
-
-    def surface_vertices(self, model_phase: float) -> FloatArray:
-        return BALL_CENTER_MM + self.unit * (50.0 - 5.0 * np.sin(np.pi * model_phase) ** 2)
-
-    def tissue(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        return np.full(len(xyz_mm), int(Tissue.MEDIASTINUM))
-
-    def targets(self) -> Landmarks:
-        return self.landmarks()
-
-    def landmarks(self) -> Landmarks:
-        points = BALL_CENTER_MM + 50.0 * np.vstack([np.eye(3), -np.eye(3)])
-        return Landmarks(tuple("abcdef"), Points("mr", points))
-
-    def preop(self, rng: np.random.Generator) -> Preop:
-        series = SurfaceSeries(
-            "EPICARDIAL",
-            "mr",
-            np.stack([self.surface_vertices(i / 5) for i in range(5)]),
-            self.surface_triangles,
-            CycleTiming.uniform(5, self.rr_s),
-            "ball",
-        )
-        return Preop("ball", surfaces=(series,))
-
-
-@pytest.fixture
-def on_a_ball(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenario_module, "phantom_anatomy", lambda **_: Ball())
-    monkeypatch.setattr(scenario_module, "surface_anatomy", lambda *_, **__: Ball())
-    monkeypatch.setattr(
-        scenario_module,
-        "simulate_sequence",
-        lambda anatomy, probe, poses, phases, **_: np.zeros((len(poses), 4, 4), dtype=np.uint8),
-    )
+from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Scenario, Signal
 
 
 def arrays(made: Scenario) -> list[FloatArray]:
@@ -122,7 +46,7 @@ def test_a_longer_recording_keeps_what_does_not_depend_on_its_length() -> None:
 
 @pytest.mark.usefixtures("on_a_ball")
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
-def test_a_minute_keeps_its_promises(seed: int) -> None:
+def test_a_minute_keeps_its_promises(seed: int, ball: BeatingAnatomy) -> None:
     made = phantom_scenario(ScenarioSpec(seed=seed))
     truth = made.truth
     assert truth is not None
@@ -141,7 +65,7 @@ def test_a_minute_keeps_its_promises(seed: int) -> None:
     assert made.start is not None
     off = made.start @ truth.mr_from_tracker[0][1].inverse()
     assert np.degrees(off.angle_rad) == pytest.approx(8.0, abs=1e-6)
-    center = Ball().box_mm.mean(axis=0)
+    center = ball.box_mm.mean(axis=0)
     assert np.linalg.norm(off.apply_array(center) - center) == pytest.approx(10.0, abs=1e-6)
 
 
@@ -202,6 +126,7 @@ def test_an_ecg_that_is_too_short_is_refused() -> None:
         ({"us_rate_hz": 0.0}, "needed 6 to 60"),
         ({"seed": -1}, "non-negative"),
         ({"mismatch_mm": 30.0}, "needed 0 to"),
+        ({"preset": "calm storm"}, "wrong-calibration"),
     ],
 )
 def test_impossible_specifications_are_refused(changes: dict[str, object], words: str) -> None:
@@ -209,13 +134,15 @@ def test_impossible_specifications_are_refused(changes: dict[str, object], words
         ScenarioSpec(**changes)  # type: ignore[arg-type]
 
 
-def test_images_show_the_heart_where_and_when_the_truth_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_images_show_the_heart_where_and_when_the_truth_says(
+    monkeypatch: pytest.MonkeyPatch, ball: BeatingAnatomy
+) -> None:
     spec = ScenarioSpec(motion="physiological", seconds=6.0, seed=2, us_rate_hz=6.0)
     anatomy = phantom_anatomy(
         motion=spec.motion, mismatch_mm=spec.mismatch, seed=child_seed(spec.seed, "anatomy")
     )
     monkeypatch.setattr(scenario_module, "phantom_anatomy", lambda **_: anatomy)
-    monkeypatch.setattr(PhantomAnatomy, "preop", lambda *_: Ball().preop(np.random.default_rng(0)))
+    monkeypatch.setattr(PhantomAnatomy, "preop", lambda *_: ball.preop(np.random.default_rng(0)))
     made = phantom_scenario(spec)
     truth, sequence = made.truth, made.ultrasound
     assert truth is not None

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from data_synth.motion import InverseMotion
 from data_synth.surface_closing import closed_series, refined
-from data_synth.surface_motion import dense_motion
+from data_synth.surface_motion import SurfaceMotion, dense_motion
 from data_synth.surfaces import EPICARDIAL, LV, SurfaceAnatomy, depth_grid, surface_anatomy
 from data_synth.tissue import Tissue
 from dvf_ig.core import CycleTiming, FloatArray, IntArray, InvalidInputError, SurfaceSeries
@@ -131,8 +132,18 @@ def test_dense_motion_reproduces_a_uniform_strain() -> None:
     direction = np.array([[1.0, 0, 0], [0, 1.0, 0], [0.6, 0.6, 0.5]])
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     points = CENTER + 30 * direction
-    back = motion.inverse(CENTER + 27 * direction, 0.5, points)
+    back = SurfaceMotion(motion, motion.backward()).pull_back(CENTER + 27 * direction, 0.5)
     assert np.linalg.norm(back - points, axis=1).max() < 0.3
+
+
+def test_imaging_inverts_the_dense_motion(anatomy: SurfaceAnatomy) -> None:
+    rng = np.random.default_rng(2)
+    points = rng.uniform(*anatomy.box_mm, (4000, 3))
+    phases = rng.uniform(0, 1, 4000)
+    there = anatomy.inverse_motion.pull_back(points, phases)
+    dense = anatomy.dense
+    forward = InverseMotion(dense.forward_mm, dense.origin_mm, dense.spacing_mm)
+    assert np.linalg.norm(forward.pull_back(there, phases) - points, axis=1).max() < 0.05
 
 
 def test_targets_landmarks_and_preop(anatomy: SurfaceAnatomy) -> None:

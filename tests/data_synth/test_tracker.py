@@ -56,6 +56,29 @@ def test_dropouts_are_not_ok_and_hold_no_pose() -> None:
     assert (stream.translations_mm[~stream.valid] == 0).all()
 
 
+def test_a_late_tracker_stamps_its_poses_late() -> None:
+    late = TrackerSpec(rate_hz=100.0, latency_s=0.03)
+    true_s, stamp_s = sampling_times(late, 0.0, 20.0, np.random.default_rng(2))
+    plain_s, plain_stamp_s = sampling_times(TrackerSpec(rate_hz=100.0), 0.0, 20.0, np.random.default_rng(2))
+    np.testing.assert_array_equal(true_s, plain_s)
+    np.testing.assert_allclose(stamp_s - plain_stamp_s, 0.03, atol=1.1e-6)
+
+
+def test_stated_losses_are_lost_and_nothing_else() -> None:
+    stream = measured(TrackerSpec(rate_hz=100.0, lost_s=((3.0, 5.5), (7.0, 7.2))), seconds=10.0)
+    lost = ((stream.t_s > 3.0) & (stream.t_s < 5.5)) | ((stream.t_s > 7.0) & (stream.t_s < 7.2))
+    edge = np.min(np.abs(stream.t_s[:, None] - [3.0, 5.5, 7.0, 7.2]), axis=1) < 0.002
+    np.testing.assert_array_equal(stream.valid[~edge], ~lost[~edge])
+
+
+@pytest.mark.parametrize(
+    "changes", [{"rate_hz": 0.0}, {"position_mm": -1.0}, {"lost_s": ((2.0, 1.0),)}, {"latency_s": -0.1}]
+)
+def test_impossible_trackers_are_refused(changes: dict[str, object]) -> None:
+    with pytest.raises(InvalidInputError):
+        TrackerSpec(**{"rate_hz": 10.0, **changes})  # type: ignore[arg-type]
+
+
 def test_reframing_composes_on_both_sides() -> None:
     left = Rigid.from_rotation_vector([0.3, -0.2, 0.9], [5.0, 6.0, 7.0], "mr", "tracker")
     right = Rigid.from_rotation_vector([-0.7, 0.1, 0.2], [1.0, -2.0, 3.0], "tool", "plane")

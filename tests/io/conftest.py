@@ -105,6 +105,13 @@ def make_truth(rng: np.random.Generator) -> ScenarioTruth:
             rng.normal(size=(7, 3)),
         ),
         mismatch_mm=0.1 + 0.2,
+        later_probe_from_image=(
+            (3.3, ImageMap(make_rigid(rng, "probe", "image"), rng.uniform(0.1, 0.4, 2))),
+            (7.7, ImageMap(make_rigid(rng, "probe", "image"), rng.uniform(0.1, 0.4, 2))),
+        ),
+        calibrated_probe_from_image=ImageMap(make_rigid(rng, "probe", "image"), rng.uniform(0.1, 0.4, 2)),
+        video_drift_ppm=123.4,
+        respiration_mm=5.6,
     )
 
 

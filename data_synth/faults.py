@@ -1,0 +1,35 @@
+"""What is wrong with a recording, in words that give nothing planted away."""
+
+from .presets import Preset
+
+
+def describe_faults(preset: Preset) -> tuple[str, ...]:
+    """One sentence for each disturbance beyond ordinary noise, without its size or its time."""
+    ecg, image, rates = preset.ecg, preset.image, [rate for _, rate in preset.rhythm.rate_bpm]
+    trackers = (preset.probe_tracker, preset.tool_tracker)
+    known = (
+        (max(rates) - min(rates) > 10, "The heart rate changes a lot."),
+        (preset.rhythm.ectopic_share > 0, "Some beats are ventricular extrasystoles."),
+        (bool(ecg.lead_off_s), "ECG electrodes come off for a while."),
+        (bool(ecg.noise_bursts_s), "Bursts of noise cover the ECG."),
+        (bool(ecg.missed_beats), "Some beats leave no trace in the ECG."),
+        (preset.respiration_mm > 0, "The heart moves with respiration."),
+        (
+            preset.sight.losses_per_min > 0 or any(t.lost_s for t in trackers),
+            "The tracker loses sight of probe and tool for seconds.",
+        ),
+        (any(t.latency_s > 0 for t in trackers), "The tracker reports its poses late."),
+        (preset.video_drift_ppm != 0, "The video clock drifts against the tracker's."),
+        (preset.patient_shift.happens, "The patient moves against the tracker's base."),
+        (preset.probe_slip.happens, "The marker slips on the ultrasound probe."),
+        (
+            preset.other_probe_mm > 0 or preset.other_probe_deg > 0,
+            "The probe's calibration recordings are of another probe.",
+        ),
+        (image.clutter > 0, "Clutter covers the ultrasound images."),
+        (image.shadows > 0, "Parts of the ultrasound images lie in shadow."),
+        (image.dynamic_range_db < 50, "The ultrasound images have little dynamic range."),
+        (preset.probe_tracker.position_mm > 0.5, "The probe's poses are noisy."),
+        (preset.mismatch_mm > 1.5, "The heart's shape differs much from the pre-operative images."),
+    )
+    return tuple(sentence for present, sentence in known if present)

@@ -1,0 +1,75 @@
+"""The whole heart's motion χ_a in frame "mr", and its inverse behind a mismatch, for many points."""
+
+from numba import njit
+
+from dvf_ig.core import AnyArray
+
+from .flow import flow_point
+from .lookup import cubic_point
+from .lv import Point, forward_point, inverse_point
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _turned(x: float, y: float, z: float, rotation: AnyArray) -> Point:
+    return (
+        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
+        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
+        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def forward(
+    points: AnyArray,
+    levels: AnyArray,
+    rotation: AnyArray,
+    translation: AnyArray,
+    lobes: AnyArray,
+    out: AnyArray,
+) -> None:
+    """χ of (n, 3) points at (n,) activations into `out`; `rotation`, `translation`: mr_from_heart."""
+    back = rotation.T
+    for i in range(len(points)):
+        x, y, z = _turned(
+            points[i, 0] - translation[0], points[i, 1] - translation[1], points[i, 2] - translation[2], back
+        )
+        x, y, z = flow_point(x, y, z, levels[i], lobes)
+        x, y, z = forward_point(x, y, z, levels[i])
+        x, y, z = _turned(x, y, z, rotation)
+        out[i, 0], out[i, 1], out[i, 2] = x + translation[0], y + translation[1], z + translation[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def inverse(
+    points: AnyArray,
+    levels: AnyArray,
+    rotation: AnyArray,
+    translation: AnyArray,
+    lobes: AnyArray,
+    mismatch: AnyArray,
+    mismatch_origin: AnyArray,
+    mismatch_inverse_spacing: float,
+    out: AnyArray,
+) -> None:
+    """χ⁻¹ after the inverse mismatch of (n, 3) points at (n,) activations into `out`.
+
+    Neighbouring points should follow each other: each one's displacement starts the search of the next.
+
+    Args:
+        mismatch: (nx, ny, nz, 3) displacement of the inverse mismatch, cubic between nodes; empty: none.
+    """
+    back = rotation.T
+    ex, ey, ez, last = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        if mismatch.shape[0] > 0:
+            dx, dy, dz = cubic_point(x, y, z, mismatch, mismatch_origin, mismatch_inverse_spacing)
+            x, y, z = x + dx, y + dy, z + dz
+        x, y, z = _turned(x - translation[0], y - translation[1], z - translation[2], back)
+        level = levels[i]
+        ratio = level / last if last > 0.05 else 0.0
+        u, v, w = inverse_point(x, y, z, level, x + ratio * ex, y + ratio * ey, z + ratio * ez)
+        ex, ey, ez, last = u - x, v - y, w - z, level
+        u, v, w = flow_point(u, v, w, -level, lobes)
+        u, v, w = _turned(u, v, w, rotation)
+        out[i, 0], out[i, 1], out[i, 2] = u + translation[0], v + translation[1], w + translation[2]

@@ -1,0 +1,123 @@
+"""The YAML that describes a synthetic scenario in full: read strictly, and written."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_type_hints
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+
+if TYPE_CHECKING:
+    from data_synth import Preset, ScenarioSpec
+
+SCHEMA = "dvf_ig.scenario-spec/1"
+_HEADER = """\
+# A synthetic scenario. It can be made again from this file: dvf-ig synth scenario --spec FILE -o DIR
+# Under `options` everything may be changed; a key that is left out keeps the value of the named preset.
+"""
+
+
+class SpecFile(BaseModel):
+    """The content of a specification file.
+
+    Attributes:
+        anatomy: whose heart beats; the three inputs belong to "surfaces".
+        options: changes to the preset, as deep as needed.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    schema_: Literal["dvf_ig.scenario-spec/1"] = Field(default="dvf_ig.scenario-spec/1", alias="schema")
+    anatomy: Literal["phantom", "surfaces"] = "phantom"
+    surfaces: str | None = None
+    ecg: str | None = None
+    probe_path: str | None = None
+    preset: str = "calm"
+    motion: str = "paper5mm"
+    seconds: float = 60.0
+    seed: int = 1
+    us_rate_hz: float = 12.0
+    mismatch_mm: float | None = None
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
+def read_spec(path: Path) -> SpecFile:
+    """Read and check a specification; unknown keys are errors.
+
+    Raises:
+        UnreadableFileError: absent, not YAML, unknown keys, or a value of the wrong kind.
+    """
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as exc:
+        raise UnreadableFileError(f"cannot read {path}: {exc}") from exc
+    except yaml.YAMLError as exc:
+        raise UnreadableFileError(f"{path} is not YAML: {' '.join(str(exc).split())}") from exc
+    if not isinstance(document, dict):
+        raise UnreadableFileError(f"{path} is not a scenario's specification; needed keys and values")
+    try:
+        return SpecFile.model_validate(document)
+    except ValidationError as exc:
+        raise UnreadableFileError(f"{path}: {_problems(exc)}") from exc
+
+
+def scenario_spec(file: SpecFile) -> "ScenarioSpec":
+    """The values that the file stands for.
+
+    Raises:
+        InvalidInputError: unknown preset, motion or option, or an impossible value.
+    """
+    from data_synth import MOTIONS, PRESETS, ScenarioSpec, preset_name
+
+    motion = next((known for known in MOTIONS if known == file.motion), None)
+    if motion is None:
+        raise InvalidInputError(f"there is no motion '{file.motion}'; choose from {', '.join(MOTIONS)}")
+    name = preset_name(file.preset)
+    changed = _merged(PRESETS[name], file.options) if file.options else None
+    return ScenarioSpec(name, motion, file.seconds, file.seed, file.us_rate_hz, file.mismatch_mm, changed)
+
+
+def spec_text(file: SpecFile) -> str:
+    """YAML with every option spelt out."""
+    spec = scenario_spec(file)
+    full = file.model_copy(update={"preset": spec.preset, "options": dataclasses.asdict(spec.options)})
+    document = full.model_dump(mode="json", by_alias=True)
+    inputs = ("surfaces", "ecg", "probe_path") if file.anatomy == "phantom" else ()
+    kept = {key: value for key, value in document.items() if key not in inputs}
+    return _HEADER + yaml.safe_dump(kept, sort_keys=False, allow_unicode=True, default_flow_style=None)
+
+
+def _merged(preset: "Preset", options: dict[str, Any]) -> "Preset":
+    """`preset` with some of its values replaced."""
+    try:
+        merged: Preset = _replaced(preset, options)
+    except ValidationError as exc:
+        raise InvalidInputError(f"the scenario's options: {_problems(exc)}") from exc
+    return merged
+
+
+def _replaced(value: Any, options: dict[str, Any]) -> Any:
+    """A frozen dataclass with new values, down to the fields of its fields."""
+    checked = _strict(type(value)).model_validate(options)
+    new = {}
+    for name, given in options.items():
+        held = getattr(value, name)
+        nested = dataclasses.is_dataclass(held) and isinstance(given, dict)
+        new[name] = _replaced(held, given) if nested else getattr(checked, name)
+    return dataclasses.replace(value, **new)
+
+
+def _strict(kind: Any) -> type[BaseModel]:
+    """A model with the fields of a dataclass, all optional, that refuses unknown keys."""
+    hints = get_type_hints(kind)
+    fields: dict[str, Any] = {}
+    for field in dataclasses.fields(kind):
+        hint: Any = hints[field.name]
+        fields[field.name] = (_strict(hint) if dataclasses.is_dataclass(hint) else hint, None)
+    return create_model(kind.__name__, __config__=ConfigDict(extra="forbid", allow_inf_nan=False), **fields)
+
+
+def _problems(error: ValidationError) -> str:
+    return "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:5])

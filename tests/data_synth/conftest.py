@@ -1,0 +1,90 @@
+"""Hearts for the tests of the synthetic world: one phantom for all that only look at it, a ball for rules."""
+
+import numpy as np
+import pytest
+
+import data_synth.live as live_module
+import data_synth.scenario as scenario_module
+from data_synth.anatomy import PhantomAnatomy, phantom_anatomy
+from data_synth.tissue import Tissue
+from dvf_ig.core import CycleTiming, FloatArray, Landmarks, Points, Preop, SurfaceSeries
+
+BALL_CENTER_MM = np.array([40.0, -25.0, 60.0])
+
+
+class Ball:
+    """A beating ball with everything that a scenario asks of an anatomy, except ultrasound."""
+
+    rr_s = 0.86
+    es_fraction = 0.36
+
+    def __init__(self) -> None:
+        steps = np.arange(1, 24) * np.pi / 24
+        theta, azimuth = np.meshgrid(steps, np.arange(48) * np.pi / 24, indexing="ij")
+        rings = np.stack(
+            [np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1
+        )
+        self.unit = np.vstack([[0, 0, 1], rings.reshape(-1, 3), [0, 0, -1]])
+        last, k = len(self.unit) - 1, np.arange(48)
+        following = (k + 1) % 48
+        faces = [np.column_stack([0 * k, 1 + k, 1 + following])]
+        for ring in range(22):
+            a, b = 1 + 48 * ring, 49 + 48 * ring
+            faces += [np.column_stack([a + k, b + k, b + following])]
+            faces += [np.column_stack([a + k, b + following, a + following])]
+        faces += [np.column_stack([1 + 48 * 22 + k, 0 * k + last, 1 + 48 * 22 + following])]
+        self.surface_triangles = np.concatenate(faces)
+
+    @property
+    def box_mm(self) -> FloatArray:
+        return BALL_CENTER_MM + np.array([[-50.0], [50.0]])
+
+    def surface_vertices(self, model_phase: float) -> FloatArray:
+        return BALL_CENTER_MM + self.unit * (50.0 - 5.0 * np.sin(np.pi * model_phase) ** 2)
+
+    def tissue(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
+        return np.full(len(xyz_mm), int(Tissue.MEDIASTINUM))
+
+    def targets(self) -> Landmarks:
+        return self.landmarks()
+
+    def landmarks(self) -> Landmarks:
+        points = BALL_CENTER_MM + 50.0 * np.vstack([np.eye(3), -np.eye(3)])
+        return Landmarks(tuple("abcdef"), Points("mr", points))
+
+    def preop(self, rng: np.random.Generator) -> Preop:
+        series = SurfaceSeries(
+            "EPICARDIAL",
+            "mr",
+            np.stack([self.surface_vertices(i / 5) for i in range(5)]),
+            self.surface_triangles,
+            CycleTiming.uniform(5, self.rr_s),
+            "ball",
+        )
+        return Preop("ball", surfaces=(series,))
+
+
+@pytest.fixture(scope="session")
+def anatomy() -> PhantomAnatomy:
+    """Physiological motion, 1.2 mm mismatch, seed 1; its grids are built once."""
+    return phantom_anatomy(motion="physiological", mismatch_mm=1.2, seed=1)
+
+
+@pytest.fixture(scope="session")
+def ball() -> Ball:
+    return Ball()
+
+
+@pytest.fixture
+def on_a_ball(monkeypatch: pytest.MonkeyPatch, ball: Ball) -> None:
+    """Scenarios are made on the ball, with black images."""
+    monkeypatch.setattr(scenario_module, "phantom_anatomy", lambda **_: ball)
+    monkeypatch.setattr(scenario_module, "surface_anatomy", lambda *_, **__: ball)
+    monkeypatch.setattr(
+        live_module,
+        "simulate_sequence",
+        lambda anatomy, probe, poses, phases, **_: np.zeros(
+            (len(poses), probe.rows, probe.columns), dtype=np.uint8
+        ),
+    )
+    monkeypatch.setattr(live_module, "spoiled", lambda images, *_: images)
