@@ -12,14 +12,15 @@ from .channels import channels_from_mr as channels_from_mr
 from .channels import channels_from_still as channels_from_still
 from .gating import Gated as Gated
 from .gating import gate_frames as gate_frames
+from .landmarks import LandmarkPrior as LandmarkPrior
 from .landmarks import LandmarkStart as LandmarkStart
+from .landmarks import prior_from_landmarks as prior_from_landmarks
 from .landmarks import start_from_landmarks as start_from_landmarks
 from .pair import register_pair as register_pair
 from .rigid import Level as Level
 from .rigid import RegistrationOptions as RegistrationOptions
 from .rigid import RegistrationResult as RegistrationResult
 from .rigid import register_rigid as register_rigid
-from .rigid import update_rigid as update_rigid
 from .similarity import Lc2 as Lc2
 from .slices import SliceSet as SliceSet
 from .slices import fan_mask_from_images as fan_mask_from_images
