@@ -20,6 +20,7 @@ from .rpeak import RPeakDetector as RPeakDetector
 from .rpeak import detect_r_peaks as detect_r_peaks
 from .rr_predictor import PREDICTORS as PREDICTORS
 from .rr_predictor import PredictorName as PredictorName
+from .summary import FEWEST_BEATS as FEWEST_BEATS
 from .summary import GateSummary as GateSummary
 from .summary import summarise_gating as summarise_gating
 from .tracking import PhaseTracking as PhaseTracking

@@ -13,10 +13,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
-from .compiled import inlined, kernel
+from .compiled import inlined, kernel, parallel_kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -137,7 +137,7 @@ def explained_share(table: Floats, box: Any, inverse_count: float, mean_u: float
     return min(max(explained / var_u, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
+@parallel_kernel
 def lc2_slices(
     images: NDArray[np.float32],
     masks: Bools,

@@ -13,7 +13,7 @@ from time import perf_counter
 
 import numpy as np
 
-from dvf_ig.cardiac import PhaseTracking, track_phase
+from dvf_ig.cardiac import FEWEST_BEATS, PhaseTracking, track_phase
 from dvf_ig.core import BoolArray, DvfModel, FloatArray, InvalidInputError, NoOverlapError, Rigid, Scenario
 from dvf_ig.guidance import Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Status
 from dvf_ig.registration import RegistrationResult
@@ -158,11 +158,11 @@ def _refuse_untracked(scenario: Scenario) -> None:
 
 
 def _refuse_beatless(tracking: PhaseTracking, scenario: Scenario) -> None:
-    if len(tracking.peaks) < 2:
+    if len(tracking.peaks) < FEWEST_BEATS:
         ecg = scenario.ecg
         raise InvalidInputError(
             f"the ECG has {len(tracking.peaks)} R peaks in {len(ecg) / ecg.rate_hz:.0f} s on lead(s) "
-            f"{', '.join(ecg.leads)}; check the electrodes and the lead"
+            f"{', '.join(ecg.leads)}, needed at least {FEWEST_BEATS}; check the electrodes and the lead"
         )
 
 
