@@ -40,7 +40,7 @@ def pose_schedule(
 
 
 def _between(first: Rigid, second: Rigid, center_mm: FloatArray, weight: float) -> Rigid:
-    """Part of the way between two poses, turning about the heart: steady speed there, wherever the tracker is."""
+    """Part of the way between two poses, turning about the heart so that it moves at a steady speed."""
     step = second @ first.inverse()
     turn = Rotation.from_matrix(step.rotation).as_rotvec()
     shift = step.apply_array(center_mm) - center_mm
