@@ -43,7 +43,7 @@ class RegistrationOptions:
     candidates: int = 3
     fine_evaluations: int = 140
     min_overlap: float = 0.35
-    min_contrast: float = 3.0
+    min_contrast: float = 3.8
     max_disagreement_mm: float = 4.0
 
 
