@@ -11,11 +11,7 @@ No fast-math: sums keep their order, NaN keeps its meaning, and a kernel's NumPy
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
-import numba
 from numba import njit
-
-# TBB is tried last: other packages bring versions of it that numba only warns about
-numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -30,10 +26,4 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """A function called from other kernels only; always merged into its caller."""
     compiled: Callable[P, R] = njit(nogil=True, cache=True, error_model="numpy", forceinline=True)(function)
-    return compiled
-
-
-def parallel_kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """A kernel whose `prange` loop runs on all threads; each turn writes results of its own."""
-    compiled: Callable[P, R] = njit(nogil=True, cache=True, error_model="numpy", parallel=True)(function)
     return compiled

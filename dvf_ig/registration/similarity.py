@@ -1,8 +1,11 @@
 """LC2 of a slice set against the phase-matched model, as a function of the pose."""
 
+import itertools
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from numba import get_num_threads
 from numpy.lib.stride_tricks import sliding_window_view
 
 from dvf_ig.core import FloatArray, IntArray, Rigid, require_same_frame
@@ -100,6 +103,9 @@ class Lc2:
         self._tables = np.empty((s, rows + 1, cols + 1, SUMS))
         self._out = np.empty((s, 3))
         self._index_from_mm = np.linalg.inv(model.grid.axes_mm)
+        threads = max(1, min(get_num_threads(), s))
+        self._shares = [round(k * s / threads) for k in range(threads + 1)]
+        self._pool = ThreadPoolExecutor(max(1, threads - 1))
 
     def per_slice(self, mr_from_tracker: Rigid) -> FloatArray:
         """(s, 3) weighted score, weight and overlap of each slice."""
@@ -107,7 +113,7 @@ class Lc2:
         require_same_frame(self._model.grid.frame, mr_from_tracker.target, "registration pose")
         mr_from_pixel = mr_from_tracker.rotation @ self._slices.frame_from_pixel
         mr_from_pixel[:, :, 2] += mr_from_tracker.translation_mm - self._model.grid.origin_mm
-        lc2_slices(
+        arguments = (
             self._slices.images,
             self._slices.masks,
             self._patches.first,
@@ -120,6 +126,11 @@ class Lc2:
             self._tables,
             self._out,
         )
+        *others, (begin, end) = itertools.pairwise(self._shares)
+        running = [self._pool.submit(lc2_slices, *arguments, *share) for share in others]
+        lc2_slices(*arguments, begin, end)
+        for share in running:
+            share.result()
         return self._out.copy()
 
     def score(self, mr_from_tracker: Rigid) -> Score:
