@@ -104,7 +104,7 @@ def calibrate_probe(
     if keep.sum() < max(options.min_frames, len(keep) // 2):
         raise QualityGateError(
             f"only {int(keep.sum())} of {len(keep)} N-wire frames agree on one probe calibration, needed "
-            f"half and at least {options.min_frames}; check that phantom, sensor and wire order are as described"
+            f"half and at least {options.min_frames}; check phantom, sensor and wire order"
         )
     chosen = _subset(seen, keep)
     linear = _linear_map(chosen)
@@ -112,7 +112,7 @@ def calibrate_probe(
     if edge_sd > options.max_edge_sd_mm:
         raise QualityGateError(
             f"the wires leave the probe calibration uncertain by {edge_sd:.2f} mm where they were seen, "
-            f"needed at most {options.max_edge_sd_mm:g} mm; move the probe so that the dots wander over the image"
+            f"needed at most {options.max_edge_sd_mm:g} mm; let the dots wander over the image"
         )
     image_map = _fit(chosen, linear, recording, options)
     mean = float(middle_errors_mm(_columns(image_map), chosen).mean())

@@ -1,6 +1,11 @@
-"""The clock of the heart: R peaks, phase, and retiming of the pre-operative cycle. All of it causal."""
+"""The clock of the heart: R peaks, phase, and retiming of the pre-operative cycle.
+
+All of it is causal, but `beat_phase`, which places moments between two R peaks that are both known.
+"""
 
 from .beat_finder import RPeakOptions as RPeakOptions
+from .beats import BeatPhase as BeatPhase
+from .beats import beat_phase as beat_phase
 from .lead_watch import LeadChange as LeadChange
 from .lead_watch import LeadWatch as LeadWatch
 from .phase_clock import PhaseClock as PhaseClock
@@ -15,6 +20,7 @@ from .rpeak import RPeakDetector as RPeakDetector
 from .rpeak import detect_r_peaks as detect_r_peaks
 from .rr_predictor import PREDICTORS as PREDICTORS
 from .rr_predictor import PredictorName as PredictorName
+from .summary import FEWEST_BEATS as FEWEST_BEATS
 from .summary import GateSummary as GateSummary
 from .summary import summarise_gating as summarise_gating
 from .tracking import PhaseTracking as PhaseTracking

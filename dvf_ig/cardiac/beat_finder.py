@@ -8,6 +8,9 @@ import numpy as np
 
 from .lead_levels import LeadLevels
 
+RHYTHM_BEATS, RHYTHM_S = 4, 8.0
+"""A rhythm runs while the last four beats lie within eight seconds."""
+
 
 @dataclass(frozen=True, slots=True)
 class RPeakOptions:
@@ -25,6 +28,7 @@ class RPeakOptions:
         close_s: or when its top lies this far back.
         override: height against the previous beat at which a second complex replaces it.
         contrast: a complex must stand this many times above what lies between complexes.
+        start_contrast: the same while no rhythm runs, so that noise alone never starts one.
         clip: no lead counts for more than this many times its level.
     """
 
@@ -41,6 +45,7 @@ class RPeakOptions:
     override: float = 1.8
     clip: float = 2.5
     contrast: float = 2.0
+    start_contrast: float = 3.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +60,9 @@ class Complex:
 class BeatFinder:
     """Takes one envelope sample of all leads at a time, in order; returns the beats that this one decided."""
 
-    def __init__(self, rate_hz: float, leads: int, options: RPeakOptions) -> None:
+    def __init__(self, rate_hz: float, leads: int, options: RPeakOptions, warm_up: int = 0) -> None:
+        """Humps that top within the first `warm_up` samples are the envelope's filters filling up."""
+        self._warm_up = warm_up
         self._rate = rate_hz
         self._options = options
         self._levels = LeadLevels(rate_hz, leads, options.clip)
@@ -68,6 +75,7 @@ class BeatFinder:
         self._last_height = 0.0
         self._rr = 0.8 * rate_hz
         self._intervals: deque[int] = deque(maxlen=8)
+        self._recent: deque[int] = deque(maxlen=RHYTHM_BEATS)
         self._candidates: deque[Complex] = deque(maxlen=16)
 
     def step(self, row: Sequence[float], off: Sequence[bool]) -> list[Complex]:
@@ -106,16 +114,24 @@ class BeatFinder:
 
     def _judge(self, found: list[Complex]) -> None:
         """The hump that just ended is a beat, a candidate for later, or nothing."""
+        if self._top_at < self._warm_up:
+            return
         hump = Complex(self._top_at, self._now, self._top)
         options = self._options
         since = np.inf if self._last is None else (hump.top - self._last) / self._rate
         if since <= options.refractory_s:
             if since > 0.08 and hump.height > max(options.override * self._last_height, 0.6):
                 self._accept(hump, found, regular=False)
-        elif hump.height > max(self._threshold(since), options.contrast * self._levels.background()):
+        elif hump.height > max(self._threshold(since), self._least_height()):
             self._accept(hump, found)
         else:
             self._candidates.append(hump)
+
+    def _least_height(self) -> float:
+        """What a complex must reach to stand out from what lies between; more where no rhythm is running."""
+        options = self._options
+        running = len(self._recent) == RHYTHM_BEATS and self._now - self._recent[0] < RHYTHM_S * self._rate
+        return (options.contrast if running else options.start_contrast) * self._levels.background()
 
     def _threshold(self, since_s: float) -> float:
         """Share of the level that a complex must reach `since_s` after the last beat."""
@@ -135,9 +151,7 @@ class BeatFinder:
         if self._candidates and waited > options.search_back_rr * self._rr:
             late = [c for c in self._candidates if c.top - self._last > options.t_wave_s * self._rate]
             best = max(late, key=lambda c: (c.height, c.top), default=None)
-            if best is not None and best.height > max(
-                options.search_back_share, options.contrast * self._levels.background()
-            ):
+            if best is not None and best.height > max(options.search_back_share, self._least_height()):
                 self._accept(Complex(best.top, self._now, best.height), found)
                 self._candidates.extend(
                     c for c in late if c.top > best.top + options.refractory_s * self._rate
@@ -152,6 +166,7 @@ class BeatFinder:
             self._rr = sorted(self._intervals)[len(self._intervals) // 2]
         self._last, self._last_height = beat.top, beat.height
         self._candidates.clear()
+        self._recent.append(beat.top)
         back = self._now - beat.top
         if back < len(self._history):
             self._levels.beat(self._history[-1 - back])

@@ -10,6 +10,8 @@ from dvf_ig.core import FloatArray
 RISE, FALL = 0.2, 0.05
 """Share of a beat's surprise that its level takes up: quickly upwards, slowly downwards, so that a run of
 false small beats cannot drag the threshold down with it."""
+RELEARN_S = 2.0
+"""A lead that was off for this long is watched for as long before it counts again."""
 NOISE_TIME_S = 0.4
 NOISE_QUANTILE = 0.6
 """Noise is this quantile of the envelope, which the complexes themselves hardly touch."""
@@ -34,6 +36,10 @@ class LeadLevels:
         self._level = [1.0] * leads
         self._noise = [1.0] * leads
         self._weights = [1.0 / leads] * leads
+        self._relearn_samples = round(RELEARN_S * rate_hz)
+        self._dark = [0] * leads  # samples for which the lead has been off
+        self._fresh = [0] * leads  # samples still to watch a returned lead before it counts
+        self._watched: list[list[float]] = [[] for _ in range(leads)]
 
     def learn(self, envelope: FloatArray, rate_hz: float) -> None:
         """Set levels from a first stretch of (n, leads) envelope: second-highest top, mean noise."""
@@ -43,6 +49,8 @@ class LeadLevels:
         # each beat lies in two of the overlapping windows, a single artefact is not believed
         second = np.sort(tops, axis=0)[-min(2, len(tops))]
         self._level = [float(v) + 1e-9 for v in second]
+        dead = envelope[-max(1, window // 2) :].max(axis=0) < 1e-9
+        self._dark = [self._relearn_samples if d else 0 for d in dead.tolist()]
         self._noise = [float(v) + 1e-9 for v in np.quantile(envelope, NOISE_QUANTILE, axis=0)]
         self._weigh()
 
@@ -54,11 +62,30 @@ class LeadLevels:
         height = 0.0
         for k in self._leads:
             if off[k]:
+                self._dark[k] += 1
                 continue
+            if self._dark[k] or self._fresh[k]:
+                self._returned(k, row[k])
+                if self._fresh[k]:
+                    continue
             value = min(row[k], self._clip * self._level[k])
             self._noise[k] *= self._up if value > self._noise[k] else self._down
             height += self._weights[k] * value
         return height
+
+    def _returned(self, k: int, value: float) -> None:
+        """A lead that was off for long is watched for a while, then starts with levels of its own."""
+        if self._dark[k] >= self._relearn_samples:
+            self._fresh[k], self._watched[k] = self._relearn_samples, []
+        self._dark[k] = 0
+        if self._fresh[k]:
+            self._watched[k].append(value)
+            self._fresh[k] -= 1
+            if self._fresh[k] == 0:
+                watched = np.array(self._watched[k])
+                self._level[k] = float(watched.max()) + 1e-9
+                self._noise[k] = float(np.quantile(watched, NOISE_QUANTILE)) + 1e-9
+                self._weigh()
 
     def background(self) -> float:
         """Height of what lies between complexes; close to 1 where no complex stands out (flutter, noise)."""

@@ -84,7 +84,9 @@ class RPeakDetector:
     def _restart(self) -> None:
         self._feature = QrsFeature(self.rate_hz, self.leads)
         self._locator = RLocator(self.rate_hz, self.leads)
-        self._finder = BeatFinder(self.rate_hz, self.leads, self._options)
+        self._finder = BeatFinder(
+            self.rate_hz, self.leads, self._options, warm_up=round(2 * self._feature.delay)
+        )
         self._count = 0
 
     def _peak(self, beat: Complex) -> RPeak:

@@ -1,7 +1,7 @@
 """`dvf-ig calibrate`: tool tip, image calibration, video lag and landmark registration from recordings."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -9,7 +9,7 @@ from .calibrate_output import error_row, save, vector, wire_errors, wire_rows
 from .shell import JsonFlag, SeedOption, command, emit
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import LandmarkResult
+    from dvf_ig.calibration import LandmarkResult, ProbeResult, WireErrors
     from dvf_ig.core import LatencyRecording
 
 app = typer.Typer(help="Tool tip, image calibration, video lag, landmarks.", no_args_is_help=True)
@@ -110,34 +110,11 @@ def probe(
         options = ProbeOptions(method=cast(ProbeMethod, method))
         found = calibrate_probe(recording, rng=np.random.default_rng(seed), options=options)
         checked = validate_probe(found.probe_from_image, held_out) if held_out is not None else None
-        result = {
-            "sensor_from_image": found.matrix.tolist(),
-            "sensor_frame": found.probe_from_image.rigid.target,
-            "calibration": wire_errors(found.calibration),
-            "validation": None if checked is None else wire_errors(checked),
-            "method": found.method,
-            "inlier_frames": int(found.inliers.sum()),
-            "edge_sd_mm": found.edge_sd_mm,
-            "shear_deg": found.shear_deg,
-        }
+        result = _probe_result(found, checked)
         error = (checked or found.calibration).mean95_mm
-        name = f"{found.probe_from_image.rigid.target}_from_image"
         inputs = [p for p in (sequence, device_set, points, validate, validate_points) if p is not None]
-        save(output, result, name, found.matrix, error, inputs)
-        scale = found.probe_from_image.scale_mm_per_px
-        rows = [
-            ("frames used", f"{int(found.inliers.sum())} of {found.calibration.frames}"),
-            ("pixel size", f"{scale[0]:.5f} x {scale[1]:.5f} mm"),
-            (
-                "image origin",
-                f"{vector(found.matrix[:3, 3].tolist())} mm in '{found.probe_from_image.rigid.target}'",
-            ),
-            ("calibration", error_row(found.calibration)),
-        ]
-        if checked is not None:
-            rows.append(("validation", error_row(checked)))
-        rows += wire_rows(checked or found.calibration)
-        emit(result, rows, as_json=as_json)
+        save(output, result, f"{result['sensor_frame']}_from_image", found.matrix, error, inputs)
+        emit(result, _probe_rows(found, checked), as_json=as_json)
 
 
 @app.command("latency")
@@ -207,6 +184,32 @@ def landmarks(
         for name, miss, samples in zip(names, found.residuals_mm, dwells, strict=True):
             rows.append((f"landmark {name}", f"{miss:.3f} mm, {samples} samples"))
         emit(result, rows, as_json=as_json)
+
+
+def _probe_result(found: "ProbeResult", checked: "WireErrors | None") -> dict[str, Any]:
+    return {
+        "sensor_from_image": found.matrix.tolist(),
+        "sensor_frame": found.probe_from_image.rigid.target,
+        "calibration": wire_errors(found.calibration),
+        "validation": None if checked is None else wire_errors(checked),
+        "method": found.method,
+        "inlier_frames": int(found.inliers.sum()),
+        "edge_sd_mm": found.edge_sd_mm,
+        "shear_deg": found.shear_deg,
+    }
+
+
+def _probe_rows(found: "ProbeResult", checked: "WireErrors | None") -> list[tuple[str, str]]:
+    scale, sensor = found.probe_from_image.scale_mm_per_px, found.probe_from_image.rigid.target
+    rows = [
+        ("frames used", f"{int(found.inliers.sum())} of {found.calibration.frames}"),
+        ("pixel size", f"{scale[0]:.5f} x {scale[1]:.5f} mm"),
+        ("image origin", f"{vector(found.matrix[:3, 3].tolist())} mm in '{sensor}'"),
+        ("calibration", error_row(found.calibration)),
+    ]
+    if checked is not None:
+        rows.append(("validation", error_row(checked)))
+    return rows + wire_rows(checked or found.calibration)
 
 
 def _needed_points(points: Path | None, sequence: Path) -> Path:

@@ -81,13 +81,16 @@ def check(
 
 
 def _from_surfaces(folder: Path, name: str, timing: Path | None, options: "ModelOptions") -> DvfModel:
-    from dvf_ig.io import read_surface_series
+    from dvf_ig.core import LV_CAVITY
+    from dvf_ig.io import read_surface_series, surface_names
     from dvf_ig.preop import model_from_surfaces
 
     series = read_surface_series(folder, name, timing)
+    has_cavity = LV_CAVITY in surface_names(folder)
+    cavity = read_surface_series(folder, LV_CAVITY, timing) if has_cavity else None
     with progress("fitting phases") as report:
         return model_from_surfaces(
-            series, options=options, progress=report, sources=(f"{folder.name}: {name}",)
+            series, cavity=cavity, options=options, progress=report, sources=(f"{folder.name}: {name}",)
         )
 
 

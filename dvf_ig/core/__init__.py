@@ -16,6 +16,7 @@ from .errors import QualityGateError as QualityGateError
 from .errors import UnreadableFileError as UnreadableFileError
 from .frames import require_same_frame as require_same_frame
 from .image_map import ImageMap as ImageMap
+from .mesh import LV_CAVITY as LV_CAVITY
 from .mesh import Mesh as Mesh
 from .mesh import SurfaceSeries as SurfaceSeries
 from .model import DvfModel as DvfModel

@@ -9,6 +9,9 @@ from .cycle import CycleTiming
 from .errors import InvalidInputError
 from .frames import check_frame
 
+LV_CAVITY = "LV_ENDOCARDIAL"
+"""Name of the series whose volume tells end-diastole from end-systole."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:

@@ -13,7 +13,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from .compiled import inlined, kernel
@@ -137,7 +136,7 @@ def explained_share(table: Floats, box: Any, inverse_count: float, mean_u: float
     return min(max(explained / var_u, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
+@kernel
 def lc2_slices(
     images: NDArray[np.float32],
     masks: Bools,
@@ -150,8 +149,10 @@ def lc2_slices(
     values: Floats,
     tables: Floats,
     out: Floats,
+    begin: int,
+    end: int,
 ) -> None:
-    """Score every slice; see the module docstring.
+    """Score slices begin <= s < end; see the module docstring. Several ranges may run at once.
 
     Args:
         images: (s, rows, columns) ultrasound, 0 outside the mask; masks: (s, rows, columns).
@@ -163,7 +164,7 @@ def lc2_slices(
         values: (s, rows, columns, 2) scratch; tables: (s, rows + 1, columns + 1, 7) scratch.
         out: (s, 3) filled with Σ w·S, Σ w, and the share of pixels inside the volume.
     """
-    for s in prange(images.shape[0]):
+    for s in range(begin, end):
         out[s, 2] = sample_channels(channels, phases[s], matrices[s], masks[s], values[s])
         integrate_products(images[s], values[s], tables[s])
         score = 0.0

@@ -11,11 +11,13 @@ from dvf_ig.core import (
     BoolArray,
     CycleTiming,
     DvfModel,
+    FloatArray,
     Grid,
     InvalidInputError,
     Mesh,
     Preop,
     SurfaceSeries,
+    VolumeSeries,
 )
 from dvf_ig.core.frames import require_same_frame
 
@@ -67,6 +69,7 @@ def build_model(
     patient_id: str,
     surface_name: str,
     frame: str = "mr",
+    cavity_mm3: FloatArray | None = None,
     options: ModelOptions = ModelOptions(),
     progress: Progress | None = None,
     sources: Sequence[str] = (),
@@ -77,6 +80,8 @@ def build_model(
         reference: closed surfaces, outward orientation, one a phase, in `frame`; their triangles may differ.
         caps: per phase, (t,) True for triangles that close an opening and were never measured.
         timing: phase times.
+        cavity_mm3: (n,) left ventricular volume, which tells end-diastole from end-systole; the
+            enclosed volume where it is not known.
         progress: told the fraction done.
         sources: what the model is built from, for the record.
     Raises:
@@ -98,7 +103,8 @@ def build_model(
         for fitted in pool.map(fit, reference):
             coefficients.append(fitted)
             report(len(coefficients) / len(reference))
-    volumes = np.array([mesh.volume_mm3() for mesh in reference])
+    enclosed = np.array([mesh.volume_mm3() for mesh in reference])
+    volumes = enclosed if cavity_mm3 is None else cavity_mm3
     return DvfModel(
         patient_id=patient_id,
         surface_name=surface_name,
@@ -118,11 +124,12 @@ def build_model(
 def model_from_surfaces(
     series: SurfaceSeries,
     *,
+    cavity: SurfaceSeries | None = None,
     options: ModelOptions = ModelOptions(),
     progress: Progress | None = None,
     sources: Sequence[str] = (),
 ) -> DvfModel:
-    """Close a surface series and build its model."""
+    """Close a surface series and build its model; `cavity` is the left ventricle's inner surface."""
     closed = close_surface(series)
     phases = range(len(closed.timing))
     return build_model(
@@ -132,6 +139,7 @@ def model_from_surfaces(
         patient_id=closed.patient_id,
         surface_name=closed.name,
         frame=closed.frame,
+        cavity_mm3=close_surface(cavity).volumes_mm3() if cavity is not None else None,
         options=options,
         progress=progress,
         sources=sources,
@@ -160,10 +168,20 @@ def model_from_labels(
         patient_id=preop.patient_id,
         surface_name=preop.surface,
         frame=preop.labels.grid.frame,
+        cavity_mm3=_labelled_cavity_mm3(preop.labels, dict(preop.label_names)),
         options=options,
         progress=progress,
         sources=sources,
     )
+
+
+def _labelled_cavity_mm3(labels: VolumeSeries, names: dict[int, str]) -> FloatArray | None:
+    """(n,) volume of the label named "lv_blood"; None where no label is."""
+    value = next((v for v, name in names.items() if name == "lv_blood"), None)
+    if value is None:
+        return None
+    voxel_mm3 = float(np.prod(labels.grid.spacing_mm))
+    return np.array([np.count_nonzero(phase == value) * voxel_mm3 for phase in labels.values])
 
 
 def _check_reference(reference: Sequence[Mesh], timing: CycleTiming, frame: str, name: str) -> None:

@@ -4,8 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, Landmarks, Rigid
+from dvf_ig.core import FloatArray, InvalidInputError, Landmarks, Points, Rigid
 from dvf_ig.core.paired import fit_paired_points
+
+MIN_FOR_PRIOR = 5
+LEAST_SIGMA_MM = 0.5
+"""A stylus on a beating heart is never better than this per coordinate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -15,6 +19,39 @@ class LandmarkStart:
     mr_from_tracker: Rigid
     names: tuple[str, ...]
     residuals_mm: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkPrior:
+    """What touched landmarks say of a pose besides the image: paired points and how far off they are.
+
+    Attributes:
+        fixed: (n, 3) marked on the model.
+        moving: (n, 3) touched on the patient.
+        sigma_mm: standard deviation of a touched point per coordinate.
+    """
+
+    fixed: Points
+    moving: Points
+    sigma_mm: float
+
+    def energy(self, pose: Rigid) -> float:
+        """Half the squared distance of the landmarks in standard deviations: −log of their likelihood."""
+        apart = pose.apply(self.moving).xyz_mm - self.fixed.xyz_mm
+        return float(0.5 * (apart * apart).sum() / self.sigma_mm**2)
+
+
+def prior_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkPrior | None:
+    """Prior from the landmarks that both sets name, its sigma from their own residuals.
+
+    None with fewer than MIN_FOR_PRIOR pairs: too few residuals to know how far off the points are.
+    """
+    _, fixed, moving = mr.paired_with(tracker)
+    if len(fixed) < MIN_FOR_PRIOR:
+        return None
+    residuals = start_from_landmarks(mr, tracker).residuals_mm
+    spread = float(np.sqrt((residuals**2).sum() / (3 * len(fixed) - 6)))
+    return LandmarkPrior(fixed, moving, max(spread, LEAST_SIGMA_MM))
 
 
 def start_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkStart:

@@ -14,7 +14,8 @@ import numpy as np
 from dvf_ig.core import FloatArray, Rigid, Stop
 
 from .channels import ModelChannels
-from .evidence import contrast_of, covariance_of, distance_between, success_probability
+from .evidence import contrast_of, covariance_of, distance_between, objective, success_probability
+from .landmarks import LandmarkPrior
 from .optimise import HEART_RADIUS_MM, PoseChart, Search, search
 from .similarity import Lc2
 from .slices import SliceSet
@@ -42,7 +43,7 @@ class RegistrationOptions:
     candidates: int = 3
     fine_evaluations: int = 140
     min_overlap: float = 0.35
-    min_contrast: float = 3.0
+    min_contrast: float = 3.8
     max_disagreement_mm: float = 4.0
 
 
@@ -98,6 +99,7 @@ def register_rigid(
     center_mm: FloatArray,
     *,
     rng: np.random.Generator,
+    prior: LandmarkPrior | None = None,
     options: RegistrationOptions | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
@@ -108,34 +110,35 @@ def register_rigid(
         start: fixed_from_moving to start from.
         center_mm: (3,) centre of the heart box in the fixed frame.
         rng: draws the displaced starts.
+        prior: touched landmarks that the pose must also agree with, weighed by their spread.
     Returns:
-        the pose with the highest LC2, its evidence, and whether it may be used.
+        the most likely pose, its evidence, and whether it may be used.
     """
     opts = options or RegistrationOptions()
     tell = progress or (lambda _: None)
     began = perf_counter()
     chart = PoseChart(start, center_mm)
-    basins, evaluations = _coarse_basins(coarse, chart, rng, opts, tell)
+    basins, evaluations = _coarse_basins(coarse, chart, prior, rng, opts, tell)
     metric = _metric(fine, opts)
     refined = []
     for k, basin in enumerate(basins):
-        refined.append(_refine(metric, chart, basin, opts))
+        refined.append(_refine(metric, chart, prior, basin, opts))
         tell(0.6 + 0.2 * (k + 1) / len(basins))
     refined.sort(key=lambda s: s.cost)
     best = refined[0]
     pose = chart.pose(best.xi_mm)
-    halves = [_refine(_metric(half, opts), chart, best.xi_mm, opts) for half in _halves(fine)]
+    halves = [_refine(_metric(half, opts), chart, prior, best.xi_mm, opts) for half in _halves(fine)]
     disagreement = distance_between(
         chart.pose(halves[0].xi_mm), chart.pose(halves[1].xi_mm), center_mm, HEART_RADIUS_MM
     )
     tell(0.95)
     found = PoseChart(pose, center_mm)
-    covariance, contrast = covariance_of(metric, found), contrast_of(metric, found, rng)
+    covariance, contrast = covariance_of(metric, found, prior), contrast_of(metric, found, rng)
     score = metric.score(pose)
     others = [
-        -s.cost
-        for s in refined[1:]
-        if distance_between(chart.pose(s.xi_mm), pose, center_mm, HEART_RADIUS_MM) > 4.0
+        metric.score(other).similarity
+        for other in (chart.pose(s.xi_mm) for s in refined[1:])
+        if distance_between(other, pose, center_mm, HEART_RADIUS_MM) > 4.0
     ]
     second = max(others, default=0.0)
     stop = _verdict(best, contrast, score.overlap, disagreement, covariance, opts)
@@ -159,15 +162,6 @@ def register_rigid(
     )
 
 
-def update_rigid(
-    fine: Level, start: Rigid, center_mm: FloatArray, *, options: RegistrationOptions | None = None
-) -> Rigid:
-    """One warm refinement of a pose that is already good; no evidence."""
-    opts = options or RegistrationOptions()
-    chart = PoseChart(start, center_mm)
-    return chart.pose(_refine(_metric(fine, opts), chart, np.zeros(6), opts).xi_mm)
-
-
 def _metric(level: Level, opts: RegistrationOptions) -> Lc2:
     return Lc2(level.slices, level.model, patch_mm=opts.patch_mm, pitch_mm=level.pitch_mm)
 
@@ -175,19 +169,20 @@ def _metric(level: Level, opts: RegistrationOptions) -> Lc2:
 def _coarse_basins(
     level: Level,
     chart: PoseChart,
+    prior: LandmarkPrior | None,
     rng: np.random.Generator,
     opts: RegistrationOptions,
     tell: Callable[[float], None],
 ) -> tuple[list[FloatArray], int]:
     """Short searches from the start and its displaced copies; the best distinct ends, best first."""
-    metric = _metric(level, opts)
+    cost = objective(_metric(level, opts), chart, prior)
     directions = rng.normal(size=(opts.starts, 6))
     directions *= opts.spread_mm / np.linalg.norm(directions, axis=1, keepdims=True)
     ends: list[Search] = []
     for k, xi in enumerate(np.vstack([np.zeros(6), directions])):
         ends.append(
             search(
-                lambda x: -metric.score(chart.pose(x)).similarity,
+                cost,
                 xi,
                 first_step_mm=4.0,
                 last_step_mm=0.5,
@@ -204,9 +199,15 @@ def _coarse_basins(
     return basins[: opts.candidates], sum(s.evaluations for s in ends)
 
 
-def _refine(metric: Lc2, chart: PoseChart, xi_mm: FloatArray, opts: RegistrationOptions) -> Search:
+def _refine(
+    metric: Lc2,
+    chart: PoseChart,
+    prior: LandmarkPrior | None,
+    xi_mm: FloatArray,
+    opts: RegistrationOptions,
+) -> Search:
     return search(
-        lambda x: -metric.score(chart.pose(x)).similarity,
+        objective(metric, chart, prior),
         xi_mm,
         first_step_mm=1.5,
         last_step_mm=0.02,

@@ -1,8 +1,11 @@
 """LC2 of a slice set against the phase-matched model, as a function of the pose."""
 
+import itertools
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from numba import get_num_threads
 from numpy.lib.stride_tricks import sliding_window_view
 
 from dvf_ig.core import FloatArray, IntArray, Rigid, require_same_frame
@@ -15,6 +18,9 @@ MIN_FILL = 0.6
 """Least share of a patch that must lie inside the sector."""
 FLAT = 1e-12
 """Variance below which a patch of ultrasound carries nothing to explain."""
+PATCHES_PER_OBSERVATION = 6.0
+"""Neighbouring slices see the same tissue and share its difference from the model: with this divisor the
+standard deviations match the errors of registrations on tuning seeds 101–104 (mismatch 1.2 mm)."""
 CENTER_STEP = 2
 """A patch is centred on every second pixel of every second row: neighbours share nearly all their pixels."""
 
@@ -97,6 +103,9 @@ class Lc2:
         self._tables = np.empty((s, rows + 1, cols + 1, SUMS))
         self._out = np.empty((s, 3))
         self._index_from_mm = np.linalg.inv(model.grid.axes_mm)
+        threads = max(1, min(get_num_threads(), s))
+        self._shares = [round(k * s / threads) for k in range(threads + 1)]
+        self._pool = ThreadPoolExecutor(max(1, threads - 1))
 
     def per_slice(self, mr_from_tracker: Rigid) -> FloatArray:
         """(s, 3) weighted score, weight and overlap of each slice."""
@@ -104,7 +113,7 @@ class Lc2:
         require_same_frame(self._model.grid.frame, mr_from_tracker.target, "registration pose")
         mr_from_pixel = mr_from_tracker.rotation @ self._slices.frame_from_pixel
         mr_from_pixel[:, :, 2] += mr_from_tracker.translation_mm - self._model.grid.origin_mm
-        lc2_slices(
+        arguments = (
             self._slices.images,
             self._slices.masks,
             self._patches.first,
@@ -117,6 +126,11 @@ class Lc2:
             self._tables,
             self._out,
         )
+        *others, (begin, end) = itertools.pairwise(self._shares)
+        running = [self._pool.submit(lc2_slices, *arguments, *share) for share in others]
+        lc2_slices(*arguments, begin, end)
+        for share in running:
+            share.result()
         return self._out.copy()
 
     def score(self, mr_from_tracker: Rigid) -> Score:
@@ -124,6 +138,10 @@ class Lc2:
         out = self.per_slice(mr_from_tracker)
         return Score(float(out[:, 0].sum() / max(out[:, 1].sum(), 1e-300)), float(out[:, 2].mean()))
 
-    def independent_patches(self) -> float:
-        """How many patches fit into the slices without sharing pixels."""
-        return float(self._slices.masks.sum()) / self._patch_pixels
+    @property
+    def information(self) -> float:
+        """Number of independent observations that −n/2·log(1 − S) should count.
+
+        Patches that fit into the slices without sharing pixels, over PATCHES_PER_OBSERVATION.
+        """
+        return float(self._slices.masks.sum()) / self._patch_pixels / PATCHES_PER_OBSERVATION

@@ -6,5 +6,5 @@ from .engine import register_scenario as register_scenario
 from .engine import run_replay as run_replay
 from .result import result_of as result_of
 from .result import schema as schema
-from .result import table as table
 from .result import validate as validate
+from .table import table as table

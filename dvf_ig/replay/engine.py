@@ -13,7 +13,7 @@ from time import perf_counter
 
 import numpy as np
 
-from dvf_ig.cardiac import PhaseTracking, track_phase
+from dvf_ig.cardiac import FEWEST_BEATS, PhaseTracking, track_phase
 from dvf_ig.core import BoolArray, DvfModel, FloatArray, InvalidInputError, NoOverlapError, Rigid, Scenario
 from dvf_ig.guidance import Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Status
 from dvf_ig.registration import RegistrationResult
@@ -21,6 +21,7 @@ from dvf_ig.registration import RegistrationResult
 from .heart import Heart, build_heart
 from .locate import Sight, locate, look, retimed, start_pose
 from .rulers import Rulers, calibrate
+from .schedule import pose_schedule
 from .ticks import TipTrack, predict_tip
 
 RATE_HZ = 1000.0
@@ -58,6 +59,7 @@ class Replay:
     Attributes:
         start: coarse mr_from_tracker that registration started from.
         attempts: registrations in time order.
+        poses: (time from which it was in use, mr_from_tracker), with the bounded motion between updates.
         tip: predicted tool tip.
         model_phase: (n,) retimed phase; valid where `tracking.track.valid`.
         samples: force in frame "tracker", distance, gradient and status.
@@ -70,18 +72,12 @@ class Replay:
     tracking: PhaseTracking
     start: Rigid
     attempts: tuple[Attempt, ...]
+    poses: tuple[tuple[float, Rigid], ...]
     tip: TipTrack
     model_phase: FloatArray
     samples: ForceSamples
     valid: BoolArray
     seconds: float
-
-    @property
-    def poses(self) -> list[tuple[float, Rigid]]:
-        """(time from which it was used, mr_from_tracker) of every usable registration."""
-        return [
-            (a.ready_s, a.result.mr_from_tracker) for a in self.attempts if a.result and a.result.stop.usable
-        ]
 
 
 def run_replay(
@@ -116,7 +112,8 @@ def run_replay(
     track = tracking.track
     model_phase = retimed(heart.model, track.phi, track.rr_s)
     tip = predict_tip(scenario.tool, rulers.pivot.tip.xyz_mm[0], t_s)
-    samples, valid = _forces(heart, attempts, tip, model_phase, track.valid)
+    poses = pose_schedule(_usable(attempts), heart.center_mm)
+    samples, valid = _forces(heart, poses, tip, model_phase, track.valid)
     tell(1.0)
     return Replay(
         scenario=scenario,
@@ -125,6 +122,7 @@ def run_replay(
         tracking=tracking,
         start=start,
         attempts=attempts,
+        poses=poses,
         tip=tip,
         model_phase=model_phase,
         samples=samples,
@@ -158,11 +156,11 @@ def _refuse_untracked(scenario: Scenario) -> None:
 
 
 def _refuse_beatless(tracking: PhaseTracking, scenario: Scenario) -> None:
-    if len(tracking.peaks) < 2:
+    if len(tracking.peaks) < FEWEST_BEATS:
         ecg = scenario.ecg
         raise InvalidInputError(
             f"the ECG has {len(tracking.peaks)} R peaks in {len(ecg) / ecg.rate_hz:.0f} s on lead(s) "
-            f"{', '.join(ecg.leads)}; check the electrodes and the lead"
+            f"{', '.join(ecg.leads)}, needed at least {FEWEST_BEATS}; check the electrodes and the lead"
         )
 
 
@@ -203,23 +201,26 @@ def _registrations(
     return tuple(attempts)
 
 
+def _usable(attempts: tuple[Attempt, ...]) -> list[tuple[float, Rigid]]:
+    return [(a.ready_s, a.result.mr_from_tracker) for a in attempts if a.result and a.result.stop.usable]
+
+
 def _forces(
     heart: Heart,
-    attempts: tuple[Attempt, ...],
+    poses: tuple[tuple[float, Rigid], ...],
     tip: TipTrack,
     model_phase: FloatArray,
     phase_valid: BoolArray,
 ) -> tuple[ForceSamples, BoolArray]:
     """Force at every tick through the pose then in use, in frame "tracker", and which ticks were valid."""
     evaluator = Evaluator(heart.model, Sigmoid())
-    usable = [(a.ready_s, a.result.mr_from_tracker) for a in attempts if a.result and a.result.stop.usable]
-    which = np.searchsorted([ready_s for ready_s, _ in usable], tip.t_s, side="right") - 1
+    which = np.searchsorted([start_s for start_s, _ in poses], tip.t_s, side="right") - 1
     refusal = np.where(which < 0, Status.NO_POSE, np.where(phase_valid, Status.STALE_TOOL, Status.NO_PHASE))
     valid = (which >= 0) & phase_valid & tip.valid
     n = len(tip.t_s)
     force, gradient = np.zeros((n, 3)), np.full((n, 3), np.nan)
     distance, status = np.full(n, np.nan), refusal.astype(np.int64)
-    for k, (_, mr_from_tracker) in enumerate(usable):
+    for k, (_, mr_from_tracker) in enumerate(poses):
         here = which == k
         part = PoseAndPhase(mr_from_tracker).evaluate(
             evaluator, tip.tip_tracker_mm[here], model_phase[here], valid[here], refusal=refusal[here]

@@ -5,7 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import DvfModel, FloatArray, Grid, InvalidInputError, Preop, SurfaceSeries, VolumeSeries
+from dvf_ig.core import (
+    LV_CAVITY,
+    DvfModel,
+    FloatArray,
+    Grid,
+    InvalidInputError,
+    Preop,
+    SurfaceSeries,
+    VolumeSeries,
+)
 from dvf_ig.preop import close_surface, model_from_labels, model_from_surfaces, rasterise
 from dvf_ig.registration import BLOOD, WALL, ModelChannels, channels_from_labels, channels_from_mr
 
@@ -48,7 +57,8 @@ def build_heart(
     elif preop.labels is not None:
         model = model_from_labels(preop, progress=progress)
     else:
-        model = model_from_surfaces(_fixture_surface(preop), progress=progress)
+        cavity = next((s for s in preop.surfaces if s.name == LV_CAVITY), None)
+        model = model_from_surfaces(_fixture_surface(preop), cavity=cavity, progress=progress)
     vertices = model.reference[model.ed_phase].vertices_mm
     center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     if preop.mr is not None:

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.cardiac import RPeak, retime
-from dvf_ig.cardiac.beats import beat_phase
+from dvf_ig.cardiac import RPeak, beat_phase, retime
 from dvf_ig.core import (
     DvfModel,
     FloatArray,
@@ -19,12 +18,14 @@ from dvf_ig.core import (
 )
 from dvf_ig.registration import (
     Gated,
+    LandmarkPrior,
     Level,
     RegistrationOptions,
     RegistrationResult,
     fan_mask_from_images,
     gate_frames,
     prepare_slices,
+    prior_from_landmarks,
     register_rigid,
     spread,
     start_from_landmarks,
@@ -106,6 +107,13 @@ def start_pose(scenario: Scenario) -> Rigid:
     )
 
 
+def _prior(scenario: Scenario) -> LandmarkPrior | None:
+    """Landmarks take part where the start came from them; a start pose takes their place."""
+    if scenario.start is not None or scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
+        return None
+    return prior_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker)
+
+
 def locate(
     scenario: Scenario,
     heart: Heart,
@@ -158,6 +166,7 @@ def locate(
         start,
         heart.center_mm,
         rng=np.random.default_rng(seed),
+        prior=_prior(scenario),
         options=RegistrationOptions(starts=0) if warm else RegistrationOptions(),
         progress=progress,
     )

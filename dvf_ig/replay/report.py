@@ -11,7 +11,7 @@ import dvf_ig
 
 from . import pictures
 from .engine import Replay
-from .result import table
+from .table import table
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1080px; margin: 2rem auto;

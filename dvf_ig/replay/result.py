@@ -1,7 +1,6 @@
-"""What a replay reports: `result.json`, its schema, and the table that a user reads."""
+"""What a replay reports as `result.json`, and its schema."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
 from importlib import resources
 from typing import Any
@@ -213,93 +212,3 @@ def true_contact(replay: Replay) -> tuple[FloatArray, FloatArray]:
 def _nearest(times: FloatArray, wanted: FloatArray) -> np.ndarray[Any, np.dtype[np.intp]]:
     right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
     return right - (wanted - times[right - 1] < times[right] - wanted)
-
-
-def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """The short table: quantity, estimate, and its error where the truth is known (else empty)."""
-    est = result["estimates"]
-    tip = ", ".join(f"{v:.2f}" for v in est["tip_mm"])
-    lag_error_s = result["lag_error_s"]
-    return [
-        ("tool tip", f"({tip}) mm", _error(result["tip_error_mm"], "{:.2f} mm")),
-        (
-            "probe image",
-            f"N-wire residual {est['probe_calibration_mean95_mm']:.2f} mm",
-            _error(result["probe_error_mm"], "{:.2f} mm at the far corner"),
-        ),
-        (
-            "latency",
-            f"{1000 * est['lag_s']:.1f} ms",
-            _error(None if lag_error_s is None else 1000 * lag_error_s, "{:+.2f} ms"),
-        ),
-        *_clock_rows(result),
-        *_pose_rows(result),
-        *_force_rows(result),
-        ("time", f"{result['seconds']:.1f} s", ""),
-    ]
-
-
-def _error(value: float | None, form: str) -> str:
-    return "" if value is None else form.format(value)
-
-
-def _clock_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
-    est, phase, surface = (
-        result["estimates"],
-        result["phase_error_percent_rr"],
-        result["model_phase_error_mm"],
-    )
-    beats = f"{est['beats']} beats, phase valid {100 * result['valid_phase_share']:.0f} % of the time"
-    error = ""
-    if phase is not None and surface is not None:
-        error = (
-            f"{phase['mean']:.2f} % of RR mean, {phase['p95']:.2f} p95; {surface['mean']:.2f} mm of surface"
-        )
-    rows = [("heart", beats, error)]
-    if est["rr_s"]:
-        period = f"RR {est['rr_s']:.3f} s, T_d {1000 * est['frame_period_s']:.1f} ms × {est['phases']} phases"
-        rows.append(("retiming", period, ""))
-    return rows
-
-
-def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
-    attempts: Sequence[dict[str, Any]] = result["registrations"]
-    usable = [a for a in attempts if a["usable"]]
-    start, tre = result["start_tre_mm"], result["tre_mm"]
-    rows = []
-    if start is not None:
-        rows.append(("start pose", "", f"TRE {start['median']:.2f} mm median, {start['max']:.2f} max"))
-    if usable:
-        text = (
-            f"{len(usable)} of {len(attempts)} usable, in use from {usable[0]['ready_s']:.1f} s, "
-            f"success probability {usable[-1]['success_probability']:.2f}"
-        )
-    else:
-        text = f"none of {len(attempts)} usable" + (f": {attempts[-1]['reason']}" if attempts else "")
-    error = (
-        ""
-        if tre is None
-        else f"TRE {tre['median']:.2f} mm median, {tre['p95']:.2f} p95, {tre['max']:.2f} max"
-    )
-    return [*rows, ("registration", text, error)]
-
-
-def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
-    force, contact, error = result["force_n"], result["contact"], result["force_error_n"]
-    rows = [
-        (
-            "force",
-            f"{force['mean']:.3f} N mean, {force['max']:.3f} max over valid ticks",
-            "" if error is None else f"{error['median']:.3f} N median, {error['p95']:.3f} p95 in contact",
-        ),
-        (
-            "ticks",
-            f"{result['valid_ticks']} valid, {result['refused_ticks']} refused, "
-            f"{result['nonfinite_ticks']} non-finite",
-            "",
-        ),
-    ]
-    if contact is not None:
-        share, served = 100 * contact["share"], 100 * contact["served_share"]
-        rows.append(("contact", "", f"in {share:.0f} % of ticks, force given in {served:.0f} % of those"))
-    return rows

@@ -1,6 +1,7 @@
 """Estimates against the planted truth. Nothing here runs where a scenario carries none."""
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +34,7 @@ class ForceScore:
 
 
 def score_poses(
-    poses: list[tuple[float, Rigid]], t_s: FloatArray, valid: BoolArray, truth: ScenarioTruth
+    poses: Sequence[tuple[float, Rigid]], t_s: FloatArray, valid: BoolArray, truth: ScenarioTruth
 ) -> tuple[ErrorSummary, FloatArray] | None:
     """TRE at the declared targets over valid ticks, and the mean TRE at each tick (NaN where not valid).
 

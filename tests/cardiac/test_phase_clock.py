@@ -18,7 +18,9 @@ def known(rr_s: FloatArray | list[float], quality: float = 1.0) -> tuple[RPeak, 
     return tuple(RPeak(float(t), float(t) + LATENCY_S, quality) for t in times)
 
 
-def track(rr_s: FloatArray | list[float], *, stop_s: float | None = None, rate_hz: float = 200.0) -> PhaseTrack:
+def track(
+    rr_s: FloatArray | list[float], *, stop_s: float | None = None, rate_hz: float = 200.0
+) -> PhaseTrack:
     end = float(np.sum(rr_s)) if stop_s is None else stop_s
     return phase_from_peaks(known(rr_s), (), np.arange(0.0, end, 1 / rate_hz))
 
@@ -104,7 +106,7 @@ def test_early_r_is_suspect_and_does_not_move_the_prediction() -> None:
 def test_no_r_is_lost_at_1_35_rr_plus_latency() -> None:
     found = track([0.8] * 12, stop_s=14.0)
     last_r = 12 * 0.8
-    lost_at = found.t_s[np.flatnonzero((found.state == PhaseState.LOST))[0]]
+    lost_at = found.t_s[np.flatnonzero(found.state == PhaseState.LOST)[0]]
     assert lost_at == pytest.approx(last_r + 1.35 * 0.8 + LATENCY_S, abs=0.01)
 
 

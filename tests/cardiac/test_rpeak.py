@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dvf_ig.cardiac import RPeakDetector, detect_r_peaks
+from dvf_ig.cardiac import RPeakDetector, detect_r_peaks, track_phase
 from dvf_ig.core import FloatArray, InvalidInputError, Signal
 from dvf_ig.io import read_beat_annotations, read_ecg
-
 
 
 def beats_ecg(r_s: FloatArray, rate_hz: float, duration_s: float, noise_mv: float = 0.02) -> Signal:
@@ -20,7 +19,12 @@ def beats_ecg(r_s: FloatArray, rate_hz: float, duration_s: float, noise_mv: floa
     leads = []
     for scale in (1.0, -0.6):
         x = 0.05 * np.sin(2 * np.pi * 0.25 * t) + noise_mv * rng.standard_normal(len(t))
-        for shift, width, height in ((-0.03, 0.01, -0.12), (0, 0.011, 1.1), (0.03, 0.012, -0.25), (0.28, 0.05, 0.3)):
+        for shift, width, height in (
+            (-0.03, 0.01, -0.12),
+            (0, 0.011, 1.1),
+            (0.03, 0.012, -0.25),
+            (0.28, 0.05, 0.3),
+        ):
             for r in r_s:
                 x += scale * height * np.exp(-0.5 * ((t - r - shift) / width) ** 2)
         leads.append(x)
@@ -106,9 +110,39 @@ def test_flat_and_missing_signal_is_reported_after_200_ms() -> None:
     assert changes[2].t_s == pytest.approx(12.2, abs=0.01)
 
 
-def test_constant_and_noise_only_signals_have_no_beats() -> None:
+@pytest.mark.parametrize("leads_off", [(0, 1), (1,), (0,)])
+def test_electrodes_connected_late(leads_off: tuple[int, ...]) -> None:
+    samples = np.concatenate([np.zeros((3000, 2)), ECG.samples])
+    other = np.concatenate([ECG.samples[:3000], ECG.samples])
+    for lead in range(2):
+        if lead not in leads_off:
+            samples[:, lead] = other[:, lead]
+    found = np.array([p.t_s for p in detect_r_peaks(Signal(samples, 500.0, 0.0, ECG.leads))])
+    expected = R_TRUE[R_TRUE > 3.0] + 6.0
+    late = found[found > 8.8]
+    assert len(late) == len(expected)
+    assert np.abs(late - expected).max() <= 0.01
+
+
+def test_a_constant_signal_has_no_beats() -> None:
     still = Signal(np.full((5000, 1), 0.3), 500.0, 0.0, ("I",))
     assert detect_r_peaks(still) == ()
+
+
+@pytest.mark.parametrize("rate_hz", [250.0, 1000.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_alone_has_no_beats(rate_hz: float, seed: int) -> None:
+    noise = np.random.default_rng(seed).standard_normal((round(30 * rate_hz), 1 + seed % 2))
+    assert detect_r_peaks(Signal(noise, rate_hz, 0.0, ("I", "II")[: noise.shape[1]])) == ()
+
+
+@pytest.mark.parametrize("height_mv", [0.005, 0.05, 0.5, 2.0])
+def test_an_ecg_that_turns_to_noise_is_not_trusted(height_mv: float) -> None:
+    noise = height_mv * np.random.default_rng(1).standard_normal((10_000, 2))
+    signal = Signal(np.concatenate([ECG.samples[:8500], noise]), 500.0, 0.0, ECG.leads)
+    track = track_phase(signal, np.arange(0.0, 37.0, 0.01)).track
+    assert track.valid[(track.t_s > 8) & (track.t_s < 17)].all()
+    assert track.valid[track.t_s > 20.0].mean() < 0.02
 
 
 def test_a_gap_restarts_and_time_may_not_run_back() -> None:
@@ -151,9 +185,7 @@ def matched(found: FloatArray, truth: FloatArray, window_s: float) -> int:
     # measured on the whole record, with room for 0.2 % more mistakes
     [("106", 0.981, 0.993, 0.967), ("119", 0.998, 0.998, 0.998), ("220", 0.998, 0.998, 0.998)],
 )
-def test_annotated_records(
-    data_dir: Path, record: str, se_150: float, ppv_150: float, se_50: float
-) -> None:
+def test_annotated_records(data_dir: Path, record: str, se_150: float, ppv_150: float, se_50: float) -> None:
     pytest.importorskip("wfdb")
     spec = f"wfdb:{data_dir / 'mitdb-ds1' / record}"
     truth = read_beat_annotations(spec)

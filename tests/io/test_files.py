@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import dvf_ig.io
 from dvf_ig.cli.inspect import inspect
 from dvf_ig.core import DvfIgError, OutputError, PoseStream, UnreadableFileError
-from dvf_ig.io import describe, make_folder, read_json, write_json, write_scenario
+from dvf_ig.io import describe, output_folder, read_json, write_json, write_scenario
 from dvf_ig.io.atomic import atomic_file
 
 app = typer.Typer()
@@ -73,14 +73,26 @@ def test_nothing_half_written(tmp_path: Path) -> None:
 
 def test_unwritable(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    with pytest.raises(OutputError, match="cannot make the folder"):
-        make_folder(tmp_path / "file" / "below")
+    with (
+        pytest.raises(OutputError, match="cannot make the folder"),
+        output_folder(tmp_path / "file" / "below"),
+    ):
+        pass
     with pytest.raises(OutputError, match="cannot write"):
         write_json(tmp_path / "file" / "a.json", {})
 
 
+def test_output_folder_leaves_nothing_when_the_work_fails(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="failed"), output_folder(tmp_path / "a" / "b"):
+        raise RuntimeError("failed")
+    assert not list(tmp_path.iterdir())
+    with output_folder(tmp_path / "a" / "b") as folder:
+        (folder / "kept").write_text("x")
+    assert (tmp_path / "a" / "b" / "kept").exists()
+
+
 def test_exports_are_importable_and_documented() -> None:
-    public = [name for name in vars(dvf_ig.io) if name.startswith(("read_", "write_", "describe", "make_"))]
+    public = [name for name in vars(dvf_ig.io) if name.startswith(("read_", "write_", "describe", "output_"))]
     assert len(public) >= 40
     assert all(getattr(dvf_ig.io, name).__doc__ for name in public if callable(getattr(dvf_ig.io, name)))
 

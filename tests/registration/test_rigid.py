@@ -12,6 +12,7 @@ from dvf_ig.registration import (
     channels_from_mr,
     gate_frames,
     pose_difference,
+    prior_from_landmarks,
     register_pair,
     register_rigid,
     start_from_landmarks,
@@ -160,3 +161,38 @@ def test_an_image_pair_is_registered_from_its_volumes() -> None:
     assert target_errors_mm(start, pose, targets).mean() > 5
     assert result.stop is Stop.CONVERGED
     assert target_errors_mm(result.mr_from_tracker, pose, targets).mean() < 0.6  # 0.3 of a voxel
+
+
+def _touched(noise_mm: float, count: int = 7) -> tuple[Landmarks, Landmarks]:
+    rng = np.random.default_rng(11)
+    mr = CENTER_MM + rng.uniform(-45, 45, (count, 3))
+    tracker = toy_pose().inverse().apply_array(mr) + noise_mm * rng.normal(size=mr.shape)
+    names = tuple(f"p{i}" for i in range(count))
+    return Landmarks(names, Points("mr", mr)), Landmarks(names, Points("tracker", tracker))
+
+
+def test_landmark_prior_knows_its_own_spread() -> None:
+    prior = prior_from_landmarks(*_touched(1.7, count=200))
+    assert prior is not None
+    assert prior.sigma_mm == pytest.approx(1.7, rel=0.1)
+    dof = 3 * 200 - 6
+    start = start_from_landmarks(*_touched(1.7, count=200)).mr_from_tracker
+    assert prior.energy(start) == pytest.approx(dof / 2, rel=1e-6)
+    assert prior_from_landmarks(*_touched(1.7, count=4)) is None
+
+
+def test_landmarks_hold_the_pose_where_the_image_says_nothing() -> None:
+    coarse, fine = _levels(speckle=0.0, matching=False)
+    mr, tracker = _touched(0.2)
+    start = start_from_landmarks(mr, tracker).mr_from_tracker
+    result = register_rigid(
+        coarse,
+        fine,
+        start,
+        CENTER_MM,
+        rng=np.random.default_rng(0),
+        prior=prior_from_landmarks(mr, tracker),
+        options=QUICK,
+    )
+    assert _tre(result.mr_from_tracker).mean() < 1.5
+    assert result.stop is Stop.POOR_MATCH

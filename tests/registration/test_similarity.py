@@ -106,12 +106,11 @@ def test_true_pose_scores_above_displaced_ones() -> None:
 
 def test_score_is_the_same_at_any_thread_count() -> None:
     slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
-    metric = _metric(slices)
-    both = metric.per_slice(toy_pose())
+    several = _metric(slices).per_slice(toy_pose())
     threads = get_num_threads()
     set_num_threads(1)
     try:
-        np.testing.assert_array_equal(metric.per_slice(toy_pose()), both)
+        np.testing.assert_array_equal(_metric(slices).per_slice(toy_pose()), several)
     finally:
         set_num_threads(threads)
 

@@ -1,0 +1,37 @@
+"""A registration update moves the model at a bounded speed and ends exactly at the new pose."""
+
+import itertools
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dvf_ig.core import Rigid
+from dvf_ig.registration import HEART_RADIUS_MM, distance_between
+from dvf_ig.replay.schedule import STEP_S, UPDATE_MM_PER_S, pose_schedule
+
+CENTER_MM = np.array([20.0, -30.0, 100.0])
+START = Rigid.from_rotation_vector([0.5, 0.2, -0.4], [300.0, -200.0, 500.0], "mr", "tracker")
+
+small = st.floats(-0.1, 0.1)
+shift = st.floats(-8.0, 8.0)
+
+
+@settings(max_examples=15)
+@given(st.tuples(small, small, small), st.tuples(shift, shift, shift), st.floats(0.05, 3.0))
+def test_updates_are_bounded_and_arrive(
+    turn: tuple[float, ...], move: tuple[float, ...], gap_s: float
+) -> None:
+    second = START.perturbed_left(turn, move, CENTER_MM)
+    poses = pose_schedule([(10.0, START), (20.0, second), (20.0 + gap_s, START)], CENTER_MM)
+    times = np.array([start_s for start_s, _ in poses])
+    assert (np.diff(times) > 0).all()
+    for (_, first), (_, following) in itertools.pairwise(poses):
+        moved = distance_between(first, following, CENTER_MM, HEART_RADIUS_MM)
+        assert moved <= 1.05 * UPDATE_MM_PER_S * STEP_S
+    assert poses[-1][1] is START
+
+
+def test_the_first_pose_is_used_at_once() -> None:
+    assert pose_schedule([(3.0, START)], CENTER_MM) == ((3.0, START),)
+    assert pose_schedule([], CENTER_MM) == ()
