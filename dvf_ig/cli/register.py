@@ -87,8 +87,9 @@ def _pair(
 
 
 def _payload(result: "RegistrationResult", name: str, seed: int) -> dict[str, Any]:
-    import numba
     import numpy as np
+
+    from dvf_ig.kernels.compiled import thread_count
 
     finite = bool(np.isfinite(result.covariance).all())
     return {
@@ -106,7 +107,7 @@ def _payload(result: "RegistrationResult", name: str, seed: int) -> dict[str, An
         "moved_mm": result.moved_mm,
         "slices": result.slices,
         "seconds": round(result.seconds, 3),
-        "threads": numba.get_num_threads(),
+        "threads": thread_count(),
         "seed": seed,
     }
 

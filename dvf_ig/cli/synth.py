@@ -8,6 +8,7 @@ import typer
 
 from .shell import JsonFlag, ThreadsOption, command, emit, progress, wrote
 from .synth_calibration import calibration
+from .synth_us import us
 
 if TYPE_CHECKING:
     from data_synth import ReplayedPath, ScenarioSpec
@@ -21,6 +22,7 @@ SURFACES = ("EPICARDIAL", "LV_ENDOCARDIAL", "RV_ENDOCARDIAL")
 """Read from --surfaces; all but the first where present."""
 
 app.command("calibration")(calibration)
+app.command("us")(us)
 
 
 class Anatomy(StrEnum):

@@ -11,7 +11,7 @@ No fast-math: sums keep their order, NaN keeps its meaning, and a kernel's NumPy
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
-from numba import njit
+from numba import config, njit
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -27,3 +27,8 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """A function called from other kernels only; always merged into its caller."""
     compiled: Callable[P, R] = njit(nogil=True, cache=True, error_model="numpy", forceinline=True)(function)
     return compiled
+
+
+def thread_count() -> int:
+    """Threads that a method may use: all cores, or NUMBA_NUM_THREADS; numba's own pool is not started."""
+    return int(config.NUMBA_NUM_THREADS)

@@ -5,10 +5,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numba import get_num_threads
 from numpy.lib.stride_tricks import sliding_window_view
 
 from dvf_ig.core import FloatArray, IntArray, Rigid, require_same_frame
+from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.kernels.similarity import SUMS, lc2_slices
 
 from .channels import ModelChannels
@@ -103,7 +103,7 @@ class Lc2:
         self._tables = np.empty((s, rows + 1, cols + 1, SUMS))
         self._out = np.empty((s, 3))
         self._index_from_mm = np.linalg.inv(model.grid.axes_mm)
-        threads = max(1, min(get_num_threads(), s))
+        threads = max(1, min(thread_count(), s))
         self._shares = [round(k * s / threads) for k in range(threads + 1)]
         self._pool = ThreadPoolExecutor(max(1, threads - 1))
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from numba import get_num_threads, set_num_threads
+from numba import config
 from scipy import ndimage
 from toy_heart import toy_mr, toy_pose, toy_slices
 
@@ -104,15 +104,13 @@ def test_true_pose_scores_above_displaced_ones() -> None:
         assert metric.score(moved).similarity < best
 
 
-def test_score_is_the_same_at_any_thread_count() -> None:
+@pytest.mark.parametrize("threads", [2, 5])
+def test_score_is_the_same_at_any_thread_count(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
-    several = _metric(slices).per_slice(toy_pose())
-    threads = get_num_threads()
-    set_num_threads(1)
-    try:
-        np.testing.assert_array_equal(_metric(slices).per_slice(toy_pose()), several)
-    finally:
-        set_num_threads(threads)
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 1)
+    alone = _metric(slices).per_slice(toy_pose())
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", threads)
+    np.testing.assert_array_equal(_metric(slices).per_slice(toy_pose()), alone)
 
 
 def test_overlap_falls_to_nothing_far_away() -> None:
