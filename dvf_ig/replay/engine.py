@@ -28,8 +28,8 @@ RATE_HZ = 1000.0
 FIRST_ATTEMPT_S = 8.0
 RETRY_S = 4.0
 REFRESH_S = 12.0
-MEMORY_S = 30.0
-"""How far back a registration looks."""
+MEMORY_S = 12.0
+"""How far back a registration looks: one refresh, so that a patient who moved is seen unmixed by the next."""
 COMPUTE_S = 3.0
 """A pose enters guidance this long after its last frame: a fixed allowance for computing it."""
 
