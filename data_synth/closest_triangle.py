@@ -2,6 +2,8 @@
 
 The nearest point of the nearest triangle decides the distance; its sign comes from the angle-weighted
 pseudo-normal of the feature it lies on (face, edge or vertex), which is right for every closed mesh.
+The mesh samples a smooth organ: facets turn by several degrees from one to the next where the organ does not.
+The gradient is therefore the vertex pseudo-normals interpolated at the nearest point, not a facet's normal.
 Triangles are grouped in small clusters; bounding spheres skip clusters, never a nearest triangle.
 
 Sources: Ericson, Real-Time Collision Detection (2005), 5.1.5; Baerentzen and Aanaes, IEEE TVCG 11:243 (2005).
@@ -98,6 +100,25 @@ def _plain_pseudo_normal(
                 out += np.arccos(min(1.0, max(-1.0, cosine))) * normal
 
 
+def _plain_smooth_normal(
+    low: Any, high: Any, weight: float, triangles: Any, start: Any, around: Any, neighbour: Any,
+    triangle: int, point: Any, out: Any,
+) -> None:  # fmt: skip
+    """Outward unit normal at a point of `triangle`: its corners' unit pseudo-normals by area weights."""
+    corners, face, spoke, vertex_normal = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    _normal(low, high, weight, triangles[triangle], corners, face)
+    out[:] = 0.0
+    for k in range(3):
+        u, v = corners[(k + 1) % 3] - point, corners[(k + 2) % 3] - point
+        spoke[0] = u[1] * v[2] - u[2] * v[1]
+        spoke[1] = u[2] * v[0] - u[0] * v[2]
+        spoke[2] = u[0] * v[1] - u[1] * v[0]
+        share = max(_dot(spoke, face), 0.0)
+        _pseudo_normal(low, high, weight, triangles, start, around, neighbour, triangle, k, vertex_normal)
+        out += share / np.sqrt(_dot(vertex_normal, vertex_normal) + 1e-300) * vertex_normal
+    out /= np.sqrt(_dot(out, out) + 1e-300)
+
+
 def _plain_nearest(
     p: Any, low: Any, high: Any, weight: float, triangles: Any, clusters: Any,
     center_low: Any, center_high: Any, radius_low: Any, radius_high: Any, best_point: Any,
@@ -159,10 +180,8 @@ def _plain_signed_distances(
         offset = points[i] - nearest
         outside = _dot(offset, normal) > 0.0
         distance[i] = -length if outside else length
-        if length > 1e-9:
-            gradient[i] = offset / (-length if outside else length)
-        else:
-            gradient[i] = -normal / np.sqrt(_dot(normal, normal) + 1e-300)
+        _smooth_normal(low, high, w, triangles, start, around, neighbour, triangle, nearest, normal)
+        gradient[i] = -normal
 
 
 _dot: Callable[..., float] = njit(cache=True)(_plain_dot)
@@ -170,5 +189,6 @@ _vertex: Callable[..., None] = njit(cache=True)(_plain_vertex)
 _normal: Callable[..., None] = njit(cache=True)(_plain_normal)
 _closest: Callable[..., int] = njit(cache=True)(_closest_on_triangle)
 _pseudo_normal: Callable[..., None] = njit(cache=True)(_plain_pseudo_normal)
+_smooth_normal: Callable[..., None] = njit(cache=True)(_plain_smooth_normal)
 _nearest: Callable[..., tuple[float, int, int]] = njit(cache=True)(_plain_nearest)
 signed_distances: Callable[..., None] = njit(cache=True, nogil=True)(_plain_signed_distances)

@@ -91,12 +91,14 @@ def test_sphere_has_its_closed_form() -> None:
     longest_edge_mm = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
     sag_mm = longest_edge_mm**2 / 6 / 45.0  # depth of the middle of an equilateral facet
     assert np.abs(distance - expected).max() < sag_mm + surface.interpolation_error_mm
-    assert (np.einsum("ij,ij->i", gradient, -direction)[np.abs(expected) > 2.0] > 0.999).all()
+    assert (
+        np.einsum("ij,ij->i", gradient, -direction) > 0.9995
+    ).all()  # facets turn by 2° from one to the next
     np.testing.assert_allclose(np.linalg.norm(gradient, axis=1), 1.0, atol=1e-12)
 
 
 @given(st.integers(0, 10_000))
-def test_gradient_is_the_derivative_of_the_distance(seed: int) -> None:
+def test_gradient_is_the_derivative_of_the_distance_but_for_the_facets(seed: int) -> None:
     rng = np.random.default_rng(seed)
     surface = _BALL
     point = BeatingBall.center_mm + rng.standard_normal(3) * 35.0
@@ -105,8 +107,21 @@ def test_gradient_is_the_derivative_of_the_distance(seed: int) -> None:
     steps = np.vstack([np.zeros(3), h * np.eye(3), -h * np.eye(3)])
     distance, gradient = surface.distance(point + steps, phase)
     numeric = (distance[1:4] - distance[4:7]) / (2 * h)
-    # on the medial axis the distance has a kink; elsewhere both agree
-    assert np.allclose(numeric, gradient[0], atol=1e-3) or np.linalg.norm(numeric) < 0.999
+    turn = _largest_turn(surface.at(float(phase[0])), surface.triangles)
+    # the distance has a kink on the medial axis; elsewhere they differ by no more than facet and corner
+    assert np.linalg.norm(numeric - gradient[0]) <= turn or np.linalg.norm(numeric) < 0.999
+
+
+def _largest_turn(vertices: FloatArray, triangles: IntArray) -> float:
+    """Largest distance between the unit normals of a facet and of its corners, doubled."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    corner = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(corner, triangles[:, k], normal)
+    corner /= np.linalg.norm(corner, axis=1)[:, None]
+    return 2 * float(np.linalg.norm(corner[triangles] - normal[:, None], axis=2).max())
 
 
 _BALL = MovingSurface.of(BeatingBall(splits=3))
