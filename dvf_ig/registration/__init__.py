@@ -27,5 +27,6 @@ from .similarity import Lc2 as Lc2
 from .slices import SliceSet as SliceSet
 from .slices import fan_mask_from_images as fan_mask_from_images
 from .slices import prepare_slices as prepare_slices
+from .slices import root_amplitude as root_amplitude
 from .slices import slices_of_volume as slices_of_volume
 from .slices import spread as spread

@@ -37,7 +37,7 @@ class RegistrationOptions:
 
     starts: int = 12
     spread_mm: float = 9.0
-    patch_mm: float = 19.0
+    patch_mm: float = 13.0
     bound_mm: float = 30.0
     coarse_evaluations: int = 70
     candidates: int = 3

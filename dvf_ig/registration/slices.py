@@ -1,4 +1,4 @@
-"""Tracked ultrasound slices prepared for registration: pitch, fan mask, place and phase."""
+"""Tracked ultrasound slices prepared for registration: amplitude, pitch, fan mask, place and phase."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from dvf_ig.core import BoolArray, FloatArray, ImageMap, IntArray, InvalidInputError
 
+DYNAMIC_RANGE_DB = 60.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SliceSet:
@@ -15,7 +17,7 @@ class SliceSet:
 
     Attributes:
         frame: frame in which the slices lie, e.g. "tracker".
-        images: (s, rows, columns) float32, mean log-compressed grey level in [0, 1], 0 outside the mask.
+        images: (s, rows, columns) float32, square root of the echo amplitude, 0 outside the mask.
         masks: (s, rows, columns), the insonified sector, eroded.
         frame_from_pixel: (s, 3, 3) mm from (column, row, 1) of this pitch.
         model_phase: (s,) where in the model's cycle each slice was seen, [0, 1).
@@ -56,6 +58,13 @@ def fan_mask_from_images(images: NDArray[np.uint8]) -> BoolArray:
     return np.asarray(images.max(axis=0) > 0)
 
 
+def root_amplitude(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Square root of the echo amplitude behind log-compressed grey levels (60 dB shown in 255 levels)."""
+    levels = np.arange(256) / 255.0
+    table = np.where(levels > 0, 10 ** (DYNAMIC_RANGE_DB * (levels - 1) / 40), 0).astype(np.float32)
+    return np.asarray(table[grey])
+
+
 def prepare_slices(
     images: NDArray[np.uint8],
     mask: BoolArray,
@@ -84,7 +93,7 @@ def prepare_slices(
     small_mask = shares > 0.999
     if not small_mask.any():
         raise InvalidInputError(f"no pixel of the ultrasound sector is left at a pitch of {pitch_mm:g} mm")
-    small = np.stack([_block_mean(f[None].astype(np.float32) / 255, step_r, step_c)[0] for f in images])
+    small = np.stack([_block_mean(root_amplitude(f)[None], step_r, step_c)[0] for f in images])
     small[:, ~small_mask] = 0
     pixel = np.array(
         [[step_c, 0, (step_c - 1) / 2], [0, step_r, (step_r - 1) / 2], [0, 0, 0], [0, 0, 1]], dtype=np.float64
@@ -108,7 +117,7 @@ def slices_of_volume(
     """Planes of a 3-D ultrasound image along its three axes, padded to one size.
 
     Args:
-        values: (nx, ny, nz) grey level; NaN where nothing was insonified.
+        values: (nx, ny, nz) root amplitude; NaN where nothing was insonified.
         axes_mm: (3, 3) mm per voxel step; origin_mm: (3,).
         every: keep each `every`-th plane along each axis.
     """
