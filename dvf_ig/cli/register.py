@@ -87,26 +87,14 @@ def _pair(
 
 
 def _payload(result: "RegistrationResult", name: str, seed: int) -> dict[str, Any]:
-    import numpy as np
-
     from dvf_ig.kernels.compiled import thread_count
+    from dvf_ig.replay import evidence_of
 
-    finite = bool(np.isfinite(result.covariance).all())
     return {
         name: result.mr_from_tracker.matrix.tolist(),
         "stop": result.stop.name,
         "reason": result.stop.value,
-        "success_probability": result.success_probability,
-        "covariance": result.covariance.tolist() if finite else None,
-        "covariance_about_mm": result.center_mm.tolist(),
-        "similarity": result.similarity,
-        "start_similarity": result.start_similarity,
-        "contrast": result.contrast,
-        "overlap": result.overlap,
-        "disagreement_mm": result.disagreement_mm,
-        "moved_mm": result.moved_mm,
-        "slices": result.slices,
-        "seconds": round(result.seconds, 3),
+        **evidence_of(result),
         "threads": thread_count(),
         "seed": seed,
     }

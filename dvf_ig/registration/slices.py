@@ -1,6 +1,5 @@
 """Tracked ultrasound slices prepared for registration: amplitude, pitch, fan mask, place and phase."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,14 +42,6 @@ class SliceSet:
             self.model_phase[index],
             self.t_s[index],
         )
-
-    def centers_mm(self) -> FloatArray:
-        """(s, 3) centre of each slice's mask."""
-        out = np.empty((len(self), 3))
-        for s, mask in enumerate(self.masks):
-            row, col = np.nonzero(mask)
-            out[s] = self.frame_from_pixel[s] @ np.array([col.mean(), row.mean(), 1.0])
-        return out
 
 
 def fan_mask_from_images(images: NDArray[np.uint8]) -> BoolArray:
@@ -151,15 +142,3 @@ def spread(count: int, wanted: int) -> IntArray:
     if count <= wanted:
         return np.arange(count, dtype=np.int64)
     return np.unique(np.round(np.linspace(0, count - 1, wanted)).astype(np.int64))
-
-
-def joined(sets: Sequence[SliceSet]) -> SliceSet:
-    """Slices of several sets of one pitch and frame, in order."""
-    return SliceSet(
-        sets[0].frame,
-        np.concatenate([s.images for s in sets]),
-        np.concatenate([s.masks for s in sets]),
-        np.concatenate([s.frame_from_pixel for s in sets]),
-        np.concatenate([s.model_phase for s in sets]),
-        np.concatenate([s.t_s for s in sets]),
-    )

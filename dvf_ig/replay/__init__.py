@@ -4,6 +4,7 @@ from .engine import Attempt as Attempt
 from .engine import Replay as Replay
 from .engine import register_scenario as register_scenario
 from .engine import run_replay as run_replay
+from .result import evidence_of as evidence_of
 from .result import result_of as result_of
 from .result import schema as schema
 from .result import validate as validate

@@ -11,7 +11,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.guidance import Sigmoid, Status
 from dvf_ig.guidance.blend import static_force
-from dvf_ig.registration import summarise, target_errors_mm
+from dvf_ig.registration import RegistrationResult, summarise, target_errors_mm
 
 from .engine import Attempt, Replay
 from .score import (
@@ -127,20 +127,27 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
         "reason": result.stop.value if result else attempt.refusal,
     }
     if result is not None:
-        finite = np.isfinite(result.covariance).all()
-        out |= {
-            "mr_from_tracker": result.mr_from_tracker.matrix.tolist(),
-            "success_probability": result.success_probability,
-            "covariance": result.covariance.tolist() if finite else None,
-            "similarity": result.similarity,
-            "start_similarity": result.start_similarity,
-            "contrast": result.contrast,
-            "overlap": result.overlap,
-            "disagreement_mm": result.disagreement_mm,
-            "moved_mm": result.moved_mm,
-            "seconds": round(result.seconds, 3),
-        }
+        out |= {"mr_from_tracker": result.mr_from_tracker.matrix.tolist(), **evidence_of(result)}
     return out
+
+
+def evidence_of(result: RegistrationResult) -> dict[str, Any]:
+    """What speaks for or against a registration, under the names every command uses."""
+    finite = bool(np.isfinite(result.covariance).all())
+    return {
+        "success_probability": result.success_probability,
+        "covariance": result.covariance.tolist() if finite else None,
+        "covariance_about_mm": result.center_mm.tolist(),
+        "similarity": result.similarity,
+        "start_similarity": result.start_similarity,
+        "second_best": result.second_best,
+        "contrast": result.contrast,
+        "overlap": result.overlap,
+        "disagreement_mm": result.disagreement_mm,
+        "moved_mm": result.moved_mm,
+        "slices": result.slices,
+        "seconds": round(result.seconds, 3),
+    }
 
 
 def _errors(replay: Replay) -> dict[str, Any]:
