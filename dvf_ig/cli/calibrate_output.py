@@ -4,13 +4,23 @@ import hashlib
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from .shell import wrote
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import WireErrors
     from dvf_ig.core import FloatArray
+
+OutputOption = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", help="Write the result as JSON here, and as PLUS XML beside it."),
+]
+DeviceSetOption = Annotated[
+    Path, typer.Option("--device-set", help="PLUS device-set XML with the phantom and its placement.")
+]
 
 
 def save(
