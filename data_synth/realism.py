@@ -11,7 +11,7 @@ from scipy.stats import rayleigh
 from dvf_ig.core import FloatArray, Rigid
 
 from .realism_media import Medium, medium
-from .tissue import ACOUSTICS, Tissue
+from .tissue import ACOUSTICS, ANISOTROPY_DB, Tissue
 from .ultrasound import simulate_lines
 from .ultrasound_lines import form_beams
 from .ultrasound_probe import FWHM_PER_SIGMA, SectorProbe
@@ -125,6 +125,21 @@ def contrast_gates() -> list[Gate]:
         table = ACOUSTICS[tissue].echo_db - ACOUSTICS[Tissue.LV_MYOCARDIUM].echo_db
         gates.append(near(f"{tissue.name.lower()} re myocardium, dB", float(measured), table, 1.0))
     return gates
+
+
+def anisotropy_gate() -> Gate:
+    """How much less muscle returns whose wall runs along the beam than muscle that faces it, dB."""
+    levels = []
+    for along_beam in (False, True):
+        one = medium(Tissue.LV_MYOCARDIUM)
+        # beams of the narrow probe run along y
+        normal = np.array([1.0, 0.0, 0.0]) if along_beam else np.array([0.0, 1.0, 0.0])
+        grain = (np.sqrt(ANISOTROPY_DB) * normal).astype(np.float32).reshape(1, 1, 1, 3)
+        probe = replace(PROBE, half_angle_rad=0.06)
+        faced = replace(one, reference=replace(one.reference, grain=grain))
+        level = simulate_lines(faced, probe, FACING, np.zeros(probe.lines), seed=5, frame=0)
+        levels.append(10 * np.log10(np.mean(10 ** (level[:, _NEAR_SAMPLES:-10].astype(np.float64) / 10))))
+    return near("muscle along the beam re facing it, dB", float(levels[1] - levels[0]), -ANISOTROPY_DB, 0.5)
 
 
 def attenuation_gates() -> list[Gate]:

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import FloatArray
 
+from .muscle_grain import no_grain
 from .reference import CHANNELS, ReferenceMap
 from .tissue import ACOUSTICS, BLOOD, Tissue
 
@@ -64,7 +65,7 @@ def medium(
     origin[axis] = -40.5
     unused = np.zeros(fields.shape[:3], dtype=np.float32)
     codes = np.zeros(fields.shape[:3], dtype=np.uint8)
-    reference = ReferenceMap(origin, 1.0, unused, codes, codes, unused, fields)
+    reference = ReferenceMap(origin, 1.0, unused, codes, codes, unused, fields, no_grain())
     return Medium(reference, RigidShift(np.array(shift_mm), np.array(turn_rad)))
 
 

@@ -7,13 +7,21 @@ from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, Rigid
 
+from .anatomy import PhantomAnatomy
 from .realism import STANDARD, Gate
 from .realism_media import medium
 from .tissue import Tissue
 from .ultrasound import simulate_frame
 from .ultrasound_probe import SectorProbe
+from .ultrasound_views import standard_view
 
 BLOCK_MM, SEARCH_MM = 12.0, 4.0
+WALL_BLOCK_MM = 7.0
+"""As wide as the wall of the left ventricle."""
+EARLY_SYSTOLE = {"paper5mm": (0.08, 0.14), "physiological": (0.10, 0.13)}
+"""Two model phases between which the wall moves by some half a millimetre."""
+WALL_LATERAL_MM, WALL_AXIAL_MM = 0.6, 0.3
+"""Bounds in the beating wall, which strains and leaves the plane as it moves."""
 AXIAL_MM, LATERAL_MM = 0.15, 0.3
 """Bounds of the median errors: a third of the pulse, a sixth of the beam at the focus."""
 
@@ -34,7 +42,11 @@ class Match:
 
 
 def match_blocks(
-    first: NDArray[np.uint8], second: NDArray[np.uint8], probe: SectorProbe, places_mm: FloatArray
+    first: NDArray[np.uint8],
+    second: NDArray[np.uint8],
+    probe: SectorProbe,
+    places_mm: FloatArray,
+    block_mm: float = BLOCK_MM,
 ) -> Match:
     """Find the blocks around `places_mm` (n, 2) of the first image in the second one.
 
@@ -42,7 +54,7 @@ def match_blocks(
     """
     from skimage.feature import match_template
 
-    half, reach = round(0.5 * BLOCK_MM / probe.mm_per_px), round(SEARCH_MM / probe.mm_per_px)
+    half, reach = round(0.5 * block_mm / probe.mm_per_px), round(SEARCH_MM / probe.mm_per_px)
     pixels = np.rint(places_mm / probe.mm_per_px + np.array(probe.apex_px)).astype(int)
     moved, score = np.empty((len(pixels), 2)), np.empty(len(pixels))
     for n, (column, row) in enumerate(pixels):
@@ -76,6 +88,50 @@ def block_matching_gates(shift_mm: tuple[float, float] = (1.37, -0.83), turn_deg
         Gate("block matching, median axial error, mm", float(np.median(error[:, 1])), 0.0, AXIAL_MM),
         Gate("block matching, blocks within 1 mm", float((error.max(axis=1) < 1.0).mean()), 0.9, 1.0),
     ]
+
+
+def beating_gates(heart: PhantomAnatomy, phases: tuple[float, float]) -> list[Gate]:
+    """The same in the wall of a beating left ventricle, against the motion it was made with.
+
+    Blocks whose tissue leaves the plane by more than a third of the slice are not asked.
+    """
+    probe = STANDARD
+    pose = standard_view("epicardial short-axis", heart.reference)
+    images = [
+        simulate_frame(heart, probe, pose, np.full(probe.lines, phase), seed=1, frame=i)
+        for i, phase in enumerate(phases)
+    ]
+    places, truth = _wall_motion(heart, pose, phases)
+    match = match_blocks(images[0], images[1], probe, places, WALL_BLOCK_MM)
+    error = np.abs(match.moved - truth)
+    return [
+        Gate("beating wall, blocks", float(len(places)), 12.0, float("inf")),
+        Gate("beating wall, median motion, mm", float(np.median(np.hypot(*truth.T))), 0.5, SEARCH_MM),
+        Gate("beating wall, median lateral error, mm", float(np.median(error[:, 0])), 0.0, WALL_LATERAL_MM),
+        Gate("beating wall, median axial error, mm", float(np.median(error[:, 1])), 0.0, WALL_AXIAL_MM),
+    ]
+
+
+def _wall_motion(
+    heart: PhantomAnatomy, pose: Rigid, phases: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """(n, 2) places in the middle of the wall at the first phase, and their true displacement, plane, mm."""
+    depth, angle = np.meshgrid(
+        np.arange(35.0, 121.0, 4.0), np.deg2rad(np.arange(-24, 25, 4.0)), indexing="ij"
+    )
+    flat = np.column_stack([(depth * np.sin(angle)).ravel(), (depth * np.cos(angle)).ravel()])
+    around = 0.35 * WALL_BLOCK_MM * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+    inside = np.ones(len(flat), dtype=np.bool_)
+    for offset in around:
+        at = pose.apply_array(np.column_stack([flat + offset, np.zeros(len(flat))]))
+        inside &= heart.tissue(at, phases[0]) == Tissue.LV_MYOCARDIUM
+    flat = flat[inside]
+    start = pose.apply_array(np.column_stack([flat, np.zeros(len(flat))]))
+    material = heart.material(start, phases[0])
+    there = pose.inverse().apply_array(heart.mismatch.forward(heart.deformed(material, phases[1])))
+    slice_mm = STANDARD.elevation_fwhm_mm(flat[:, 1])
+    stays = np.abs(there[:, 2]) < slice_mm / 3
+    return flat[stays], there[stays, :2] - flat[stays]
 
 
 def block_places(probe: SectorProbe) -> FloatArray:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from dvf_ig.core import FloatArray
 
 from .kernels import lookup
+from .muscle_grain import muscle_grain
 from .tissue import ACOUSTICS, BLOOD, Tissue, bssfp_signal
 
 Layers = list[tuple[Tissue, FloatArray]]
@@ -18,6 +19,9 @@ CHANNELS = 5
 """Ultrasound channels: ln Z, α dB/cm/MHz, echo amplitude of tissue, of blood, and |∇ ln Z| per mm."""
 
 _THREADS = 2
+REFLECTORS = (Tissue.LUNG, Tissue.BONE)
+_REFLECTOR_EDGE = 3.0
+"""Wider by this: a tenth of their edge reflects all, and must not be a staircase of nodes."""
 
 
 class ReferenceShapes(Protocol):
@@ -54,6 +58,7 @@ class ReferenceMap:
         inner, outer: (nx, ny, nz) uint8 codes that hold where the organ depth is positive, or not.
         signal: (nx, ny, nz) float32 noise-free bSSFP signal.
         acoustics: (nx, ny, nz, CHANNELS) float32.
+        grain: wall normals on a coarser grid from the same origin, see `muscle_grain`.
     """
 
     origin_mm: FloatArray
@@ -63,6 +68,7 @@ class ReferenceMap:
     outer: NDArray[np.uint8]
     signal: NDArray[np.float32]
     acoustics: NDArray[np.float32]
+    grain: NDArray[np.float32]
 
     def sample(self, xyz_mm: FloatArray, signal: NDArray[np.float32], codes: NDArray[np.uint8]) -> None:
         """MR signal and tissue code at (n, 3) reference positions, into `signal` and `codes` (n,)."""
@@ -120,7 +126,8 @@ def build_reference(shapes: ReferenceShapes, box_mm: FloatArray, spacing_mm: flo
     with ThreadPoolExecutor(_THREADS) as pool:
         list(pool.map(fill, range(shape[0])))
     lookup.gradient_norm(acoustics, 1.0 / spacing_mm)
-    return ReferenceMap(np.array(box_mm[0]), spacing_mm, organ, inner, outer, signal, acoustics)
+    grain = muscle_grain(np.where(organ > 0, inner, outer), spacing_mm)
+    return ReferenceMap(np.array(box_mm[0]), spacing_mm, organ, inner, outer, signal, acoustics, grain)
 
 
 def _codes(
@@ -148,10 +155,11 @@ def _painted(
 def _paint(rows: FloatArray, codes: NDArray[np.uint8], layers: Layers, edge_mm: float) -> None:
     """Paint layer over layer, each edge blended over `edge_mm`; codes change at depth 0."""
     for tissue, depth in layers:
-        touched = np.flatnonzero(depth > -0.5 * edge_mm)
+        wide_mm = edge_mm * (_REFLECTOR_EDGE if tissue in REFLECTORS else 1.0)
+        touched = np.flatnonzero(depth > -0.5 * wide_mm)
         if not len(touched):
             continue
-        share = np.minimum(0.5 + depth[touched] / edge_mm, 1.0)[:, None]
+        share = np.minimum(0.5 + depth[touched] / wide_mm, 1.0)[:, None]
         rows[touched] += share * (_PROPERTIES[int(tissue)] - rows[touched])
         codes[depth > 0] = tissue
 

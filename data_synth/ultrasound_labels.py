@@ -10,6 +10,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from dvf_ig.core import AnyArray, FloatArray, InvalidInputError, Volume
 
 from .kernels import lookup
+from .muscle_grain import muscle_grain
 from .reference import CHANNELS, ReferenceMap
 from .tissue import ACOUSTICS, BLOOD, FIRST_OUTSIDE, Tissue
 
@@ -90,7 +91,10 @@ def label_anatomy(
     outer = np.where(organ_mm > 0, Tissue.MEDIASTINUM, codes).astype(np.uint8)
     fields = _acoustic_fields(codes, spacing_mm)
     unseen = np.zeros(codes.shape, dtype=np.float32)
-    return LabelAnatomy(ReferenceMap(origin, spacing_mm, organ_mm, inner, outer, unseen, fields), Still())
+    grain = muscle_grain(codes, spacing_mm)
+    return LabelAnatomy(
+        ReferenceMap(origin, spacing_mm, organ_mm, inner, outer, unseen, fields, grain), Still()
+    )
 
 
 def _resampled(

@@ -14,7 +14,9 @@ from . import ultrasound_beam as beam
 from .kernels import sector
 from .line_tracing import traced_lines
 from .motion import PullBack
+from .muscle_grain import STRIDE
 from .reference import ReferenceMap
+from .slice_lattice import Lattice, slice_lattice
 from .ultrasound_probe import FWHM_PER_SIGMA, SectorProbe
 
 Raster = NDArray[np.float32]
@@ -100,6 +102,7 @@ def envelope_lines(
     require_same_frame("mr", mr_from_plane.target, "image plane")
     require_same_frame("plane", mr_from_plane.source, "image plane")
     tables, seeds = beam_tables(probe), Seeds.of(seed, frame, probe.bands)
+    lattice = slice_lattice(probe, mr_from_plane.rotation[:, 2])
     directions = probe.directions @ mr_from_plane.rotation.T
     planes = [
         insonified(anatomy, probe, mr_from_plane, directions, phases, k)
@@ -109,8 +112,8 @@ def envelope_lines(
     out = np.empty((2, probe.lines, probe.samples), dtype=np.float32)
     for band in range(probe.bands):
         parts = np.zeros((2, probe.lines * probe.fine_lines, 2 * probe.samples), dtype=np.float32)
-        for path, amplitudes in planes:
-            scatter(probe, path, amplitudes, seeds, band, parts)
+        for lit in planes:
+            scatter(probe, lattice, *lit, seeds, band, parts)
         add_haze(probe, seeds, band, parts)
         for part, formed in zip(parts, out, strict=True):
             form_beams(probe, part, formed)
@@ -126,8 +129,8 @@ def insonified(
     directions: FloatArray,
     phases: FloatArray,
     plane: int = 0,
-) -> tuple[FloatArray, tuple[Raster, Raster, Raster]]:
-    """Reference positions along the lines, and the amplitudes (tissue, blood, interface) that return.
+) -> tuple[FloatArray, tuple[Raster, Raster, Raster], FloatArray]:
+    """Reference positions along the lines, the amplitudes (tissue, blood, interface) that return, reflectors.
 
     Args:
         directions: (lines, 3) unit vectors of the scan lines, frame "mr".
@@ -146,6 +149,8 @@ def insonified(
         reference.acoustics,
         reference.origin_mm,
         1.0 / reference.spacing_mm,
+        reference.grain,
+        1.0 / (STRIDE * reference.spacing_mm),
         probe.step_mm,
         probe.frequency_mhz,
         10 ** (probe.specular_db / 20),
@@ -161,24 +166,27 @@ def insonified(
         tissue *= tables.scatter_weight[plane]
         blood *= tables.scatter_weight[plane]
         echo *= tables.echo_weight[plane]
-    return path, (tissue, blood, echo)
+    return path, (tissue, blood, echo), mirror
 
 
 def scatter(
     probe: SectorProbe,
+    lattice: Lattice,
     path: FloatArray,
     amplitudes: tuple[Raster, Raster, Raster],
+    mirror: FloatArray,
     seeds: Seeds,
     band: int,
     parts: Raster,
 ) -> None:
-    """Add the scatterers' and interfaces' echoes to `parts` (2, lines·fine, 2·samples)."""
+    """Add the echoes of what `insonified` gave to `parts` (2, lines·fine, 2·samples)."""
     sector.scatter(
-        path,
+        path @ lattice.axes.T,
         *amplitudes,
-        1.0 / beam.LATTICE_MM,
+        mirror,
+        lattice.per_mm,
         beam_tables(probe).deviates,
-        seeds.texture[band],
+        np.uint64(int(seeds.texture[band]) ^ lattice.number),
         np.uint64(int(seeds.once) ^ band),
         probe.fine_lines,
         parts[0],

@@ -12,6 +12,7 @@ from dvf_ig.core.frames import require_same_frame
 
 from . import ultrasound_beam as beam
 from .kernels import scan, sector
+from .slice_lattice import fine_lattice
 from .ultrasound import checked_phases, log_compressed
 from .ultrasound_lines import Insonified, Raster, Seeds, beam_tables, detect, form_beams, insonified, scatter
 from .ultrasound_probe import SectorProbe
@@ -144,13 +145,15 @@ def _rows_of_beams(
         pool.map(lambda e: insonified(anatomy, s, mr_from_plane, directions[e], phases[e]), range(tall))
     )
 
+    lattice = fine_lattice()
+
     def form(m: int) -> None:
         # between rows as the scatterers do between lines: paths interpolated, amplitudes of the nearer row
         place = min(max((m + 0.5) / fine - 0.5, 0.0), tall - 1.0)
         left = min(int(place), tall - 2)
         path = lit[left][0] + (place - left) * (lit[left + 1][0] - lit[left][0])
         parts = np.zeros((2, s.lines * fine, 2 * s.samples), dtype=np.float32)
-        scatter(s, path, lit[m // fine][1], seeds, 0, parts)
+        scatter(s, lattice, path, *lit[m // fine][1:], seeds, 0, parts)
         for part, out in zip(parts, beams[:, m], strict=True):
             form_beams(s, part, out)
 

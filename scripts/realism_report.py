@@ -4,6 +4,7 @@ import io
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from data_synth.motion_report import motion_report
 from data_synth.realism import (
     STANDARD,
     Gate,
+    anisotropy_gate,
     attenuation_gates,
     contrast_gates,
     elevation_gate,
@@ -23,7 +25,7 @@ from data_synth.realism import (
     texture_gates,
 )
 from data_synth.realism_heart import heart_gates
-from data_synth.realism_motion import block_matching_gates
+from data_synth.realism_motion import EARLY_SYSTOLE, beating_gates, block_matching_gates
 from data_synth.realism_page import bounds, realism_figure, realism_html
 from data_synth.realism_scan import real_pair_gates
 from data_synth.ultrasound import simulate_sequence
@@ -44,11 +46,17 @@ def main() -> int:
         *point_gates(),
         elevation_gate(),
         *contrast_gates(),
+        anisotropy_gate(),
         *attenuation_gates(),
         *block_matching_gates(),
         *_scan_conversion(),
     ]
     hearts = {m: phantom_anatomy(motion=m, mismatch_mm=1.2, seed=1) for m in MOTIONS}
+    for motion, heart in hearts.items():
+        gates += [
+            replace(gate, name=f"{motion}: {gate.name}")
+            for gate in beating_gates(heart, EARLY_SYSTOLE[motion])
+        ]
     gates += _rates(hearts["physiological"])
     for motion, heart in hearts.items():
         gates += heart_gates(motion, motion_report(heart))

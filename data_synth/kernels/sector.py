@@ -5,7 +5,7 @@ from numba import njit
 
 from dvf_ig.core import AnyArray
 
-from .lookup import cell
+from .lookup import cell, nearest
 
 TABLE = 8192
 """Entries in the table of complex normal deviates that lattice hashes point into."""
@@ -15,6 +15,8 @@ MIRROR = 0.5
 
 _ECHO_REACH = 8
 _DIRT_MM = 20.0
+_SAME_REFLECTOR = 24
+"""Samples by which a reflector may jump between neighbouring lines and still be one surface."""
 
 _U1 = np.uint64(0xFF51AFD7ED558CCD)
 _U2 = np.uint64(0xC4CEB9FE1A85EC53)
@@ -43,6 +45,8 @@ def insonify(
     acoustics: AnyArray,
     map_origin: AnyArray,
     map_inverse: float,
+    grain: AnyArray,
+    grain_inverse: float,
     step_mm: float,
     frequency: float,
     specular: float,
@@ -57,10 +61,12 @@ def insonify(
     Loss accumulates along the line: absorption 2αf, and at each interface the transmission 1 − R² once, with
     R = tanh(½ Δ ln Z) over the whole monotone rise of ln Z. The integral of ∇ln Z along a line does not
     depend on the angle at which it crosses an interface, so what is reflected returns in proportion to the
-    cosine between beam and interface normal, to the given power.
+    cosine between beam and interface normal, to the given power. Muscle's scatter drops by the sine squared
+    of the angle between beam and wall normal, in dB.
 
     Args:
         path: (lines, samples + 1, 3) reference positions of the ends of the samples.
+        grain: wall normals, see `muscle_grain`, from the same origin.
         tissue, blood, echo: (lines, samples) float32 out: scatter amplitudes and specular amplitude.
         mirror: (lines, 3) out: sample of the first total reflector (−1: none), its reflection coefficient,
             and the two-way amplitude of what reaches it.
@@ -106,6 +112,21 @@ def insonify(
                 seen = 1.0 - after * after
                 facing = min(abs(rise) / (slope * step_mm + 1e-6), 1.0)
                 echo[line, i] = specular * abs(after - before) * facing**power * level * passed
+            if muscle > 0.0:
+                a, b, e = (
+                    nearest((x - map_origin[0]) * grain_inverse, grain.shape[0]),
+                    nearest((y - map_origin[1]) * grain_inverse, grain.shape[1]),
+                    nearest((z - map_origin[2]) * grain_inverse, grain.shape[2]),
+                )
+                gx, gy, gz = grain[a, b, e, 0], grain[a, b, e, 1], grain[a, b, e, 2]
+                drop_db = gx * gx + gy * gy + gz * gz
+                if drop_db > 0.0:
+                    dx = path[line, i + 1, 0] - path[line, i, 0]
+                    dy = path[line, i + 1, 1] - path[line, i, 1]
+                    dz = path[line, i + 1, 2] - path[line, i, 2]
+                    along = gx * dx + gy * dy + gz * dz
+                    drop_db -= along * along / (dx * dx + dy * dy + dz * dz + 1e-12)
+                    muscle *= 10.0 ** (-0.05 * drop_db)
             tissue[line, i] = muscle * level * passed * seen
             blood[line, i] = plasma * level * passed * seen
             if mirror[line, 0] < 0.0 and abs(after) > MIRROR:
@@ -146,7 +167,8 @@ def scatter(
     tissue: AnyArray,
     blood: AnyArray,
     echo: AnyArray,
-    lattice_inverse: float,
+    mirror: AnyArray,
+    per_mm: AnyArray,
     table: AnyArray,
     seed: np.uint64,
     frame_seed: np.uint64,
@@ -157,8 +179,13 @@ def scatter(
     """Complex echoes of the scatterers on a laterally and axially finer raster.
 
     Tissue scatterers are fixed to lattice cells of the reference heart and move with it; blood is redrawn
-    with every frame. `real`, `imaginary`: (lines·fine, 2·samples) float32, added to: in each row all first
-    halves of the samples, then all second halves.
+    with every frame. A total reflector (`mirror`, see `insonify`) lies as deep on a fine line as its
+    neighbours say, so that an oblique one is a line and no comb.
+
+    Args:
+        path: (lines, samples + 1, 3) along the lattice's axes, which has `per_mm` (3,) cells a millimetre.
+        real, imaginary: (lines·fine, 2·samples) float32, added to: in each row all first halves of the
+            samples, then all second halves.
     """
     lines, samples = tissue.shape
     for m in range(lines * fine):
@@ -166,8 +193,18 @@ def scatter(
         left = min(int(p), lines - 2)
         g = p - left
         near = m // fine
+        reflector = mirror[near, 0]
+        deeper = 0
+        if (
+            mirror[left, 0] >= 0.0
+            and mirror[left + 1, 0] >= 0.0
+            and (abs(mirror[left + 1, 0] - mirror[left, 0]) < _SAME_REFLECTOR)
+        ):
+            deeper = int(np.round(mirror[left, 0] + g * (mirror[left + 1, 0] - mirror[left, 0]) - reflector))
         for i in range(samples):
             t, b, s = tissue[near, i], blood[near, i], echo[near, i]
+            if deeper != 0 and i > reflector - _ECHO_REACH + min(deeper, 0):
+                s = echo[near, min(max(i - deeper, 0), samples - 1)]
             for half in range(2):
                 j = half * samples + i
                 if t < 1e-6 and b < 1e-6:
@@ -181,9 +218,9 @@ def scatter(
                 u = n1 * near1[0] + f1 * far1[0] + n2 * near2[0] + f2 * far2[0]
                 v = n1 * near1[1] + f1 * far1[1] + n2 * near2[1] + f2 * far2[1]
                 w = n1 * near1[2] + f1 * far1[2] + n2 * near2[2] + f2 * far2[2]
-                ui = np.int64(np.floor(u * lattice_inverse))
-                vi = np.int64(np.floor(v * lattice_inverse))
-                wi = np.int64(np.floor(w * lattice_inverse))
+                ui = np.int64(np.floor(u * per_mm[0]))
+                vi = np.int64(np.floor(v * per_mm[1]))
+                wi = np.int64(np.floor(w * per_mm[2]))
                 re, im = np.float32(s), np.float32(0.0)
                 if t >= 1e-6:
                     h = lattice_hash(ui, vi, wi, seed)

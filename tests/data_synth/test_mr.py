@@ -14,6 +14,7 @@ from data_synth.heart_clock import two_segment_phase
 from data_synth.motion import InverseMotion
 from data_synth.mr import FWHM_PER_SIGMA, coil_shading, measured
 from data_synth.mr_stack import StackCine, StackProtocol, stack_cine, stack_grid
+from data_synth.muscle_grain import no_grain
 from data_synth.reference import CHANNELS, ReferenceMap, tissue_at
 from data_synth.surface_closing import closed_series
 from data_synth.surfaces import depth_grid
@@ -73,7 +74,9 @@ def edge_at_zero() -> ReferenceMap:
     signal[80] = 0.5 * bssfp_signal(Tissue.LV_BLOOD)
     codes = np.zeros(shape, dtype=np.uint8)
     acoustics = np.zeros((*shape, CHANNELS), dtype=np.float32)
-    return ReferenceMap(np.array([-20.0, -50, -50]), 0.25, signal, codes, codes, signal, acoustics)
+    return ReferenceMap(
+        np.array([-20.0, -50, -50]), 0.25, signal, codes, codes, signal, acoustics, no_grain()
+    )
 
 
 def test_slice_profile_blurs_an_edge_by_its_thickness() -> None:

@@ -10,11 +10,13 @@ import pytest
 import SimpleITK
 
 from data_synth import realism
+from data_synth.anatomy import phantom_anatomy
+from data_synth.motion import MotionPreset
 from data_synth.motion_report import MotionReport
 from data_synth.realism import STANDARD, Gate
 from data_synth.realism_heart import heart_gates
 from data_synth.realism_media import medium
-from data_synth.realism_motion import block_matching_gates
+from data_synth.realism_motion import EARLY_SYSTOLE, beating_gates, block_matching_gates
 from data_synth.realism_page import realism_html
 from data_synth.realism_scan import real_pair_gates
 from data_synth.tissue import Tissue
@@ -47,6 +49,16 @@ def test_blood_is_fully_developed_speckle_too() -> None:
 )
 def test_physics(measured: Callable[[], list[Gate]]) -> None:
     assert failed(measured()) == []
+
+
+def test_muscle_returns_less_where_its_wall_runs_along_the_beam() -> None:
+    assert failed([realism.anisotropy_gate()]) == []
+
+
+@pytest.mark.parametrize("motion", ["paper5mm", "physiological"])
+def test_speckle_follows_the_beating_wall(motion: MotionPreset) -> None:
+    heart = phantom_anatomy(motion=motion, mismatch_mm=1.2, seed=2)
+    assert failed(beating_gates(heart, EARLY_SYSTOLE[motion])) == []
 
 
 def test_point_target_of_the_scenarios_probe() -> None:
