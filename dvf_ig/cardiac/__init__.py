@@ -4,6 +4,8 @@ All of it is causal, but `beat_phase`, which places moments between two R peaks 
 """
 
 from .beat_finder import RPeakOptions as RPeakOptions
+from .beat_pattern import BeatKind as BeatKind
+from .beat_pattern import PatternOptions as PatternOptions
 from .beats import BeatPhase as BeatPhase
 from .beats import beat_phase as beat_phase
 from .lead_watch import LeadChange as LeadChange
@@ -11,19 +13,24 @@ from .lead_watch import LeadWatch as LeadWatch
 from .phase_clock import PhaseClock as PhaseClock
 from .phase_clock import PhaseClockOptions as PhaseClockOptions
 from .phase_clock import PhaseReading as PhaseReading
+from .retime import SYSTOLE_SLOPE_S_PER_BPM as SYSTOLE_SLOPE_S_PER_BPM
 from .retime import RetimeMode as RetimeMode
 from .retime import frame_period_s as frame_period_s
 from .retime import retime as retime
 from .retime import systole_share as systole_share
+from .rhythm import RhythmOptions as RhythmOptions
 from .rpeak import RPeak as RPeak
 from .rpeak import RPeakDetector as RPeakDetector
 from .rpeak import detect_r_peaks as detect_r_peaks
 from .rr_predictor import PREDICTORS as PREDICTORS
 from .rr_predictor import PredictorName as PredictorName
+from .rr_predictor import make_predictor as make_predictor
 from .summary import FEWEST_BEATS as FEWEST_BEATS
 from .summary import GateSummary as GateSummary
+from .summary import state_segments as state_segments
 from .summary import summarise_gating as summarise_gating
 from .tracking import PhaseTracking as PhaseTracking
 from .tracking import phase_from_peaks as phase_from_peaks
 from .tracking import stream_recording as stream_recording
 from .tracking import track_phase as track_phase
+from .trigger import trigger_peaks as trigger_peaks

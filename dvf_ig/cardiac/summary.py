@@ -1,10 +1,11 @@
 """What a recording's gating amounts to: rate, and where phase may be used."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, PhaseTrack
+from dvf_ig.core import FloatArray, InvalidInputError, PhaseState, PhaseTrack
 
 from .rpeak import RPeak
 
@@ -45,4 +46,14 @@ def summarise_gating(peaks: tuple[RPeak, ...], track: PhaseTrack) -> GateSummary
         rate_bpm=float(60.0 / np.median(intervals)),
         valid_share=float(valid.mean()),
         invalid_segments_s=np.array(segments, dtype=np.float64).reshape(-1, 2),
+    )
+
+
+def state_segments(track: PhaseTrack) -> tuple[tuple[float, float, PhaseState], ...]:
+    """(start s, stop s, state) of each stretch of one state, in order; together they cover the track."""
+    edges = [0, *(np.flatnonzero(np.diff(track.state)) + 1).tolist(), len(track.state)]
+    last = len(track.t_s) - 1
+    return tuple(
+        (float(track.t_s[a]), float(track.t_s[min(b, last)]), PhaseState(int(track.state[a])))
+        for a, b in pairwise(edges)
     )

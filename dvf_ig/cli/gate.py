@@ -1,4 +1,4 @@
-"""`dvf-ig gate`: R peaks and phase of an ECG, as they would have been known live."""
+"""`dvf-ig gate`: R peaks and phase of an ECG or a trigger, as they would have been known live."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,60 +8,107 @@ import typer
 from .shell import JsonFlag, command, emit, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.cardiac import PhaseTracking
+    from dvf_ig.cardiac import PhaseClockOptions, PhaseTracking
     from dvf_ig.core import Signal
 
 VALIDITY_RATE_HZ = 100.0
+TRIGGER_PREFIX = "trigger:"
 
 
 def gate(
-    ecg: Annotated[str, typer.Argument(help="wfdb:RECORD, edf:FILE or csv:FILE.", metavar="ECG")],
+    ecg: Annotated[
+        str, typer.Argument(help="wfdb:RECORD, edf:FILE, csv:FILE or trigger:FILE.", metavar="ECG")
+    ],
     phase_at: Annotated[
         float | None,
         typer.Option("--phase-at", help="Also give phase at this rate (Hz).", min=0.1, max=10_000.0),
     ] = None,
     predictor: Annotated[str, typer.Option("--predictor", help="RR predictor: ar8, ewma or last.")] = "ar8",
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the result (JSON).")] = None,
+    delay_s: Annotated[
+        float | None,
+        typer.Option("--delay-s", help="trigger:FILE only: how long after R the trigger fires (s)."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the result (JSON), and a picture beside it.")
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Find R peaks causally and say where the heart's phase could be trusted."""
     with command():
-        from dvf_ig.io import read_ecg, write_json
+        from dvf_ig.io import write_json
 
-        signal = read_ecg(ecg)
         rate_hz = phase_at or VALIDITY_RATE_HZ
-        tracking = _track(signal, rate_hz, predictor)
+        signal, tracking = _track(ecg, rate_hz, predictor, delay_s)
         result = _result(tracking, with_phase=phase_at is not None)
         if output is not None:
             write_json(output, result)
             wrote(output)
+            _draw(output.with_suffix(".png"), ecg, signal, tracking)
         emit(result, _rows(result), as_json=as_json)
 
 
-def _track(signal: "Signal", rate_hz: float, predictor: str) -> "PhaseTracking":
+def _track(
+    spec: str, rate_hz: float, predictor: str, delay_s: float | None
+) -> "tuple[Signal | None, PhaseTracking]":
     import numpy as np
 
-    from dvf_ig.cardiac import PREDICTORS, PhaseClockOptions, track_phase
+    from dvf_ig.cardiac import track_phase
     from dvf_ig.core import InvalidInputError
+    from dvf_ig.io import read_ecg
 
-    if predictor not in PREDICTORS:
-        raise InvalidInputError(f"RR predictor '{predictor}' is unknown; choose {', '.join(PREDICTORS)}")
+    options = _options(predictor)
+    if spec.startswith(TRIGGER_PREFIX):
+        return None, _track_trigger(Path(spec[len(TRIGGER_PREFIX) :]), rate_hz, options, delay_s or 0.0)
+    if delay_s is not None:
+        raise InvalidInputError(
+            f"--delay-s belongs to trigger:FILE; '{spec}' is an ECG, whose R peaks are found"
+        )
+    signal = read_ecg(spec)
     duration_s = len(signal) / signal.rate_hz
     t_s = signal.start_s + np.arange(max(1, int(duration_s * rate_hz))) / rate_hz
-    options = PhaseClockOptions(predictor=predictor)
-    return track_phase(signal, t_s, options=options)
+    return signal, track_phase(signal, t_s, options=options)
+
+
+def _track_trigger(
+    path: Path, rate_hz: float, options: "PhaseClockOptions", delay_s: float
+) -> "PhaseTracking":
+    import numpy as np
+
+    from dvf_ig.cardiac import PhaseTracking, phase_from_peaks, trigger_peaks
+    from dvf_ig.io import read_triggers
+
+    fired_s = read_triggers(path)
+    peaks = trigger_peaks(fired_s, delay_s)
+    count = max(1, int((fired_s[-1] - fired_s[0]) * rate_hz) + 1)
+    t_s = fired_s[0] + np.arange(count) / rate_hz
+    return PhaseTracking(peaks, (), phase_from_peaks(peaks, (), t_s, options=options))
+
+
+def _options(predictor: str) -> "PhaseClockOptions":
+    from dvf_ig.cardiac import PREDICTORS, PhaseClockOptions, RhythmOptions
+    from dvf_ig.core import InvalidInputError
+
+    for name in PREDICTORS:
+        if name == predictor:
+            return PhaseClockOptions(rhythm=RhythmOptions(predictor=name))
+    raise InvalidInputError(f"RR predictor '{predictor}' is unknown; choose {', '.join(PREDICTORS)}")
 
 
 def _result(tracking: "PhaseTracking", *, with_phase: bool) -> dict[str, Any]:
-    from dvf_ig.cardiac import summarise_gating
+    from dvf_ig.cardiac import state_segments, summarise_gating
 
     summary = summarise_gating(tracking.peaks, tracking.track)
     result: dict[str, Any] = {
         "beats_s": [peak.t_s for peak in tracking.peaks],
         "detected_at_s": [peak.detected_at_s for peak in tracking.peaks],
+        "quality": [peak.quality for peak in tracking.peaks],
         "rate_bpm": summary.rate_bpm,
         "valid_share": summary.valid_share,
         "invalid_segments_s": summary.invalid_segments_s.tolist(),
+        "state_segments": [
+            {"start_s": start, "stop_s": stop, "state": state.name}
+            for start, stop, state in state_segments(tracking.track)
+        ],
     }
     if with_phase:
         track = tracking.track
@@ -71,6 +118,18 @@ def _result(tracking: "PhaseTracking", *, with_phase: bool) -> dict[str, Any]:
             "valid": track.valid.tolist(),
         }
     return result
+
+
+def _draw(path: Path, spec: str, signal: "Signal | None", tracking: "PhaseTracking") -> None:
+    import numpy as np
+
+    from dvf_ig.io import gate_png
+    from dvf_ig.io.atomic import write_bytes
+
+    name = Path(spec.partition(":")[2]).name
+    peaks_s = np.array([peak.t_s for peak in tracking.peaks])
+    write_bytes(path, gate_png(name, signal, peaks_s, tracking.track))
+    wrote(path)
 
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
@@ -86,4 +145,15 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
         ("known after", f"{1000 * delays[len(delays) // 2]:.0f} ms (median)"),
         ("phase valid", f"{100 * result['valid_share']:.1f} % of the time"),
         ("not valid", f"{shown}{more} s" if segments else "never"),
+        ("because", ", ".join(_reasons(result["state_segments"])) or "–"),
     ]
+
+
+def _reasons(segments: list[dict[str, Any]]) -> list[str]:
+    """Seconds in each state other than LOCKED, the longest first."""
+    seconds: dict[str, float] = {}
+    for segment in segments:
+        if segment["state"] != "LOCKED":
+            length_s = segment["stop_s"] - segment["start_s"]
+            seconds[segment["state"]] = seconds.get(segment["state"], 0.0) + length_s
+    return [f"{name} {s:.0f} s" for name, s in sorted(seconds.items(), key=lambda item: -item[1])]

@@ -1,5 +1,6 @@
 """`dvf-ig gate`: fixed JSON names, files, exit codes."""
 
+import itertools
 import json
 from pathlib import Path
 
@@ -39,6 +40,33 @@ def test_json_names_and_file(ecg: Path, tmp_path: Path) -> None:
     assert len(result["phase"]["phi"]) == 1000
     assert result["rate_bpm"] == pytest.approx(75, abs=1)
     assert json.loads(out.read_text()) == result
+    assert len(result["quality"]) == len(result["beats_s"])
+    segments = result["state_segments"]
+    assert [segments[0]["state"], segments[-1]["state"]] == ["INIT", "LOCKED"]
+    assert all(a["stop_s"] == b["start_s"] for a, b in itertools.pairwise(segments))
+    assert out.with_suffix(".png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_trigger_is_an_equal_input(tmp_path: Path) -> None:
+    path = tmp_path / "trigger.csv"
+    path.write_text("t_s\n" + "\n".join(f"{0.8 * k + 0.02:.3f}" for k in range(40)) + "\n")
+    arguments = ["gate", f"trigger:{path}", "--delay-s", "0.02", "--phase-at", "20", "--json"]
+    done = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "out.json")])
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result["beats_s"] == pytest.approx([0.8 * k for k in range(40)])
+    phase = result["phase"]
+    late = np.array(phase["t_s"]) > 5.0
+    assert np.array(phase["valid"])[late].all()
+    error = np.array(phase["phi"]) - (np.array(phase["t_s"]) / 0.8) % 1.0
+    assert np.abs((error[late] + 0.5) % 1.0 - 0.5).max() < 1e-6
+    assert (tmp_path / "out.png").is_file()
+
+
+def test_a_delay_without_a_trigger_exits_3(ecg: Path) -> None:
+    done = CliRunner().invoke(app, ["gate", f"csv:{ecg}", "--delay-s", "0.02"])
+    assert done.exit_code == 3
+    assert "belongs to trigger:FILE" in done.output
 
 
 def test_an_ecg_without_beats_exits_3(tmp_path: Path) -> None:
