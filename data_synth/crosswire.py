@@ -67,8 +67,13 @@ def crosswire_recording(
     tracker: TrackerSpec,
     spec: CrossWireSpec,
     rng: np.random.Generator,
+    *,
+    rendered: bool = True,
 ) -> CrossWire:
-    """Tracked images with the crossing in (nearly) the image plane, from many directions and distances."""
+    """Tracked images with the crossing in (nearly) the image plane, from many directions and distances.
+
+    Without images where not `rendered`; everything else is the same.
+    """
     mounted = probe_from_plane(probe_from_image, probe)
     tracker_from_tank = tank_in_tracker(rng)
     views = [_view(probe, spec, rng) for _ in range(spec.frames)]
@@ -78,7 +83,9 @@ def crosswire_recording(
     crossing = np.stack([view.inverse().translation_mm for view in views])
     exact = np.asarray(probe.apex_px) + crossing[:, None, :2] / probe.mm_per_px
     seed = int(rng.integers(2**31))
-    images = water_images(probe, [wire_echoes(WIRES, view.inverse(), probe, seed) for view in views], seed)
+    images = None
+    if rendered:
+        images = water_images(probe, [wire_echoes(WIRES, v.inverse(), probe, seed) for v in views], seed)
     features = noisy_features(exact, probe_from_image, spec.point_noise_mm, spec.failed_share, rng)
     recording = TankRecording(tracked_images(stream, images), probe.fan, features, exact)
     return CrossWire(recording, tracker_from_tank.apply(Points("tank", np.zeros((1, 3)))))

@@ -18,7 +18,7 @@ class TankRecording:
     """What was recorded of one phantom.
 
     Attributes:
-        sequence: images, with tracker_from_probe at their times (video and tracker clocks agree).
+        sequence: images (or None), with tracker_from_probe at their times (video and tracker clocks agree).
         fan: the insonified sector.
         features_px: (n, k, 2) column and row of each feature as segmented, with its noise; NaN where it was
             not found.
@@ -53,7 +53,7 @@ def still_poses(
     return tracked(lambda _: (rotations, translations), first.target, first.source, t_s, t_s, tracker, rng)
 
 
-def tracked_images(stream: PoseStream, images: NDArray[np.uint8]) -> TrackedSequence:
+def tracked_images(stream: PoseStream, images: NDArray[np.uint8] | None) -> TrackedSequence:
     """Images with the poses recorded beside them."""
     return TrackedSequence(stream.t_s, images, np.ones(len(stream), dtype=np.bool_), {stream.name: stream})
 

@@ -35,7 +35,7 @@ class WallSpec:
     frames: int = 60
     frame_s: float = 0.5
     depth_mm: tuple[float, float] = (40.0, 115.0)
-    tilt_deg: float = 12.0
+    tilt_deg: float = 35.0
     half_span_mm: float = 12.0
     point_noise_mm: float = 0.3
     failed_share: float = 0.03
@@ -67,8 +67,10 @@ def wall_recording(
     tracker: TrackerSpec,
     spec: WallSpec,
     rng: np.random.Generator,
+    *,
+    rendered: bool = True,
 ) -> Wall:
-    """Tracked images of the floor z = 0 of a tank."""
+    """Tracked images of the floor z = 0 of a tank; where not `rendered`, the same without images."""
     mounted = probe_from_plane(probe_from_image, probe)
     tracker_from_tank = tank_in_tracker(rng)
     views = [_view(spec, rng) for _ in range(spec.frames)]
@@ -76,13 +78,14 @@ def wall_recording(
         [tracker_from_tank @ view @ mounted.inverse() for view in views], spec.frame_s, tracker, rng
     )
     seed = int(rng.integers(2**31))
-    speckle = np.random.default_rng(seed)
-    echoes = [wall_echoes(view.rotation[2], -view.translation_mm[2], probe, speckle) for view in views]
+    images = None
+    if rendered:
+        speckle = np.random.default_rng(seed)
+        echoes = [wall_echoes(view.rotation[2], -view.translation_mm[2], probe, speckle) for view in views]
+        images = water_images(probe, echoes, seed)
     exact = np.stack([_line_px(view, probe, spec) for view in views])
     features = noisy_features(exact, probe_from_image, spec.point_noise_mm, spec.failed_share, rng)
-    recording = TankRecording(
-        tracked_images(stream, water_images(probe, echoes, seed)), probe.fan, features, exact
-    )
+    recording = TankRecording(tracked_images(stream, images), probe.fan, features, exact)
     normal = tracker_from_tank.rotation[:, 2]
     return Wall(recording, normal, float(normal @ tracker_from_tank.translation_mm))
 

@@ -1,4 +1,4 @@
-"""Landmark registration: a rigid map between paired points, and finding the points in a stylus stream."""
+"""Landmark registration: a rigid map between paired points, with the evidence for and against it."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -6,11 +6,17 @@ from math import comb
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, Points, PoseStream, QualityGateError, Rigid
+from dvf_ig.core import FloatArray, InvalidInputError, Points, QualityGateError, Rigid, require_same_frame
 from dvf_ig.core.paired import fit_paired_points
+
+from .dwells import Dwells
+from .pairing import second_pairing_rms_mm
 
 MAX_CHOICES = 20_000
 """Most assignments of rests to landmarks that are tried."""
+
+AMBIGUOUS_RATIO, AMBIGUOUS_MM = 3.0, 1.0
+"""Landmarks are ambiguous where the RMS of another pairing is within this factor of theirs, or below this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,47 +26,37 @@ class LandmarkResult:
     Attributes:
         target_from_source: the map.
         residuals_mm: (n,) distance of each landmark after mapping.
-        rms_mm: their root mean square.
+        rms_mm, mean_mm: their root mean square and mean.
         leave_one_out_mm: (n,) error of each landmark under the map fitted without it (NaN for n = 3).
+        second_rms_mm: smallest RMS residual of any other pairing of the same points.
     """
 
     target_from_source: Rigid
     residuals_mm: FloatArray
     rms_mm: float
+    mean_mm: float
     leave_one_out_mm: FloatArray
+    second_rms_mm: float
+
+    @property
+    def ambiguous(self) -> bool:
+        """True where landmarks touched in another order would have fitted about as well."""
+        return self.second_rms_mm <= max(AMBIGUOUS_RATIO * self.rms_mm, AMBIGUOUS_MM)
 
 
 @dataclass(frozen=True, slots=True)
-class DwellOptions:
-    """When a stylus counts as resting on a landmark.
+class MapDifference:
+    """How far one map is from another: the angle, and distances of what they do with the same landmarks.
 
     Attributes:
-        radius_mm: the tip stays within this distance of its running mean.
-        min_s: for at least this long.
-        merge_mm: dwells closer than this, one after the other, are one landmark.
+        rotation_deg: angle between the two rotations.
+        centroid_mm: distance between the two images of the landmarks' centroid.
+        largest_mm: largest distance between the two images of a landmark.
     """
 
-    radius_mm: float = 1.5
-    min_s: float = 1.5
-    merge_mm: float = 5.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Dwells:
-    """Places where a tip rested.
-
-    Attributes:
-        points: (n, 3) median tip positions, in order of time.
-        start_s, stop_s: (n,) when each rest began and ended.
-        samples: (n,) samples in each.
-        spread_mm: (n,) root mean square distance of those samples from the point.
-    """
-
-    points: Points
-    start_s: FloatArray
-    stop_s: FloatArray
-    samples: np.ndarray[tuple[int], np.dtype[np.int64]]
-    spread_mm: FloatArray
+    rotation_deg: float
+    centroid_mm: float
+    largest_mm: float
 
 
 def register_landmarks(target: Points, source: Points) -> LandmarkResult:
@@ -75,53 +71,25 @@ def register_landmarks(target: Points, source: Points) -> LandmarkResult:
         target_from_source=fitted,
         residuals_mm=residuals,
         rms_mm=float(np.sqrt(np.mean(residuals**2))),
+        mean_mm=float(residuals.mean()),
         leave_one_out_mm=_leave_one_out(target, source),
+        second_rms_mm=second_pairing_rms_mm(target, source),
     )
 
 
-def tip_positions(poses: PoseStream, tip: Points) -> tuple[FloatArray, Points]:
-    """Times (n valid,) and positions of a tool tip in the stream's target frame.
+def map_difference(first: Rigid, second: Rigid, landmarks: Points) -> MapDifference:
+    """How far two maps between the same frames differ, in rotation and at the landmarks.
 
     Args:
-        poses: target_from_source of the tool; invalid samples are left out.
-        tip: one point in the stream's source frame.
+        first, second: target_from_source each.
+        landmarks: (n, 3) in the source frame.
     """
-    if tip.frame != poses.source or len(tip) != 1:
-        raise InvalidInputError(
-            f"the tip is {len(tip)} points in frame '{tip.frame}'; needed one point in '{poses.source}'"
-        )
-    usable = poses.valid
-    moved = poses.rotations[usable] @ tip.xyz_mm[0] + poses.translations_mm[usable]
-    return poses.t_s[usable], Points(poses.target, moved)
-
-
-def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = None) -> Dwells:
-    """Where a tip rested, one after the other.
-
-    Args:
-        t_s: (n,) times; tip: (n, 3) positions in a frame in which the landmarks stand still.
-        options: see DwellOptions.
-    Raises:
-        QualityGateError: the tip never rested.
-    """
-    options = options or DwellOptions()
-    runs = _merged(_still_runs(t_s, tip.xyz_mm, options), tip.xyz_mm, options)
-    if not runs:
-        raise QualityGateError(
-            f"the tip never rested within {options.radius_mm:g} mm for {options.min_s:g} s; hold it on each "
-            "landmark for a few seconds"
-        )
-    centers = np.array([np.median(tip.xyz_mm[run], axis=0) for run in runs])
-    spread = [
-        float(np.sqrt(((tip.xyz_mm[run] - c) ** 2).sum(axis=1).mean()))
-        for run, c in zip(runs, centers, strict=True)
-    ]
-    return Dwells(
-        points=Points(tip.frame, centers),
-        start_s=np.array([t_s[run[0]] for run in runs]),
-        stop_s=np.array([t_s[run[-1]] for run in runs]),
-        samples=np.array([len(run) for run in runs], dtype=np.int64),
-        spread_mm=np.array(spread),
+    require_same_frame(first.target, second.target, "comparison of maps")
+    gaps = first.apply(landmarks).xyz_mm - second.apply(landmarks).xyz_mm
+    return MapDifference(
+        rotation_deg=float(np.degrees((first.inverse() @ second).angle_rad)),
+        centroid_mm=float(np.linalg.norm(gaps.mean(axis=0))),
+        largest_mm=float(np.linalg.norm(gaps, axis=1).max()),
     )
 
 
@@ -161,38 +129,6 @@ def match_dwells(dwells: Dwells, landmarks: Points) -> tuple[LandmarkResult, tup
             )
     rests = Points(dwells.points.frame, dwells.points.xyz_mm[list(best)])
     return register_landmarks(rests, landmarks), best
-
-
-Run = np.ndarray[tuple[int], np.dtype[np.intp]]
-
-
-def _still_runs(t_s: FloatArray, xyz_mm: FloatArray, options: DwellOptions) -> list[Run]:
-    """Maximal stretches that stay within the radius of their own running mean."""
-    runs: list[Run] = []
-    start, total = 0, xyz_mm[0].copy()
-    for i in range(1, len(xyz_mm) + 1):
-        stays = (
-            i < len(xyz_mm) and float(np.linalg.norm(xyz_mm[i] - total / (i - start))) <= options.radius_mm
-        )
-        if stays:
-            total += xyz_mm[i]
-            continue
-        if t_s[i - 1] - t_s[start] >= options.min_s:
-            runs.append(np.arange(start, i))
-        if i < len(xyz_mm):
-            start, total = i, xyz_mm[i].copy()
-    return runs
-
-
-def _merged(runs: list[Run], xyz_mm: FloatArray, options: DwellOptions) -> list[Run]:
-    out: list[Run] = []
-    for run in runs:
-        center = np.median(xyz_mm[run], axis=0)
-        if out and np.linalg.norm(center - np.median(xyz_mm[out[-1]], axis=0)) <= options.merge_mm:
-            out[-1] = np.concatenate([out[-1], run])
-        else:
-            out.append(run)
-    return out
 
 
 def _leave_one_out(target: Points, source: Points) -> FloatArray:

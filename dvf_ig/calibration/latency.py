@@ -1,11 +1,9 @@
 """Temporal calibration: the lag between the tracker's clock and the video's, from one shared motion."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy.signal import find_peaks
-from scipy.stats import t as student_t
 
 from dvf_ig.core import (
     BoolArray,
@@ -15,6 +13,8 @@ from dvf_ig.core import (
     PoseStream,
     QualityGateError,
 )
+
+from .lag_fit import Motions, lag_interval, misfit_sigmas, period_lags
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,9 @@ class LatencyOptions:
         min_motion_px: the same of the line's row.
         min_correlation: smallest accepted |correlation| at the best lag.
         max_second_ratio: largest accepted |correlation| of another lag over that of the best one.
-        blocks: pieces of the recording left out in turn for the confidence interval.
+        clear_ratio: another lag whose |correlation| is below this share of the best needs no further look;
+            above it, it must fit worse by `min_second_sigmas` standard errors.
+        memory_periods: residuals further apart than this many movements count as independent.
     """
 
     search_s: float = 0.5
@@ -39,8 +41,10 @@ class LatencyOptions:
     min_motion_mm: float = 1.0
     min_motion_px: float = 2.0
     min_correlation: float = 0.8
-    max_second_ratio: float = 0.985
-    blocks: int = 10
+    max_second_ratio: float = 0.998
+    clear_ratio: float = 0.95
+    min_second_sigmas: float = 2.0
+    memory_periods: float = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,13 +53,18 @@ class LatencyResult:
 
     Attributes:
         lag_s: negative where the tracker leads the video.
-        interval_s: 95 % confidence interval of lag_s, from the lags of separate pieces of the recording.
+        interval_s: 95 % confidence interval of lag_s, for residuals that are correlated in time.
         correlation: |Pearson correlation| of the two motions at lag_s.
         inverted: True where the row falls while the principal motion rises.
         second_lag_s, second_peak_ratio: the best other lag and its |correlation| over the winner's.
+        second_sigmas: by how many standard errors that lag fits worse.
         halves_s: lags of the first and of the second half.
         periods: up-and-down movements in the recording.
+        period_t_s, period_lags_s: (k,) middle of each movement on the video clock and the lag of it alone;
+            a spread far beyond interval_s says that the lag itself wanders (a grabber that runs beside the
+            scanner's frame rate, filtered time stamps).
         lags_s, correlations: (k,) the signed correlation over all lags tried.
+        motions: the two motions compared.
     """
 
     lag_s: float
@@ -64,30 +73,19 @@ class LatencyResult:
     inverted: bool
     second_lag_s: float
     second_peak_ratio: float
+    second_sigmas: float
     halves_s: tuple[float, float]
     periods: float
+    period_t_s: FloatArray
+    period_lags_s: FloatArray
     lags_s: FloatArray
     correlations: FloatArray
+    motions: Motions
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Motions:
-    """The tracker's principal motion (mm) and the row (px), each on its own clock."""
-
-    tracker_t_s: FloatArray
-    motion_mm: FloatArray
-    video_t_s: FloatArray
-    row_px: FloatArray
-
-    def correlation(self, lag_s: float) -> float:
-        """Signed correlation of row(t) with motion(t + lag)."""
-        moved = np.interp(self.video_t_s + lag_s, self.tracker_t_s, self.motion_mm)
-        a, b = moved - moved.mean(), self.row_px - self.row_px.mean()
-        scale = float(np.sqrt((a @ a) * (b @ b)))
-        return float(a @ b) / scale if scale > 0 else 0.0
-
-    def part(self, keep: BoolArray) -> "_Motions":
-        return _Motions(self.tracker_t_s, self.motion_mm, self.video_t_s[keep], self.row_px[keep])
+    @property
+    def wander_s(self) -> float:
+        """Standard deviation of the lags of single movements."""
+        return float(self.period_lags_s.std(ddof=1)) if len(self.period_lags_s) > 1 else 0.0
 
 
 def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | None = None) -> LatencyResult:
@@ -114,23 +112,30 @@ def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | N
     correlations = np.array([motions.correlation(float(lag)) for lag in lags])
     best = int(np.abs(correlations).argmax())
     lag, value = _refined(motions, float(lags[best]), float(np.sign(correlations[best])), options)
-    second_lag, second = _second_peak(lags, np.abs(correlations), best)
+    memory_s = options.memory_periods * float(np.ptp(motions.video_t_s)) / periods
+    second_lag, second = _second_peak(motions, lags, correlations, best, options)
     ratio = second / abs(value) if value else 1.0
-    _refuse_poor(lag, abs(value), second_lag, ratio, options)
+    sigmas = misfit_sigmas(motions, lag, second_lag, memory_s) if second else np.inf
+    _refuse_poor(lag, abs(value), second_lag, ratio, sigmas, options)
     sign = float(np.sign(value))
     early = np.arange(len(motions.video_t_s)) < len(motions.video_t_s) // 2
     halves = tuple(_refined(motions.part(keep), lag, sign, options)[0] for keep in (early, ~early))
+    middles, own_lags = period_lags(motions, lag)
     return LatencyResult(
         lag_s=lag,
-        interval_s=_interval(motions, lag, sign, options),
+        interval_s=lag_interval(motions, lag, memory_s),
         correlation=abs(value),
         inverted=value < 0,
         second_lag_s=second_lag,
         second_peak_ratio=ratio,
+        second_sigmas=sigmas,
         halves_s=(halves[0], halves[1]),
         periods=periods,
+        period_t_s=middles,
+        period_lags_s=own_lags,
         lags_s=lags,
         correlations=correlations,
+        motions=motions,
     )
 
 
@@ -143,7 +148,7 @@ def principal_motion_mm(poses: PoseStream) -> FloatArray:
     return np.asarray(centred @ axis)
 
 
-def _motions(recording: LatencyRecording, options: LatencyOptions) -> _Motions:
+def _motions(recording: LatencyRecording, options: LatencyOptions) -> Motions:
     poses, rows = recording.tracker_from_probe, recording.wall_row_px
     first, last = rows.t_s[0] - options.search_s, rows.t_s[-1] + options.search_s
     near = poses.valid & (poses.t_s >= first - 1.0) & (poses.t_s <= last + 1.0)
@@ -171,7 +176,7 @@ def _motions(recording: LatencyRecording, options: LatencyOptions) -> _Motions:
             f"{options.min_motion_mm:g}) and the line {row.std():.2f} px (needed {options.min_motion_px:g}), "
             "standard deviations; move the probe up and down above the tank's floor"
         )
-    return _Motions(kept.t_s, motion, rows.t_s[covered], row)
+    return Motions(kept.t_s, motion, rows.t_s[covered], row)
 
 
 def _covered(video_t_s: FloatArray, tracker_t_s: FloatArray, search_s: float) -> BoolArray:
@@ -182,7 +187,7 @@ def _covered(video_t_s: FloatArray, tracker_t_s: FloatArray, search_s: float) ->
     return np.asarray(inside)
 
 
-def _periods(motions: _Motions) -> float:
+def _periods(motions: Motions) -> float:
     """Half the number of times the row crosses its mean by more than a quarter of its spread."""
     level = motions.row_px - np.median(motions.row_px)
     side = np.where(np.abs(level) > 0.25 * level.std(), np.sign(level), 0.0)
@@ -190,7 +195,7 @@ def _periods(motions: _Motions) -> float:
     return float(np.count_nonzero(np.diff(side)) / 2)
 
 
-def _refined(motions: _Motions, lag_s: float, sign: float, options: LatencyOptions) -> tuple[float, float]:
+def _refined(motions: Motions, lag_s: float, sign: float, options: LatencyOptions) -> tuple[float, float]:
     """Best lag near `lag_s` for one sign of motion, by fine steps and a parabola, with its correlation."""
     steps = round(2 * options.coarse_s / options.fine_s)
     for _ in range(20):
@@ -208,41 +213,40 @@ def _refined(motions: _Motions, lag_s: float, sign: float, options: LatencyOptio
     return float(lags[best] + offset * options.fine_s), sign * float(top - 0.25 * (below - above) * offset)
 
 
-def _second_peak(lags: FloatArray, strength: FloatArray, best: int) -> tuple[float, float]:
-    """Lag and |correlation| of the strongest other local maximum (0 where there is none)."""
-    padded = np.concatenate([[-1.0], strength, [-1.0]])
-    peaks = find_peaks(padded)[0] - 1
+def _second_peak(
+    motions: Motions, lags: FloatArray, correlations: FloatArray, best: int, options: LatencyOptions
+) -> tuple[float, float]:
+    """Lag and |correlation| of the strongest other local maximum (NaN and 0 where there is none)."""
+    strength = np.abs(correlations)
+    peaks = find_peaks(np.concatenate([[-1.0], strength, [-1.0]]))[0] - 1
     others = peaks[np.abs(peaks - best) > 2]
     if len(others) == 0:
         return float("nan"), 0.0
     second = int(others[strength[others].argmax()])
-    return float(lags[second]), float(strength[second])
-
-
-def _interval(motions: _Motions, lag_s: float, sign: float, options: LatencyOptions) -> tuple[float, float]:
-    """95 % interval about the lag by the jackknife: the lag again with each piece left out (Student's t)."""
-    count = len(motions.video_t_s)
-    edges = np.linspace(0, count, options.blocks + 1).astype(int)
-    index = np.arange(count)
-    without = [(index < a) | (index >= b) for a, b in pairwise(edges.tolist())]
-    lags = np.array([_refined(motions.part(keep), lag_s, sign, options)[0] for keep in without])
-    share = (options.blocks - 1) / options.blocks
-    error = float(np.sqrt(share * ((lags - lags.mean()) ** 2).sum()))
-    reach = float(student_t.ppf(0.975, options.blocks - 1)) * error
-    return lag_s - reach, lag_s + reach
+    if second in (0, len(lags) - 1):
+        return float(lags[second]), float(strength[second])
+    lag, value = _refined(motions, float(lags[second]), float(np.sign(correlations[second])), options)
+    return lag, abs(value)
 
 
 def _refuse_poor(
-    lag_s: float, correlation: float, second_lag_s: float, ratio: float, options: LatencyOptions
+    lag_s: float,
+    correlation: float,
+    second_lag_s: float,
+    ratio: float,
+    sigmas: float,
+    options: LatencyOptions,
 ) -> None:
     if correlation < options.min_correlation:
         raise QualityGateError(
             f"probe and line move together with correlation {correlation:.2f} at best, needed at least "
             f"{options.min_correlation:g}; check the line detection and that both belong to one recording"
         )
-    if ratio > options.max_second_ratio:
+    unclear = ratio > options.clear_ratio and sigmas < options.min_second_sigmas
+    if ratio > options.max_second_ratio or unclear:
         raise QualityGateError(
-            f"two lags fit equally well ({lag_s:+.3f} s and {second_lag_s:+.3f} s, ratio {ratio:.3f}); "
+            f"two lags fit equally well ({lag_s:+.3f} s and {second_lag_s:+.3f} s, ratio {ratio:.3f}, "
+            f"{sigmas:.1f} standard errors apart, needed {options.min_second_sigmas:g}); "
             "record again with movements of uneven pace so that only one can match"
         )
     if abs(lag_s) >= options.search_s - options.coarse_s:

@@ -34,6 +34,16 @@ class NWireFrames:
         """(f, patterns, 2) pixels of the diagonals."""
         return self.pixels[:, 1::3]
 
+    def part(self, which: np.ndarray[tuple[int], np.dtype[np.bool_ | np.intp]]) -> "NWireFrames":
+        """Some of the frames, by flags or by position."""
+        return NWireFrames(
+            self.frames[which],
+            self.pixels[which],
+            self.middle_probe_mm[which],
+            self.rotations[which],
+            self.translations_mm[which],
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireErrors:
@@ -130,7 +140,7 @@ def in_plane_misses_mm(probe_from_pixel: FloatArray, seen: NWireFrames, phantom:
     across, down, origin = probe_from_pixel.T
     scale = np.array([np.linalg.norm(across), np.linalg.norm(down)])
     front = np.stack([w.front_mm for w in phantom.wires])
-    along = np.stack([_along(w) for w in phantom.wires])
+    along = wire_directions(phantom)
     front_probe = np.einsum("fji,fwj->fwi", seen.rotations, front[None] - seen.translations_mm[:, None])
     along_probe = np.einsum("fji,wj->fwi", seen.rotations, along)
     normal = np.cross(across, down)
@@ -139,6 +149,11 @@ def in_plane_misses_mm(probe_from_pixel: FloatArray, seen: NWireFrames, phantom:
     plane = np.column_stack([across, down])
     predicted = met @ np.linalg.pinv(plane).T
     return np.asarray((predicted - seen.pixels) * scale)
+
+
+def wire_directions(phantom: NWirePhantom) -> FloatArray:
+    """(wires, 3) unit vectors from front to back."""
+    return np.stack([_along(wire) for wire in phantom.wires])
 
 
 def _middle_in_phantom(phantom: NWirePhantom, pixels: FloatArray) -> FloatArray:

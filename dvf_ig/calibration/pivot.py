@@ -51,6 +51,7 @@ class PivotResult:
         rms_3d_mm: root mean square length of the inliers' residuals.
         rms_per_coordinate_mm: rms_3d_mm / √3, what some packages report.
         inliers: (n,) poses that took part; False for invalid samples.
+        residuals_mm: (n,) length of each pose's residual, outliers included; NaN for invalid samples.
         poses: valid poses given.
         span_deg: largest rotation between two inliers.
         condition: condition number of the inliers' linear system.
@@ -62,6 +63,7 @@ class PivotResult:
     rms_3d_mm: float
     rms_per_coordinate_mm: float
     inliers: BoolArray
+    residuals_mm: FloatArray
     poses: int
     span_deg: float
     condition: float
@@ -134,12 +136,17 @@ def _result(
     variance = float((lengths**2).sum()) / max(1, 3 * len(lengths) - 6)
     inliers = np.zeros(len(poses), dtype=np.bool_)
     inliers[valid[keep]] = True
+    residuals = np.full(len(poses), np.nan)
+    residuals[valid] = _residual_lengths(
+        solution[None], poses.rotations[valid], poses.translations_mm[valid]
+    )[0]
     return PivotResult(
         tip=Points(poses.source, solution[None, :3]),
         pivot=Points(poses.target, solution[None, 3:]),
         rms_3d_mm=rms,
         rms_per_coordinate_mm=rms / np.sqrt(3.0),
         inliers=inliers,
+        residuals_mm=residuals,
         poses=len(valid),
         span_deg=span,
         condition=condition,

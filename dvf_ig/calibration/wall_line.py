@@ -47,6 +47,13 @@ class WallLines:
     slope: FloatArray
     found: BoolArray
 
+    def end_points_px(self, valid: BoolArray) -> FloatArray:
+        """(n, 2, 2) column, row of two points of each line, half a half-width from the centre; else NaN."""
+        step = 0.25 * (2 * self.column_px + 1) * np.array([-1.0, 1.0])
+        columns = np.broadcast_to(self.column_px + step, (len(self.row_px), 2))
+        points = np.stack([columns, self.row_px[:, None] + self.slope[:, None] * step], axis=2)
+        return np.where((self.found & valid)[:, None, None], points, np.nan)
+
 
 def find_wall_lines(
     images: NDArray[np.uint8], *, rng: Generator, options: WallLineOptions | None = None

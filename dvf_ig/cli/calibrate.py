@@ -1,20 +1,27 @@
-"""`dvf-ig calibrate`: tool tip, image calibration, video lag and landmark registration from recordings."""
+"""`dvf-ig calibrate`: the tool tip and the video lag here, the other calibrations from their own modules."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .calibrate_output import DeviceSetOption, OutputOption, save, vector
+from .calibrate_hand_eye import hand_eye
+from .calibrate_landmarks import landmarks
+from .calibrate_output import OutputOption, save, vector
 from .calibrate_probe import probe
-from .shell import JsonFlag, SeedOption, command, emit
+from .shell import JsonFlag, SeedOption, command, emit, warn
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import LandmarkResult
+    from dvf_ig.calibration import LatencyResult
     from dvf_ig.core import LatencyRecording
 
-app = typer.Typer(help="Tool tip, image calibration, video lag, landmarks.", no_args_is_help=True)
+WANDER_S = 0.015
+"""Standard deviation of the lags of single movements beyond which the user is told."""
+
+app = typer.Typer(help="Tool tip, image calibration, video lag, landmarks, hand-eye.", no_args_is_help=True)
 app.command("probe")(probe)
+app.command("landmarks")(landmarks)
+app.command("hand-eye")(hand_eye)
 
 
 @app.command("pivot")
@@ -32,7 +39,7 @@ def pivot(
         import numpy as np
 
         from dvf_ig.calibration import calibrate_pivot
-        from dvf_ig.io import read_poses
+        from dvf_ig.io import read_poses, write_residual_picture
 
         found = calibrate_pivot(read_poses(poses, source=tool), rng=np.random.default_rng(seed))
         tip, divot = found.tip.xyz_mm[0].tolist(), found.pivot.xyz_mm[0].tolist()
@@ -52,7 +59,14 @@ def pivot(
         matrix = np.eye(4)
         matrix[:3, 3] = tip
         name = f"{found.tip.frame}_from_{found.tip.frame}_tip"
-        save(output, result, name, matrix, found.rms_3d_mm, [poses])
+        title = (
+            f"Tool tip of '{found.tip.frame}': {found.rms_3d_mm:.2f} mm RMS over {int(found.inliers.sum())} "
+            f"of {found.poses} poses that span {found.span_deg:.0f}°"
+        )
+        save(
+            output, result, name, matrix, found.rms_3d_mm, [poses],
+            lambda png: write_residual_picture(png, found.residuals_mm, title=title, used=found.inliers),
+        )  # fmt: skip
         rows = [
             ("tip", f"{vector(tip)} mm in '{found.tip.frame}'"),
             ("pivot", f"{vector(divot)} mm in '{found.pivot.frame}'"),
@@ -74,65 +88,67 @@ def latency(
         Path | None,
         typer.Option("--line-table", help="PLUS line results; otherwise lines are found in the images."),
     ] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the result (JSON).")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write JSON here, and a picture beside it.")
+    ] = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
 ) -> None:
     """Lag of the tracker's clock behind the video's: t_tracker = t_video + lag."""
     with command():
         from dvf_ig.calibration import estimate_latency
+        from dvf_ig.io import write_latency_picture
 
         found = estimate_latency(_latency_recording(tracker, video, line_table, seed))
         result = {
             "lag_s": found.lag_s,
             "interval_s": list(found.interval_s),
             "correlation": found.correlation,
-            "second_lag_s": found.second_lag_s,
+            "second_lag_s": found.second_lag_s if found.second_peak_ratio else None,
             "second_peak_ratio": found.second_peak_ratio,
+            "second_sigmas": found.second_sigmas if found.second_peak_ratio else None,
             "halves_s": list(found.halves_s),
             "periods": found.periods,
+            "period_lags_s": found.period_lags_s.tolist(),
+            "wander_s": found.wander_s,
         }
         inputs = [p for p in (tracker, video, line_table) if p is not None]
-        save(output, result, None, None, None, inputs)
-        low, high = (1000 * v for v in found.interval_s)
-        side = "leads" if found.lag_s < 0 else "follows"
-        rows = [
-            ("lag", f"{1000 * found.lag_s:+.1f} ms (the tracker {side} the video)"),
-            ("95 % interval", f"{low:+.1f} to {high:+.1f} ms"),
-            ("halves", ", ".join(f"{1000 * v:+.1f}" for v in found.halves_s) + " ms"),
-            ("correlation", f"{found.correlation:.3f}; next best {found.second_peak_ratio:.3f} of it"),
-            ("movements", f"{found.periods:.1f}"),
-        ]
-        emit(result, rows, as_json=as_json)
+        title = f"Tracker against video: {_lag_text(found)}, r = {found.correlation:.3f}"
+        save(
+            output, result, None, None, None, inputs,
+            lambda png: write_latency_picture(png, found, title=title),
+        )  # fmt: skip
+        emit(result, _latency_rows(found), as_json=as_json)
+        if found.wander_s > WANDER_S:
+            warn(
+                f"single movements give lags that differ by {1000 * found.wander_s:.0f} ms (SD): the clocks "
+                "drift against one another, and the mean lag is off by as much at any one moment"
+            )
 
 
-@app.command("landmarks")
-def landmarks(
-    stylus: Annotated[
-        Path, typer.Argument(help="PLUS sequence of a stylus resting on the landmarks in order.")
-    ],
-    device_set: DeviceSetOption,
-    output: OutputOption = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Place a phantom by touching its landmarks, one after the other, in the order of the device set."""
-    with command():
-        found, dwells, names = _register_stylus(stylus, device_set)
-        fitted = found.target_from_source
-        result = {
-            "target_from_source": fitted.matrix.tolist(),
-            "rms_mm": found.rms_mm,
-            "residuals_mm": found.residuals_mm.tolist(),
-            "leave_one_out_mm": [v if v == v else None for v in found.leave_one_out_mm.tolist()],
-            "landmarks": names,
-            "target": fitted.target,
-            "source": fitted.source,
-        }
-        save(output, result, fitted.name, fitted.matrix, found.rms_mm, [stylus, device_set])
-        rows = [("transform", fitted.name), ("residual", f"{found.rms_mm:.3f} mm RMS")]
-        for name, miss, samples in zip(names, found.residuals_mm, dwells, strict=True):
-            rows.append((f"landmark {name}", f"{miss:.3f} mm, {samples} samples"))
-        emit(result, rows, as_json=as_json)
+def _lag_text(found: "LatencyResult") -> str:
+    low, high = (1000 * value for value in found.interval_s)
+    side = "leads" if found.lag_s < 0 else "follows"
+    return f"{1000 * found.lag_s:+.1f} ms (95 %: {low:+.1f} to {high:+.1f}), the tracker {side} the video"
+
+
+def _latency_rows(found: "LatencyResult") -> list[tuple[str, str]]:
+    second = "no other lag comes near"
+    if found.second_peak_ratio:
+        second = (
+            f"next best {1000 * found.second_lag_s:+.0f} ms at {found.second_peak_ratio:.3f} of it, "
+            f"{found.second_sigmas:.1f} standard errors worse"
+        )
+    return [
+        ("lag", _lag_text(found)),
+        ("halves", ", ".join(f"{1000 * v:+.1f}" for v in found.halves_s) + " ms"),
+        (
+            "wander",
+            f"{1000 * found.wander_s:.1f} ms (SD of the lags of {len(found.period_lags_s)} movements)",
+        ),
+        ("correlation", f"{found.correlation:.3f}; {second}"),
+        ("movements", f"{found.periods:.1f}"),
+    ]
 
 
 def _latency_recording(tracker: Path, video: Path, line_table: Path | None, seed: int) -> "LatencyRecording":
@@ -154,25 +170,3 @@ def _latency_recording(tracker: Path, video: Path, line_table: Path | None, seed
     rng = np.random.default_rng(seed)
     rows = wall_trace(frames.t_s, frames.images, frames.image_valid, rng=rng)
     return LatencyRecording(read_sequence(tracker).stream("tracker", "probe"), rows)
-
-
-def _register_stylus(stylus: Path, device_set: Path) -> "tuple[LandmarkResult, list[int], list[str]]":
-    """Registration, samples per landmark, names of the landmarks."""
-    from dvf_ig.calibration import find_dwells, match_dwells, tip_positions
-    from dvf_ig.core import InvalidInputError, Points
-    from dvf_ig.io import read_coordinate_definitions, read_poses
-    from dvf_ig.io.phantom_landmarks import read_phantom_landmarks
-
-    poses = read_poses(stylus)
-    name = f"{poses.source}_from_{poses.source}_tip"
-    definitions = read_coordinate_definitions(device_set)
-    if name not in definitions:
-        raise InvalidInputError(
-            f"{device_set} does not say where the tip of '{poses.source}' is; calibrate it first "
-            "(dvf-ig calibrate pivot -o) and add the transform"
-        )
-    tip = Points(poses.source, definitions[name][None, :3, 3])
-    phantom = read_phantom_landmarks(device_set)
-    dwells = find_dwells(*tip_positions(poses, tip))
-    found, chosen = match_dwells(dwells, phantom.points)
-    return found, dwells.samples[list(chosen)].tolist(), list(phantom.names)

@@ -1,7 +1,7 @@
-"""How calibration results are printed and saved: JSON, and PLUS XML beside it."""
+"""How calibration results are printed and saved: JSON, and PLUS XML and a picture beside it."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,12 +11,12 @@ import typer
 from .shell import wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import WireErrors
+    from dvf_ig.calibration import TargetErrors, WireErrors
     from dvf_ig.core import FloatArray
 
 OutputOption = Annotated[
     Path | None,
-    typer.Option("-o", "--output", help="Write the result as JSON here, and as PLUS XML beside it."),
+    typer.Option("-o", "--output", help="Write JSON here; PLUS XML and a picture go beside it."),
 ]
 DeviceSetOption = Annotated[
     Path, typer.Option("--device-set", help="PLUS device-set XML with the phantom and its placement.")
@@ -30,8 +30,18 @@ def save(
     matrix: "FloatArray | None",
     error_mm: float | None,
     inputs: Sequence[Path],
+    picture: Callable[[Path], None] | None = None,
 ) -> None:
-    """Write a result as JSON with date and digests of its inputs, and its transform as PLUS XML beside it."""
+    """Write a result as JSON with date and digests of its inputs; beside it its transform and a picture.
+
+    Args:
+        output: where to, or None to write nothing.
+        result: the JSON object.
+        name, matrix: the transform for PLUS XML, or None where there is none.
+        error_mm: its error as PLUS records it.
+        inputs: files whose digests are kept.
+        picture: draws the evidence into the PNG file it is given.
+    """
     if output is None:
         return
     from dvf_ig.io import CoordinateDefinition, write_coordinate_definitions, write_json
@@ -52,13 +62,17 @@ def save(
         definition = CoordinateDefinition(target, source, matrix, error_mm, stamp)
         write_coordinate_definitions(xml_path, [definition])
         wrote(xml_path, target)
+    if picture is not None:
+        png_path = output.with_suffix(".png")
+        picture(png_path)
+        wrote(png_path)
 
 
 def vector(values: Sequence[float]) -> str:
     return "(" + ", ".join(f"{v:.3f}" for v in values) + ")"
 
 
-def wire_errors(errors: "WireErrors") -> dict[str, float | int]:
+def wire_errors(errors: "TargetErrors | WireErrors") -> dict[str, float | int]:
     return {
         "mean_mm": errors.mean_mm,
         "sd_mm": errors.sd_mm,
@@ -69,7 +83,7 @@ def wire_errors(errors: "WireErrors") -> dict[str, float | int]:
     }
 
 
-def error_row(errors: "WireErrors") -> str:
+def error_row(errors: "TargetErrors | WireErrors") -> str:
     return (
         f"{errors.mean_mm:.3f} ± {errors.sd_mm:.3f} mm, lowest 95 %: {errors.mean95_mm:.3f} ± "
         f"{errors.sd95_mm:.3f} mm, {errors.frames_used} of {errors.frames} frames"

@@ -6,6 +6,8 @@ import typer
 
 from dvf_ig.cli.shell import JsonFlag, command, emit
 
+from .inspect_sequence import sequence_rows
+
 SHOWN_VALUES = 12
 """Longest list that the table prints in full; --json always prints everything."""
 
@@ -20,7 +22,8 @@ def inspect(
 
         description = describe(file)
         facts = plain(description.facts)
-        rows = [("file", file), ("kind", description.kind), *_rows(facts)]
+        told = sequence_rows(facts) if description.kind == "tracked sequence" else _rows(facts)
+        rows = [("file", file), ("kind", description.kind), *told]
         emit({"file": file, "kind": description.kind, **facts}, rows, as_json=as_json)
 
 

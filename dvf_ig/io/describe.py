@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..core.arrays import BoolArray, FloatArray
-from ..core.errors import UnreadableFileError
-from ..core.sequence import TrackedSequence
-from ..core.stream import MAX_GAP_S, PoseStream
+from ..core.arrays import FloatArray
+from ..core.errors import InvalidInputError, UnreadableFileError
+from ..core.image_map import ImageMap
 from .describe_anatomy import (
     image_facts,
     landmark_facts,
@@ -20,17 +19,15 @@ from .describe_anatomy import (
     tag_facts,
     transform_facts,
 )
+from .describe_sequence import clock_facts, sequence_facts, sequence_file_facts, stream_facts
 from .ecg import read_ecg
 from .mesh import DECODERS
-from .plus_xml import parse_xml, read_calibrations
+from .plus_xml import CoordinateDefinition, parse_xml, read_transforms
 from .poses import read_poses
 from .scenario_layout import CONFIG
 from .scenario_read import read_scenario
-from .sequence_read import read_sequence
+from .sequence_read import PIXEL_FRAMES
 from .surfaces import surface_names
-
-FROZEN_SAMPLES = 5
-"""A pose that repeats bit for bit this often is counted as frozen: a live tracker always shows noise."""
 
 Facts = dict[str, Any]
 Reader = Callable[[Path], Facts]
@@ -89,67 +86,12 @@ def _file_kind(path: Path) -> tuple[str, Reader]:
             return kind, facts
     if name.endswith((".mha", ".mhd", ".nrrd", ".nhdr")):
         tracked = ".igs." in name or b"Seq_Frame" in path.read_bytes()[:65536]
-        return ("tracked sequence", _sequence_facts) if tracked else ("image", image_facts)
+        return ("tracked sequence", sequence_file_facts) if tracked else ("image", image_facts)
     raise UnreadableFileError(
         f"{path} is of no kind known here; known are tracked sequences (.igs.mha, .igs.nrrd), images "
         "(.nii.gz, .nrrd, .mha), meshes (.obj, .stl, .ply, .vtp), models (.npz), transforms (.tfm), "
         "landmarks (.mrk.json, .fcsv, .tag), PLUS .xml, ECG (wfdb:, edf:, csv:) and scenario folders"
     )
-
-
-def _sequence_facts(path: Path) -> Facts:
-    return sequence_facts(read_sequence(path))
-
-
-def sequence_facts(sequence: TrackedSequence) -> Facts:
-    """Facts of a tracked sequence."""
-    images = sequence.images
-    return {
-        "frames": len(sequence),
-        "image_size_px": None if images is None else [images.shape[2], images.shape[1]],
-        "orientation": sequence.orientation,
-        "invalid_image_share": None if images is None else 1.0 - float(sequence.image_valid.mean()),
-        "has_timestamps": sequence.has_timestamps,
-        **_clock_facts(sequence.t_s if sequence.has_timestamps else None),
-        "transforms": {name: stream_facts(stream) for name, stream in sequence.poses.items()},
-    }
-
-
-def _clock_facts(t_s: FloatArray | None) -> Facts:
-    if t_s is None or len(t_s) < 2:
-        return {"start_s": None, "duration_s": None, "rate_hz": None, "gaps": None, "longest_gap_s": None}
-    steps = np.diff(t_s)
-    return {
-        "start_s": float(t_s[0]),
-        "duration_s": float(t_s[-1] - t_s[0]),
-        "rate_hz": float(1 / np.median(steps)),
-        "gaps": int(np.count_nonzero(steps > MAX_GAP_S)),
-        "longest_gap_s": float(steps.max()),
-    }
-
-
-def stream_facts(stream: PoseStream) -> Facts:
-    """Validity, bitwise frozen share, and how far a tracked object moved and turned."""
-    usable = stream.valid
-    facts: Facts = {"samples": len(stream), "invalid_share": float((~usable).mean())}
-    if not usable.any():
-        return {**facts, "frozen_share": 0.0, "extent_mm": None, "turn_deg": None}
-    flat = np.column_stack([stream.rotations.reshape(-1, 9), stream.translations_mm])[usable]
-    rotations = stream.rotations[usable]
-    cosine = (np.einsum("ij,nij->n", rotations[0], rotations) - 1) / 2
-    return {
-        **facts,
-        "frozen_share": _frozen_share(np.append(False, (np.diff(flat, axis=0) == 0).all(axis=1))),
-        "extent_mm": np.ptp(stream.translations_mm[usable], axis=0).tolist(),
-        "turn_deg": float(np.degrees(np.arccos(np.clip(cosine, -1, 1)).max())),
-    }
-
-
-def _frozen_share(repeats: BoolArray) -> float:
-    """Share of samples in runs of at least FROZEN_SAMPLES equal ones; `repeats[i]`: equals sample i − 1."""
-    starts = np.flatnonzero(~repeats)
-    lengths = np.diff(np.append(starts, len(repeats)))
-    return float(lengths[lengths >= FROZEN_SAMPLES].sum() / len(repeats))
 
 
 def _pose_facts(path: Path) -> Facts:
@@ -179,12 +121,12 @@ def _peak_to_peak(lead: FloatArray) -> float | None:
 
 def _xml_facts(path: Path) -> Facts:
     root = parse_xml(path, "a PLUS file")
-    has_definitions = root.find(".//CoordinateDefinitions") is not None
-    placed = read_calibrations(path) if has_definitions else {}
+    placed = read_transforms(path, root)
     return {
         "root": root.tag,
         "transforms": {
-            name: {"error_mm": entry.error_mm, "date": entry.date} for name, entry in placed.items()
+            name: {"error_mm": entry.error_mm, "date": entry.date, **_image_map_facts(entry)}
+            for name, entry in placed.items()
         },
         "nwire_patterns": sum(1 for p in root.iter("Pattern") if p.attrib.get("Type") == "NWire"),
         "landmarks": sum(1 for _ in root.iter("Landmark")),
@@ -194,6 +136,17 @@ def _xml_facts(path: Path) -> Facts:
             for element in root.iter(part)
         },
     }
+
+
+def _image_map_facts(entry: CoordinateDefinition) -> Facts:
+    """Pixel size of an image's map and how far its axes are from orthogonal; or why it cannot be used."""
+    if entry.source != "image" or entry.target in PIXEL_FRAMES:
+        return {}
+    try:
+        placed = ImageMap.from_matrix(entry.matrix, entry.target, entry.source)
+    except InvalidInputError as exc:
+        return {"problem": str(exc)}
+    return {"mm_per_px": placed.scale_mm_per_px.tolist(), "shear_deg": placed.shear_deg}
 
 
 def _scenario_facts(path: Path) -> Facts:
@@ -214,7 +167,7 @@ def _scenario_facts(path: Path) -> Facts:
             "duration_s": len(scenario.ecg) / scenario.ecg.rate_hz,
         },
         "ultrasound": sequence_facts(scenario.ultrasound),
-        "tool": {**_clock_facts(scenario.tool.t_s), **stream_facts(scenario.tool)},
+        "tool": {**clock_facts(scenario.tool.t_s), **stream_facts(scenario.tool)},
         "pivot_poses": len(scenario.pivot),
         "nwire_frames": len(scenario.nwire.phantom_from_probe),
         "latency_frames": len(scenario.latency.wall_row_px.t_s),

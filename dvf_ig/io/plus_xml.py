@@ -75,8 +75,14 @@ def read_calibrations(path: Path | str) -> dict[str, CoordinateDefinition]:
         section = root if root.tag == "CoordinateDefinitions" else root.find(".//CoordinateDefinitions")
         if section is None:
             raise UnreadableFileError(f"{path} has no <CoordinateDefinitions>; give a PLUS device-set file")
-        definitions = [_definition(path, element) for element in section.iter("Transform")]
-        return {definition.name: definition for definition in definitions}
+        return read_transforms(path, section)
+
+
+def read_transforms(path: Path, section: ElementTree.Element) -> dict[str, CoordinateDefinition]:
+    """Every `<Transform From To Matrix>` below an element by its name; `path` is for messages."""
+    elements = [e for e in section.iter("Transform") if {"From", "To", "Matrix"} & e.attrib.keys()]
+    definitions = [_definition(path, element) for element in elements]
+    return {definition.name: definition for definition in definitions}
 
 
 def read_coordinate_definitions(path: Path | str) -> dict[str, FloatArray]:

@@ -9,6 +9,9 @@ import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
+from ..core.arrays import FloatArray
 from ..core.errors import UnreadableFileError
 from .reading import read_bytes
 
@@ -37,6 +40,25 @@ class RawSequence:
     frames: int
     pixels: bytes | memoryview
 
+    @property
+    def pixel_type(self) -> str:
+        """As the header names it: ElementType in MetaImage, type in NRRD."""
+        return self.fields.get("ElementType", self.fields.get("type", "of no stated type"))
+
+    @property
+    def is_uint8(self) -> bool:
+        """True where the pixels are those of 8-bit B-mode, or there are none."""
+        return not self.columns or self.pixel_type in _UINT8
+
+    def numbers(self, name: str) -> FloatArray | None:
+        """(frames,) values of a per-frame field; None where a frame lacks it or it is no finite number."""
+        texts = self.frame_fields.get(name, {})
+        try:
+            values = np.array([float(texts[i]) for i in range(self.frames)])
+        except (KeyError, ValueError):
+            return None
+        return values if np.isfinite(values).all() else None
+
 
 @dataclass(slots=True)
 class _Header:
@@ -51,18 +73,21 @@ class _Header:
             self.fields[name] = value
 
 
-def read_raw_sequence(path: Path) -> RawSequence:
+def read_raw_sequence(path: Path, *, pixels: bool = True) -> RawSequence:
     """Parse a sequence file of either format, told apart by its first bytes.
 
+    Args:
+        path: the file.
+        pixels: False leaves the pixels, of whatever type, unread and unchecked.
     Raises:
         UnreadableFileError: neither format, a damaged header, pixels other than uint8, or fewer pixels than
             the header promises.
     """
     data = read_bytes(path, "a tracked sequence")
-    return _read_nrrd(path, data) if data.startswith(b"NRRD") else _read_metaimage(path, data)
+    return (_read_nrrd if data.startswith(b"NRRD") else _read_metaimage)(path, data, pixels)
 
 
-def _read_metaimage(path: Path, data: bytes) -> RawSequence:
+def _read_metaimage(path: Path, data: bytes, wanted: bool) -> RawSequence:
     end = _DATA_FILE_LINE.search(data)
     if end is None:
         raise UnreadableFileError(
@@ -83,6 +108,9 @@ def _read_metaimage(path: Path, data: bytes) -> RawSequence:
     if expected == 0:
         _require_plausible(path, frames, len(data))
         return RawSequence(fields, header.frame_fields, 0, 0, frames, b"")
+    if not wanted:
+        _require_plausible(path, frames, len(data))
+        return RawSequence(fields, header.frame_fields, columns, rows, frames, b"")
     _require_uint8(path, fields.get("ElementType"), fields.get("ElementNumberOfChannels", "1"))
     if fields.get("BinaryData", "True").lower() != "true":
         raise UnreadableFileError(f"{path}: the pixels are stored as text; save the sequence as binary data")
@@ -95,7 +123,7 @@ def _read_metaimage(path: Path, data: bytes) -> RawSequence:
     return RawSequence(fields, header.frame_fields, columns, rows, frames, pixels)
 
 
-def _read_nrrd(path: Path, data: bytes) -> RawSequence:
+def _read_nrrd(path: Path, data: bytes, wanted: bool) -> RawSequence:
     end = re.search(rb"\r?\n\r?\n", data)
     stop, start = (end.start(), end.end()) if end else (len(data), len(data))
     header = _Header()
@@ -113,6 +141,9 @@ def _read_nrrd(path: Path, data: bytes) -> RawSequence:
     if expected == 0:
         _require_plausible(path, frames, len(data))
         return RawSequence(fields, header.frame_fields, 0, 0, frames, b"")
+    if not wanted:
+        _require_plausible(path, frames, len(data))
+        return RawSequence(fields, header.frame_fields, columns, rows, frames, b"")
     _require_uint8(path, fields.get("type"), "1")
     payload = _payload(path, data, start, fields.get("data file", fields.get("datafile", "LOCAL")))
     encoding = fields.get("encoding", "raw").lower()

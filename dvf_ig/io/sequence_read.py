@@ -41,7 +41,12 @@ def read_indexed_sequence(path: Path | str) -> tuple[TrackedSequence, IntArray]:
     """As `read_sequence`, with the index in the file of each frame that was kept, (n,)."""
     path = Path(path)
     with reading(path, "a tracked sequence"):
-        raw = read_raw_sequence(path)
+        return indexed_sequence(path, read_raw_sequence(path))
+
+
+def indexed_sequence(path: Path, raw: RawSequence) -> tuple[TrackedSequence, IntArray]:
+    """The same of a sequence that was taken apart already; without its pixels it has no images."""
+    with reading(path, "a tracked sequence"):
         t_s, has_timestamps = _times(path, raw)
         kept = _usable_order(path, t_s)
         t_s = t_s[kept]

@@ -1,5 +1,6 @@
 """Lag between tracker and video: known lags, the alias, refusals, PLUS's real water tank."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from data_synth.planting import plant
+from data_synth.presets import Preset
+from data_synth.ultrasound_probe import SectorProbe
+from data_synth.watertank import watertank_recording
 from dvf_ig.calibration import estimate_latency, find_wall_lines, wall_trace
 from dvf_ig.core import (
     FloatArray,
@@ -88,6 +93,42 @@ def test_lost_tracking_is_not_interpolated_over() -> None:
     assert found.lag_s == pytest.approx(0.05, abs=0.001)
 
 
+def synthetic(seed: int, **changes: float) -> tuple[LatencyRecording, float]:
+    """A recording of the synthetic world, with sway, jitter and noise, and its true lag."""
+    probe, options, rng = SectorProbe(), Preset(), np.random.default_rng([seed, 7])
+    planted = plant(np.zeros(3), probe.plane_from_image, 150.0, rng)
+    spec = replace(options.watertank, **changes)  # type: ignore[arg-type]
+    tracker = options.watertank_tracker
+    made = watertank_recording(planted.probe_from_image, probe.fan, planted.lag_s, tracker, spec, rng)
+    return made, planted.lag_s
+
+
+def test_the_interval_holds_the_truth_as_often_as_it_says() -> None:
+    inside, widths = [], []
+    for seed in range(1400, 1440):
+        made, truth = synthetic(seed)
+        found = estimate_latency(made)
+        assert abs(found.lag_s - truth) < 0.002
+        inside.append(found.interval_s[0] <= truth <= found.interval_s[1])
+        widths.append(found.interval_s[1] - found.interval_s[0])
+    # 40 trials at 95 %: fewer than 34 happen once in 250 times
+    assert sum(inside) >= 34
+    assert np.mean(widths) < 0.003, "and it is no wider than it must be: the error's SD is 0.43 ms"
+
+
+def test_a_lag_that_wanders_widens_the_interval_and_is_told() -> None:
+    steady = recording(-0.06)
+    rows = steady.wall_row_px
+    # the video's clock drifts by 60 ms and jumps back every 5 s
+    drifting = Trace(rows.t_s + 0.06 * ((rows.t_s % 5.0) / 5.0 - 0.5), rows.values)
+    found = estimate_latency(LatencyRecording(steady.tracker_from_probe, drifting))
+    calm = estimate_latency(steady)
+    assert found.wander_s == pytest.approx(0.06 / np.sqrt(12), rel=0.35)
+    assert calm.wander_s < 0.002
+    assert found.interval_s[0] < -0.06 < found.interval_s[1]
+    assert np.ptp(found.interval_s) > 5 * np.ptp(calm.interval_s)
+
+
 def tank(rows: FloatArray, slope: float, seed: int = 0) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
     """Speckled images with an oblique bright floor and a bright scale that stands still."""
     rng = np.random.default_rng(seed)
@@ -122,8 +163,14 @@ def test_real_water_tank_with_plus_lines(data_dir: Path) -> None:
     found = estimate_latency(read_latency_recording(tracker, video, table))
     assert found.lag_s == pytest.approx(-0.0648, abs=0.002)
     assert found.second_lag_s == pytest.approx(0.448, abs=0.01)
+    assert found.second_sigmas > 3.0
+    assert abs(found.halves_s[0] - found.halves_s[1]) < 0.005
+    assert found.interval_s[0] < -0.0648 < found.interval_s[1]
+    # this recording's own video clock drifts by a frame period and jumps back, every 7 s
+    assert found.wander_s == pytest.approx(0.028, abs=0.003)
     frames = read_sequence(video)
     assert frames.images is not None
     rows = wall_trace(frames.t_s, frames.images, frames.image_valid, rng=np.random.default_rng(0))
     own = estimate_latency(LatencyRecording(read_sequence(tracker).stream("tracker", "probe"), rows))
     assert own.lag_s == pytest.approx(-0.0648, abs=0.002)
+    assert own.interval_s == pytest.approx(found.interval_s, abs=0.002)

@@ -73,6 +73,8 @@ def test_outliers_and_invalid_samples_are_left_out() -> None:
     assert not found.inliers[100:150].any()
     assert not found.inliers[10:20].any()
     assert found.poses == 190
+    assert np.isnan(found.residuals_mm[10:20]).all()
+    assert (found.residuals_mm[100:150] > 3.0).all(), "outliers keep their residual as evidence"
 
 
 def test_same_seed_same_result_bit_by_bit() -> None:
@@ -120,8 +122,12 @@ def test_real_clean_set(data_dir: Path) -> None:
     assert found.condition == pytest.approx(6.4, abs=0.1)
 
 
-def test_real_outliers_with_every_seed(data_dir: Path) -> None:
-    poses = read_poses(data_dir / "lsqrrecipes" / "pivotCalibrationDataWithOutliers.txt")
-    for seed in range(100):
+def test_real_outliers_with_ten_seeds(data_dir: Path) -> None:
+    """A third of the poses are off by up to 139 mm; 100 of 100 seeds gave a tip 0.356 mm from the clean."""
+    folder = data_dir / "lsqrrecipes"
+    clean = calibrate_pivot(read_poses(folder / "pivotCalibrationData.txt"), rng=np.random.default_rng(0))
+    poses = read_poses(folder / "pivotCalibrationDataWithOutliers.txt")
+    for seed in range(10):
         found = calibrate_pivot(poses, rng=np.random.default_rng(seed))
+        assert np.linalg.norm(found.tip.xyz_mm[0] - clean.tip.xyz_mm[0]) < 0.4
         assert np.linalg.norm(found.tip.xyz_mm[0] - PUBLISHED_TIP_MM) < 0.4

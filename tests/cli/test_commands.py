@@ -7,12 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import dvf_ig
 from dvf_ig.cli.main import app
 from dvf_ig.core import Landmarks, Points, Rigid, Scenario
-from dvf_ig.io import read_transform, write_landmarks, write_scenario, write_transform
+from dvf_ig.io import (
+    read_coordinate_definitions,
+    read_transform,
+    write_landmarks,
+    write_scenario,
+    write_transform,
+)
 from dvf_ig.registration import target_errors_mm
 
 
@@ -107,3 +114,76 @@ def test_evaluate_of_a_known_shift(tmp_path: Path) -> None:
     )
     assert result["tre_mm"]["max"] == pytest.approx(5.0, abs=1e-6)  # type: ignore[index]
     np.testing.assert_allclose(result["translation_mm"], [3, 0, 4], atol=1e-6)
+
+
+def pose_table(path: Path, poses: list[Rigid]) -> Path:
+    """Poses as rows x y z qx qy qz qw."""
+    turns = Rotation.from_matrix(np.stack([pose.rotation for pose in poses])).as_quat()
+    np.savetxt(path, np.column_stack([np.stack([pose.translation_mm for pose in poses]), turns]))
+    return path
+
+
+def test_hand_eye_writes_json_xml_and_a_picture(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    mounted = Rigid.from_rotation_vector([0.4, -1.1, 0.2], [12, -30, 55], "hand", "camera")
+    placed = Rigid.from_rotation_vector([0.3, 0.2, -0.8], [400, 100, 20], "base", "target")
+    seen = [
+        Rigid.from_rotation_vector(
+            rng.uniform(-0.6, 0.6, 3), np.array([0, 0, 300]) + rng.uniform(-50, 50, 3), "camera", "target"
+        )
+        for _ in range(15)
+    ]
+    held = [placed @ view.inverse() @ mounted.inverse() for view in seen]
+    robot, camera = pose_table(tmp_path / "robot.txt", held), pose_table(tmp_path / "camera.txt", seen)
+    out = tmp_path / "mounted.json"
+    result = run("calibrate", "hand-eye", str(robot), str(camera), "-o", str(out))
+    np.testing.assert_allclose(result["hand_from_camera"], mounted.matrix, atol=1e-4)
+    assert result["pairs"] == result["inliers"] == 15
+    assert (result["target"], result["source"]) == ("hand", "camera")
+    written = read_coordinate_definitions(out.with_suffix(".xml"))["hand_from_camera"]
+    assert written.tolist() == result["hand_from_camera"]
+    assert out.with_suffix(".png").read_bytes()[:4] == b"\x89PNG"
+    refused = CliRunner().invoke(
+        app, ["calibrate", "hand-eye", str(robot), str(camera), "--method", "kabsch"]
+    )
+    assert refused.exit_code == 3
+    still = pose_table(tmp_path / "still.txt", [held[0]] * 15)
+    assert CliRunner().invoke(app, ["calibrate", "hand-eye", str(still), str(camera)]).exit_code == 7
+
+
+def test_landmarks_are_compared_with_a_stated_placement(data_dir: Path, tmp_path: Path) -> None:
+    folder = data_dir / "plus-phantom-landmarks"
+    result = run(
+        "calibrate", "landmarks", str(folder / "EightLandmarkPointsTrackedForPhantomRegistration.igs.mha"),
+        "--device-set", str(folder / "PlusDeviceSet_fCal_Sim_RecordPhantomLandmarks.xml"),
+        "--compare", str(folder / "PhantomRegistrationLandmarkDetection.results.xml"),
+        "-o", str(tmp_path / "placed.json"),
+    )  # fmt: skip
+    assert result["mean_mm"] <= 0.30  # type: ignore[operator]
+    assert result["ambiguous"] is False
+    difference = result["difference"]
+    assert difference["rotation_deg"] < 0.1  # type: ignore[index]
+    assert difference["centroid_mm"] < 0.25  # type: ignore[index]
+    assert (tmp_path / "placed.png").is_file()
+    # what was written is a placement to compare with
+    again = run(
+        "calibrate", "landmarks", str(folder / "EightLandmarkPointsTrackedForPhantomRegistration.igs.mha"),
+        "--device-set", str(folder / "PlusDeviceSet_fCal_Sim_RecordPhantomLandmarks.xml"),
+        "--compare", str(tmp_path / "placed.xml"),
+    )  # fmt: skip
+    assert again["difference"]["largest_mm"] < 1e-9  # type: ignore[index]
+
+
+def test_latency_draws_its_evidence(data_dir: Path, tmp_path: Path) -> None:
+    folder = data_dir / "plus-temporal-watertank"
+    out = tmp_path / "lag.json"
+    result = run(
+        "calibrate", "latency", str(folder / "WaterTankBottomTranslationTrackerBuffer-trimmed.igs.mha"),
+        str(folder / "WaterTankBottomTranslationVideoBuffer.igs.mha"),
+        "--line-table", str(folder / "LineSegmentationResultsBaseline.xml"), "-o", str(out),
+    )  # fmt: skip
+    assert result["lag_s"] == pytest.approx(-0.0648, abs=0.002)
+    assert result["second_sigmas"] > 3.0  # type: ignore[operator]
+    assert len(result["period_lags_s"]) == 17  # type: ignore[arg-type]
+    assert out.with_suffix(".png").is_file()
+    assert not out.with_suffix(".xml").exists()

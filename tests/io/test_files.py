@@ -136,8 +136,8 @@ def test_inspect_prints_a_table(data_dir: Path) -> None:
     done = CliRunner().invoke(app, [str(data_dir / "plus-temporal-watertank" / KINDS[-1][0].split("/")[1])])
     assert done.exit_code == 0
     lines = {" ".join(line.split()) for line in done.stdout.splitlines()}
-    assert "image size px (820, 616)" in lines
-    assert any(line.startswith("tracker_from_probe samples 201; invalid share 0;") for line in lines)
+    assert "images 820 x 616 px, orientation MFA, all valid" in lines
+    assert any(line.startswith("├─ probe tracker_from_probe: all valid, moves 7.4 x 7.0") for line in lines)
 
 
 def test_inspect_scenario(tmp_path: Path, make_scenario: Callable[..., Any]) -> None:

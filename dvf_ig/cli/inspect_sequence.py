@@ -1,0 +1,85 @@
+"""A tracked sequence as `dvf-ig inspect` prints it: images, clock, and the tree of frames."""
+
+from typing import Any
+
+Facts = dict[str, Any]
+Row = tuple[str, str]
+
+
+def sequence_rows(facts: Facts) -> list[Row]:
+    """Rows (label, text) of the facts of one tracked sequence."""
+    return [("frames", str(facts["frames"])), _images(facts), *_clock(facts), *_tree(facts)]
+
+
+def _images(facts: Facts) -> Row:
+    size = facts["image_size_px"]
+    if size is None:
+        return ("images", "none: poses only")
+    kind = "" if facts["pixel_type"] in ("MET_UCHAR", "uchar", "uint8") else f", pixels {facts['pixel_type']}"
+    valid = _valid(facts["invalid_image_share"])
+    return ("images", f"{size[0]} x {size[1]} px, orientation {facts['orientation']}, {valid}{kind}")
+
+
+def _clock(facts: Facts) -> list[Row]:
+    if not facts["has_timestamps"]:
+        return [("clock", "no time stamps: frames are counted, latency and gating cannot use them")]
+    if facts["rate_hz"] is None:
+        return [("clock", "one time stamp")]
+    rows = [
+        (
+            "clock",
+            f"{facts['rate_hz']:.2f} frames/s for {facts['duration_s']:.2f} s from {facts['start_s']:.3f} s, "
+            f"steps irregular by {1000 * facts['jitter_s']:.1f} ms (SD)",
+        )
+    ]
+    missing, longest = facts["missing_frames"], 1000 * facts["longest_gap_s"]
+    lost = f"{missing} frames missing" if missing else "no frame missing"
+    rows.append(("gaps", f"{lost}, longest step {longest:.0f} ms, {facts['gaps']} beyond 250 ms"))
+    rows.append(("stamps", _stamps(facts)))
+    return rows
+
+
+def _stamps(facts: Facts) -> str:
+    repeated, backward = facts["repeated_stamps"], facts["backward_stamps"]
+    order = "increasing" if not repeated and not backward else f"{repeated} repeated, {backward} step back"
+    shift = facts["stamp_filter_shift_s"]
+    return order if not shift else f"{order}; the recorder's filter moved them by up to {1000 * shift:.0f} ms"
+
+
+def _tree(facts: Facts) -> list[Row]:
+    """The frame tree, with what is known of each transform beside the frame that hangs on it."""
+    lines: list[str] = facts["frame_tree"]
+    if not lines:
+        return [("poses", "none recorded")]
+    width = max(len(line) for line in lines)
+    rows: list[Row] = []
+    parents = [""]
+    for line in lines:
+        name = line.lstrip("│├└─ ")
+        depth = (len(line) - len(name)) // 3
+        parents = [*parents[:depth], name]
+        told = _transform(facts, parents[depth - 1], name) if depth else ""
+        rows.append(("poses" if not rows else "", f"{line:<{width}}  {told}".rstrip()))
+    return rows
+
+
+def _transform(facts: Facts, parent: str, child: str) -> str:
+    for name in (f"{parent}_from_{child}", f"{child}_from_{parent}"):
+        known = facts["transforms"].get(name)
+        if known is not None:
+            return f"{name}: {_moves(known)}"
+        if name in facts["image_maps"]:
+            return f"{name}: a map from pixels, not a pose"
+    return ""
+
+
+def _moves(known: Facts) -> str:
+    if known["extent_mm"] is None:
+        return _valid(known["invalid_share"])
+    extent = " x ".join(f"{side:.1f}" for side in known["extent_mm"])
+    frozen = f", frozen for {known['frozen_share']:.0%}" if known["frozen_share"] else ""
+    return f"{_valid(known['invalid_share'])}{frozen}, moves {extent} mm, turns {known['turn_deg']:.1f} deg"
+
+
+def _valid(invalid_share: float) -> str:
+    return "all valid" if invalid_share == 0 else f"{invalid_share:.1%} INVALID"

@@ -1,0 +1,64 @@
+"""`dvf-ig calibrate probe --phantom cross-wire|wall`: from synthetic recordings to JSON and PLUS XML."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from dvf_ig.cli.main import app
+from dvf_ig.io import read_coordinate_definitions
+
+
+def run(*arguments: object) -> tuple[int, str, str]:
+    done = CliRunner().invoke(app, [*map(str, arguments)])
+    return done.exit_code, done.stdout, done.output
+
+
+@pytest.mark.parametrize(("kind", "phantom"), [("crosswire", "cross-wire"), ("wall", "wall")])
+def test_json_is_as_for_n_wires_and_the_truth_is_met(tmp_path: Path, kind: str, phantom: str) -> None:
+    assert run("synth", "calibration", kind, "-o", tmp_path, "--seed", 5)[0] == 0
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    sequence, points = tmp_path / f"{kind}.igs.mha", tmp_path / f"{kind}_points.csv"
+    files = ["--points", points, "--validate", sequence, "--validate-points", points]
+    out = tmp_path / "probe.json"
+    code, text, output = run(
+        "calibrate", "probe", sequence, "--phantom", phantom, *files, "--json", "-o", out
+    )
+    assert code == 0, output
+    found = json.loads(text)
+    for part in ("calibration", "validation"):
+        assert set(found[part]) == {"mean_mm", "sd_mm", "mean95_mm", "sd95_mm", "frames_used", "frames"}
+    half = found["uncertainty"]["center_half_width_mm"]
+    pixel = np.array([*found["uncertainty"]["center_px"], 0.0, 1.0])
+    gap = (np.array(found["sensor_from_image"]) - np.array(truth["probe_from_image"])) @ pixel
+    # two 95 % half-widths
+    assert np.linalg.norm(gap[:3]) < 2 * np.linalg.norm(list(half.values()))
+    assert len(found["rejected"]) + found["inlier_frames"] == 60
+    if kind == "crosswire":
+        assert np.linalg.norm(np.subtract(found["crossing_mm"], truth["crossing_tracker_mm"])) < 0.5
+    else:
+        assert abs(np.dot(found["wall_normal"], truth["wall_normal_tracker"])) > 0.9999
+    saved = read_coordinate_definitions(out.with_suffix(".xml"))["probe_from_image"]
+    assert saved.tolist() == found["sensor_from_image"]
+
+
+def test_missing_points_and_wrong_options_are_said(tmp_path: Path) -> None:
+    assert run("synth", "calibration", "crosswire", "-o", tmp_path, "--seed", 5)[0] == 0
+    sequence = tmp_path / "crosswire.igs.mha"
+    code, _, output = run("calibrate", "probe", sequence, "--phantom", "cross-wire")
+    assert code == 3
+    assert "--points" in output
+    points = tmp_path / "crosswire_points.csv"
+    code, _, output = run(
+        "calibrate", "probe", sequence, "--phantom", "cross-wire", "--points", points, "--method", "linear"
+    )
+    assert code == 3
+    assert "orthogonal or isotropic" in output
+    code, _, output = run("calibrate", "probe", sequence, "--phantom", "wall", "--points", points)
+    assert code == 3
+    assert "given by 2" in output
+    code, _, output = run("calibrate", "probe", sequence)
+    assert code == 3
+    assert "--device-set" in output
