@@ -2,17 +2,21 @@
 
 import os
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dvf_ig.core import DvfModel, OutputError, Preop
 
+from .model_image import ImageRequest, model_from_image
+from .model_output import model_payload, model_rows, phase_rows
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, warn, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.preop import ModelCheck, ModelOptions
+    from dvf_ig.preop import ModelOptions
 
 app = typer.Typer(help="Build a dynamic fixture from pre-operative data, and check it.", no_args_is_help=True)
 
@@ -24,13 +28,38 @@ def build(
         Path | None, typer.Option("--surfaces", help="Folder (or archive) of surfaces, one mesh a phase.")
     ] = None,
     surface: Annotated[str, typer.Option("--surface", help="Name of the surface to guard.")] = "EPICARDIAL",
-    labels: Annotated[Path | None, typer.Option("--labels", help="4-D label image.")] = None,
+    labels: Annotated[
+        Path | None, typer.Option("--labels", help="4-D label image; with --image, end-diastole's.")
+    ] = None,
+    image: Annotated[
+        Path | None, typer.Option("--image", help="4-D image, for the motion of --labels or --seeds.")
+    ] = None,
+    seeds: Annotated[
+        Path | None, typer.Option("--seeds", help="Points named heart, cavity, background (.mrk.json, JSON).")
+    ] = None,
+    cavity: Annotated[
+        str | None, typer.Option("--cavity", help="With --image: label values of the left ventricle's blood.")
+    ] = None,
+    ed_phase: Annotated[
+        int, typer.Option("--ed-phase", min=0, help="With --image: the phase that is labelled.")
+    ] = 0,
+    motion: Annotated[str, typer.Option("--motion", help="With --image: bspline or demons.")] = "bspline",
     organ: Annotated[
         str | None, typer.Option("--organ", help="Label values inside the surface, for example 1,2,5.")
     ] = None,
     timing: Annotated[Path | None, typer.Option("--timing", help="JSON file of phase times and RR.")] = None,
     patient: Annotated[str | None, typer.Option("--patient", help="Patient id (for --labels).")] = None,
-    knot_mm: Annotated[float, typer.Option("--knot-mm", help="Spline knot pitch in mm.")] = 3.0,
+    knot_mm: Annotated[
+        float | None, typer.Option("--knot-mm", help="Spline knot pitch in mm (default 3).")
+    ] = None,
+    accuracy_mm: Annotated[
+        float | None,
+        typer.Option(
+            "--accuracy-mm",
+            help="Wanted mean surface error in mm (p99: four times that): the coarsest knots that reach it "
+            "on the most contracted phase.",
+        ),
+    ] = None,
     margin_mm: Annotated[
         float, typer.Option("--margin-mm", help="Box margin around the heart in mm.")
     ] = 15.0,
@@ -40,25 +69,50 @@ def build(
 ) -> None:
     """Fit signed-distance splines to a moving surface and write them as one model file."""
     with command(threads):
-        if (surfaces is None) == (labels is None):
-            raise typer.BadParameter("give either --surfaces DIR or --labels SERIES")
+        if (surfaces is None) == (labels is None and image is None):
+            raise typer.BadParameter("give --surfaces DIR, --labels SERIES, or --image and labels or seeds")
+        if image is None and seeds is not None:
+            raise typer.BadParameter("--seeds needs --image, the 4-D image that they are set in")
         if not output.parent.is_dir():
             raise OutputError(
                 f"cannot write {output}: the folder {output.parent} does not exist; make it first"
             )
+        if knot_mm is not None and accuracy_mm is not None:
+            raise typer.BadParameter("give either --knot-mm or --accuracy-mm")
         from dvf_ig.io import write_model
         from dvf_ig.preop import ModelOptions
 
-        options = ModelOptions(knot_mm, margin_mm, threads=threads or os.cpu_count() or 1)
+        options = ModelOptions(
+            knot_mm or ModelOptions().knot_spacing_mm,
+            margin_mm,
+            threads=threads or os.cpu_count() or 1,
+            accuracy_mm=accuracy_mm,
+        )
         start = time.perf_counter()
-        if surfaces is not None:
+        evidence: dict[str, Any] = {}
+        if image is not None:
+            request = ImageRequest(
+                image,
+                labels,
+                seeds,
+                _organ_labels(organ) if organ else (),
+                _organ_labels(cavity) if cavity else (),
+                ed_phase,
+                motion,
+                timing,
+                patient,
+                surface,
+                output,
+            )
+            model, evidence["motion"] = model_from_image(request, options, as_json=as_json)
+        elif surfaces is not None:
             model = _from_surfaces(surfaces, surface, timing, options)
         elif labels is not None:
             model = _from_labels(labels, organ, timing, patient, surface, options)
         seconds = time.perf_counter() - start
         _tell_assumptions(model)
         write_model(model, output)
-        _report(model, seed, seconds, as_json)
+        _report(model, seed, seconds, as_json, evidence=evidence)
         wrote(output, model.frame)
 
 
@@ -77,7 +131,7 @@ def check(
         start = time.perf_counter()
         model = read_model(model_file)
         _tell_assumptions(model)
-        _report(model, seed, None, as_json, points=points, start=start)
+        _report(model, seed, None, as_json, points=points, start=start, per_phase=True)
 
 
 def _from_surfaces(folder: Path, name: str, timing: Path | None, options: "ModelOptions") -> DvfModel:
@@ -142,6 +196,8 @@ def _report(
     *,
     points: int = 4000,
     start: float | None = None,
+    per_phase: bool = False,
+    evidence: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Check the model and print what both commands print."""
     import numpy as np
@@ -151,63 +207,7 @@ def _report(
     result = check_model(model, points_per_phase=points, rng=np.random.default_rng(seed))
     if seconds is None and start is not None:
         seconds = time.perf_counter() - start
-    emit(_payload(model, result, seed, seconds), _rows(model, result, seconds), as_json=as_json)
-
-
-def _payload(model: DvfModel, result: "ModelCheck", seed: int, seconds: float | None) -> dict[str, Any]:
-    from dvf_ig.preop import border_distance_mm, potential_at_border
-
-    border_mm = border_distance_mm(model)
-    return {
-        "surface_error_mm": {
-            "mean": result.mean_mm,
-            "p99": result.p99_mm,
-            "max": result.max_mm,
-            "per_phase": result.per_phase_mm.tolist(),
-        },
-        "megabytes": model.megabytes,
-        "phases": model.phases,
-        "seconds": seconds,
-        "patient_id": model.patient_id,
-        "surface": model.surface_name,
-        "frame": model.frame,
-        "rr_s": model.timing.rr_s,
-        "rr_assumed": model.timing.rr_assumed,
-        "timing_assumed": model.timing.timing_assumed,
-        "ed_phase": model.ed_phase,
-        "es_fraction": model.es_fraction,
-        "border_distance_mm": border_mm,
-        "potential_at_border": potential_at_border(border_mm, 1.0),
-        "points": result.points,
-        "excluded_area_share": result.excluded_area_share,
-        "rim_mm": result.rim_mm,
-        "seed": seed,
-    }
-
-
-def _rows(model: DvfModel, result: "ModelCheck", seconds: float | None) -> list[tuple[str, str]]:
-    from dvf_ig.preop import border_distance_mm, potential_at_border
-
-    border_mm = border_distance_mm(model)
-    extent = (model.upper_mm - model.origin_mm).round(0).astype(int).tolist()
-    return [
-        ("model", f"{model.surface_name} of {model.patient_id}, frame {model.frame}"),
-        ("phases", f"{model.phases}, RR {model.timing.rr_s:.3f} s, end-systole at {model.es_fraction:.2f}"),
-        ("box", f"{extent[0]} x {extent[1]} x {extent[2]} mm, knots every {model.knot_spacing_mm:g} mm"),
-        (
-            "border",
-            f"{border_mm:.1f} mm off the surface at the nearest: a sigmoid of 1/mm has fallen to "
-            f"{potential_at_border(border_mm, 1.0):.0e} of its cap",
-        ),
-        ("size", f"{model.megabytes:.1f} MB"),
-        (
-            "surface error",
-            f"{result.mean_mm:.3f} mm mean, {result.p99_mm:.3f} p99, {result.max_mm:.3f} max "
-            f"({result.points} random points)",
-        ),
-        (
-            "not judged",
-            f"{result.excluded_area_share:.0%} of the area: caps and {result.rim_mm:g} mm around them",
-        ),
-        ("time", f"{seconds:.1f} s" if seconds is not None else "-"),
-    ]
+    rows = model_rows(model, result, seconds)
+    if per_phase:
+        rows += phase_rows(model, result)
+    emit({**model_payload(model, result, seed, seconds), **evidence}, rows, as_json=as_json)

@@ -34,7 +34,7 @@ def read_landmarks(path: Path | str, frame: str) -> Landmarks:
     name = path.name.lower()
     with reading(path, "landmarks"):
         if name.endswith(".json"):
-            names, xyz = _from_markups(path)
+            names, xyz = markup_points(path)
         elif name.endswith(".fcsv"):
             names, xyz = _from_fcsv(path)
         elif name.endswith(".tag"):
@@ -108,7 +108,8 @@ def _to_lps(path: Path, system: Any) -> FloatArray:
     return np.array(signs)
 
 
-def _from_markups(path: Path) -> tuple[list[str], FloatArray]:
+def markup_points(path: Path) -> tuple[list[str], FloatArray]:
+    """Names, which may repeat, and (n, 3) LPS positions of every defined point in 3D Slicer markups."""
     try:
         markups = read_json(path, "3D Slicer markups")["markups"]
         names: list[str] = []

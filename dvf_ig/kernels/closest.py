@@ -82,6 +82,7 @@ def closest_batch(
     pending: IntArray,
     bound: FloatArray,
     distance_mm: FloatArray,
+    triangle: IntArray,
 ) -> None:
     """Unsigned distance from each point to the nearest triangle, into the caller's buffer.
 
@@ -94,6 +95,7 @@ def closest_batch(
         xyz_mm: (n, 3) points.
         pending, bound: (DEPTH,) work space: nodes still to visit, and the squared distance to each.
         distance_mm: (n,) output.
+        triangle: (n,) output, the nearest triangle's place in leaf order.
     """
     leaves = len(leaf_start) - 1
     nearest = 0
@@ -127,3 +129,4 @@ def closest_batch(
                 if squared < best:
                     best, nearest = squared, m
         distance_mm[n] = np.sqrt(best)
+        triangle[n] = nearest

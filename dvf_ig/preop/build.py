@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,10 @@ from dvf_ig.core import (
 from dvf_ig.core.frames import require_same_frame
 
 from .closing import close_surface
-from .distance import LEVELS, signed_distance_mm
+from .knots import choose_knot_spacing
 from .labels import border_caps, surfaces_from_labels
-from .spline_fit import SAMPLES_PER_KNOT, AxisSolver, fit_coefficients
+from .phase_fit import axis_solvers, fit_phase, sample_grid
 from .topology import count_edges
-
-CELLS_IN_STEP = (1 << LEVELS) // SAMPLES_PER_KNOT
-"""The number of knot cells along an axis is a multiple of this, as the sampling asks."""
 
 Progress = Callable[[float], None]
 
@@ -43,12 +40,15 @@ class ModelOptions:
             has fallen to 3e-7 of its cap.
         band_mm: distance from the surface within which samples are exact at full density.
         threads: phases computed at a time; has no influence on the result.
+        accuracy_mm: wanted mean surface error; the pitch is then chosen on a pilot phase (see
+            `choose_knot_spacing`) and knot_spacing_mm is not used.
     """
 
     knot_spacing_mm: float = 3.0
     margin_mm: float = 15.0
-    band_mm: float = 6.0
+    band_mm: float = 4.0
     threads: int = 2
+    accuracy_mm: float | None = None
 
     def __post_init__(self) -> None:
         if not 0.5 <= self.knot_spacing_mm <= 20.0:
@@ -59,6 +59,8 @@ class ModelOptions:
             raise InvalidInputError(f"band is {self.band_mm:g} mm; it must be positive")
         if self.threads < 1:
             raise InvalidInputError(f"{self.threads} threads asked for; needed at least 1")
+        if self.accuracy_mm is not None and not 0.001 <= self.accuracy_mm <= 1.0:
+            raise InvalidInputError(f"wanted accuracy is {self.accuracy_mm:g} mm; needed 0.001 to 1 mm")
 
 
 def build_model(
@@ -85,24 +87,20 @@ def build_model(
         progress: told the fraction done.
         sources: what the model is built from, for the record.
     Raises:
-        InvalidInputError: counts that do not match the timing, or a surface that is not closed.
+        InvalidInputError: counts that do not match the timing, a surface that is not closed, or a wanted
+            accuracy that no pitch reaches.
         FrameMismatchError: a surface in another frame.
-    Source: Ren 2008, Section III, with exact distances instead of dilation and the exact minimiser of eq. 2.
+    Source: Ren 2008, Section III, with exact distances instead of dilation, and the minimiser of eq. 2 with
+        weights that put the surface first.
     """
     _check_reference(reference, timing, frame, surface_name)
-    grid = _sample_grid(reference, frame, options)
-    solvers = _solvers(grid)
-    report = progress or (lambda _: None)
-
-    def fit(mesh: Mesh) -> NDArray[np.float32]:
-        samples = signed_distance_mm(mesh, grid, options.band_mm)
-        return fit_coefficients(samples, solvers).astype(np.float32)
-
-    coefficients = []
-    with ThreadPoolExecutor(options.threads) as pool:
-        for fitted in pool.map(fit, reference):
-            coefficients.append(fitted)
-            report(len(coefficients) / len(reference))
+    if options.accuracy_mm is not None:
+        choice = choose_knot_spacing(
+            reference, caps, options.accuracy_mm, margin_mm=options.margin_mm, band_mm=options.band_mm
+        )
+        options = replace(options, knot_spacing_mm=choice.knot_spacing_mm)
+    grid = sample_grid(reference, frame, options.knot_spacing_mm, options.margin_mm)
+    coefficients = _fit_phases(reference, grid, options, progress or (lambda _: None))
     enclosed = np.array([mesh.volume_mm3() for mesh in reference])
     volumes = enclosed if cavity_mm3 is None else cavity_mm3
     return DvfModel(
@@ -112,13 +110,30 @@ def build_model(
         timing=timing,
         es_fraction=float(timing.fractions[int(volumes.argmin())]),
         ed_phase=int(volumes.argmax()),
-        coefficients=np.stack(coefficients),
+        coefficients=coefficients,
         origin_mm=grid.origin_mm,
         knot_spacing_mm=options.knot_spacing_mm,
         reference=tuple(reference),
         reference_caps=tuple(caps),
         sources=tuple(sources),
     )
+
+
+def _fit_phases(
+    reference: Sequence[Mesh], grid: Grid, options: ModelOptions, report: Progress
+) -> NDArray[np.float32]:
+    """(n, cx, cy, cz) coefficients, several phases at a time."""
+    solvers = axis_solvers(grid)
+
+    def fit(mesh: Mesh) -> NDArray[np.float32]:
+        return fit_phase(mesh, grid, solvers, options.band_mm).astype(np.float32)
+
+    coefficients = []
+    with ThreadPoolExecutor(options.threads) as pool:
+        for fitted in pool.map(fit, reference):
+            coefficients.append(fitted)
+            report(len(coefficients) / len(reference))
+    return np.stack(coefficients)
 
 
 def model_from_surfaces(
@@ -199,24 +214,6 @@ def _check_reference(reference: Sequence[Mesh], timing: CycleTiming, frame: str,
                 f"surface {name}, phase {i} is not closed: {census}; "
                 "close it first (model_from_surfaces does)"
             )
-
-
-def _sample_grid(reference: Sequence[Mesh], frame: str, options: ModelOptions) -> Grid:
-    """Samples at half the knot pitch over everything the surface sweeps, plus the margin."""
-    lower = np.min([mesh.vertices_mm.min(axis=0) for mesh in reference], axis=0) - options.margin_mm
-    upper = np.max([mesh.vertices_mm.max(axis=0) for mesh in reference], axis=0) + options.margin_mm
-    pairs = np.ceil((upper - lower) / (CELLS_IN_STEP * options.knot_spacing_mm)).astype(int)
-    cells = CELLS_IN_STEP * pairs
-    origin = 0.5 * (lower + upper) - 0.5 * cells * options.knot_spacing_mm
-    shape = tuple(int(n) * SAMPLES_PER_KNOT + 1 for n in cells)
-    return Grid.axis_aligned(
-        frame, (shape[0], shape[1], shape[2]), origin, options.knot_spacing_mm / SAMPLES_PER_KNOT
-    )
-
-
-def _solvers(grid: Grid) -> tuple[AxisSolver, AxisSolver, AxisSolver]:
-    x, y, z = (AxisSolver.of((n - 1) // SAMPLES_PER_KNOT) for n in grid.shape)
-    return x, y, z
 
 
 def border_distance_mm(model: DvfModel) -> float:

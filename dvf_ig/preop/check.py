@@ -1,27 +1,57 @@
-"""How far the fitted model lies from the surface it was fitted to."""
+"""How far the fitted model lies from the surface it was fitted to, and how its normals turn from it."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from dvf_ig.core import BoolArray, DvfModel, FloatArray, IntArray, InvalidInputError, Mesh
-from dvf_ig.kernels import status as code
-from dvf_ig.kernels.spline import spline_batch
 
 from .closing import triangle_areas_mm2
+from .spline_field import SplineField
+from .surface_normals import angle_deg, facet_normals, smooth_normals, vertex_normals
 from .triangle_tree import build_triangle_tree
 
 CAP_RIM_MM = 5.0
+NORMAL_BAND_MM = 2.0
+NORMAL_POINTS_SHARE = 0.25
+"""Normals are judged at every fourth point: each needs a search for the nearest point of the surface."""
+
+MIN_OFFSET_MM = 0.05
+"""Nearer to the surface the exact distance has no direction but its facet's."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhaseErrors:
+    """What one phase of a model gets wrong, at random points.
+
+    Attributes:
+        surface_mm: (n,) distance |d|/|∇d| of the spline's zero level from area-uniform points of the
+            triangles.
+        normal_deg: (k,) angle between the spline's ∇d and the normal of the smooth surface (vertex normals,
+            interpolated at the nearest surface point), at points within 2 mm of the surface.
+        facet_normal_deg: (k,) angle between ∇d and the gradient of the exact distance to the triangles, at
+            the same points; a mesh of flat facets turns by some degrees at each edge.
+        normal_points_mm: (k, 3) those points.
+    """
+
+    surface_mm: FloatArray
+    normal_deg: FloatArray
+    facet_normal_deg: FloatArray
+    normal_points_mm: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelCheck:
-    """Distance between fitted and reference surface at area-uniform random points.
+    """Errors of a model against its reference surfaces; see PhaseErrors for what each one is.
 
     Attributes:
-        mean_mm, p99_mm, max_mm: over all points of all phases.
+        mean_mm, p99_mm, max_mm: surface error over all points of all phases.
         per_phase_mm: (n,) mean of each phase.
-        points: how many points were judged.
+        per_phase_p99_mm: (n,) 99th percentile of each phase.
+        normal_median_deg, normal_p95_deg: of the angle to the smooth surface's normal, all phases.
+        per_phase_normal_p95_deg: (n,) of each phase.
+        facet_normal_median_deg, facet_normal_p95_deg: of the angle to the exact distance's gradient.
+        points: how many surface points were judged.
         excluded_area_share: share of the area left out: caps, and what lies within rim_mm of a cap.
         rim_mm: width of that rim.
     """
@@ -30,13 +60,19 @@ class ModelCheck:
     p99_mm: float
     max_mm: float
     per_phase_mm: FloatArray
+    per_phase_p99_mm: FloatArray
+    normal_median_deg: float
+    normal_p95_deg: float
+    per_phase_normal_p95_deg: FloatArray
+    facet_normal_median_deg: float
+    facet_normal_p95_deg: float
     points: int
     excluded_area_share: float
     rim_mm: float
 
 
 def check_model(model: DvfModel, *, points_per_phase: int = 4000, rng: np.random.Generator) -> ModelCheck:
-    """Surface error |d|/|∇d| of the spline at random points of the reference triangles, never its vertices.
+    """Surface and normal error of the spline around random points of the reference triangles, never vertices.
 
     Args:
         model: the model, with the surfaces it was fitted to.
@@ -45,24 +81,50 @@ def check_model(model: DvfModel, *, points_per_phase: int = 4000, rng: np.random
     Raises:
         InvalidInputError: a phase where caps leave nothing to judge.
     """
-    errors = []
-    kept = 0
-    for i, (mesh, caps) in enumerate(zip(model.reference, model.reference_caps, strict=True)):
-        points = _measured_points(mesh, caps, points_per_phase, rng)
-        if len(points) == 0:
-            raise InvalidInputError(f"phase {i}: all of the surface lies within {CAP_RIM_MM} mm of a cap")
-        kept += len(points)
-        errors.append(_surface_error_mm(model, i, points))
-    together = np.concatenate(errors)
+    found = [phase_errors(model, i, points_per_phase, rng) for i in range(model.phases)]
+    surface = np.concatenate([e.surface_mm for e in found])
+    normal = np.concatenate([e.normal_deg for e in found])
+    facet = np.concatenate([e.facet_normal_deg for e in found])
     return ModelCheck(
-        float(together.mean()),
-        float(np.percentile(together, 99)),
-        float(together.max()),
-        np.array([e.mean() for e in errors]),
-        len(together),
-        1.0 - kept / (points_per_phase * model.phases),
-        CAP_RIM_MM,
+        mean_mm=float(surface.mean()),
+        p99_mm=float(np.percentile(surface, 99)),
+        max_mm=float(surface.max()),
+        per_phase_mm=np.array([e.surface_mm.mean() for e in found]),
+        per_phase_p99_mm=np.array([np.percentile(e.surface_mm, 99) for e in found]),
+        normal_median_deg=float(np.median(normal)),
+        normal_p95_deg=float(np.percentile(normal, 95)),
+        per_phase_normal_p95_deg=np.array([np.percentile(e.normal_deg, 95) for e in found]),
+        facet_normal_median_deg=float(np.median(facet)),
+        facet_normal_p95_deg=float(np.percentile(facet, 95)),
+        points=len(surface),
+        excluded_area_share=1.0 - len(surface) / (points_per_phase * model.phases),
+        rim_mm=CAP_RIM_MM,
     )
+
+
+def phase_errors(model: DvfModel, phase: int, points: int, rng: np.random.Generator) -> PhaseErrors:
+    """Errors of one phase of a model; see `field_errors`."""
+    field = SplineField.of_model(model, phase)
+    return field_errors(field, model.reference[phase], model.reference_caps[phase], points, rng)
+
+
+def field_errors(
+    field: SplineField, mesh: Mesh, caps: BoolArray, points: int, rng: np.random.Generator
+) -> PhaseErrors:
+    """Errors of a spline against a surface at up to `points` random points; caps and their rim are left out.
+
+    Raises:
+        InvalidInputError: caps leave nothing to judge, or the surface leaves the spline's box.
+    """
+    on_surface, triangle = _measured_points(mesh, caps, points, rng)
+    if len(on_surface) == 0:
+        raise InvalidInputError(
+            f"phase {field.phase}: all of the surface lies within {CAP_RIM_MM} mm of a cap"
+        )
+    chosen = slice(0, max(1, round(NORMAL_POINTS_SHARE * len(on_surface))))
+    offset_mm = rng.uniform(-NORMAL_BAND_MM, NORMAL_BAND_MM, size=len(on_surface[chosen]))
+    near = on_surface[chosen] + offset_mm[:, None] * facet_normals(mesh)[triangle[chosen]]
+    return PhaseErrors(field.off_surface_mm(on_surface), *_normal_errors(field, mesh, near), near)
 
 
 def random_surface_points(mesh: Mesh, count: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
@@ -75,31 +137,29 @@ def random_surface_points(mesh: Mesh, count: int, rng: np.random.Generator) -> t
     return np.einsum("nk,nkx->nx", weights, mesh.vertices_mm[mesh.triangles[triangle]]), triangle
 
 
-def _measured_points(mesh: Mesh, caps: BoolArray, count: int, rng: np.random.Generator) -> FloatArray:
+def _measured_points(
+    mesh: Mesh, caps: BoolArray, count: int, rng: np.random.Generator
+) -> tuple[FloatArray, IntArray]:
     points, triangle = random_surface_points(mesh, count, rng)
+    judged = ~caps[triangle] & away_from_caps(mesh, caps, points)
+    return points[judged], triangle[judged]
+
+
+def away_from_caps(mesh: Mesh, caps: BoolArray, xyz_mm: FloatArray) -> BoolArray:
+    """(n,) True for points farther than the rim from every cap: a cap meets the surface in a false crease."""
     if not caps.any():
-        return points
-    from_cap_mm = build_triangle_tree(mesh.vertices_mm, mesh.triangles[caps]).distance_mm(points)
-    judged: FloatArray = points[~caps[triangle] & (from_cap_mm > CAP_RIM_MM)]
-    return judged
+        return np.ones(len(xyz_mm), dtype=np.bool_)
+    from_cap_mm = build_triangle_tree(mesh.vertices_mm, mesh.triangles[caps]).distance_mm(xyz_mm)
+    return np.asarray(from_cap_mm > CAP_RIM_MM)
 
 
-def _surface_error_mm(model: DvfModel, phase: int, points: FloatArray) -> FloatArray:
-    n = len(points)
-    distance, gradient, status = np.empty(n), np.empty((n, 3)), np.empty(n, dtype=np.int64)
-    spline_batch(
-        model.coefficients,
-        model.origin_mm,
-        model.knot_spacing_mm,
-        phase,
-        np.ascontiguousarray(points),
-        distance,
-        gradient,
-        status,
-    )
-    if (status != code.OK).any():
-        raise InvalidInputError(
-            f"phase {phase}: the reference surface leaves the model's box; build it again"
-        )
-    norm = np.linalg.norm(gradient, axis=1)
-    return np.asarray(np.abs(distance) / np.maximum(norm, 1e-9))
+def _normal_errors(field: SplineField, mesh: Mesh, xyz_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Angles of ∇d to the smooth surface's inward normal, and to the exact distance's gradient."""
+    nearest = build_triangle_tree(mesh.vertices_mm, mesh.triangles).nearest(xyz_mm)
+    inward = -smooth_normals(mesh, vertex_normals(mesh), nearest)
+    to_surface = nearest.points_mm - xyz_mm
+    exact = np.where(np.einsum("nx,nx->n", to_surface, inward)[:, None] < 0.0, -to_surface, to_surface)
+    on_facet = nearest.distance_mm < MIN_OFFSET_MM
+    exact[on_facet] = -facet_normals(mesh)[nearest.triangle[on_facet]]
+    _, gradient = field.at(xyz_mm)
+    return angle_deg(gradient, inward), angle_deg(gradient, exact)

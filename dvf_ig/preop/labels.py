@@ -47,6 +47,17 @@ def surfaces_from_labels(
         return tuple(pool.map(lambda mask: _surface(mask, labels.grid, smoothing_voxels), masks))
 
 
+def surface_of_mask(mask: BoolArray, grid: Grid, *, smoothing_voxels: float = SMOOTHING_VOXELS) -> Mesh:
+    """Outer surface of one mask, smoothed as `surfaces_from_labels` smooths.
+
+    Raises:
+        InvalidInputError: an empty mask.
+    """
+    if not mask.any():
+        raise InvalidInputError("the mask has no voxel inside; nothing to take a surface of")
+    return _surface(_Crop(mask, np.zeros(3, dtype=np.int64)), grid, smoothing_voxels)
+
+
 def border_caps(mesh: Mesh, grid: Grid) -> BoolArray:
     """(t,) True for triangles within one voxel of the image border: there the surface was cut, not seen."""
     index = grid.to_index(mesh.vertices_mm[mesh.triangles].mean(axis=1))

@@ -18,19 +18,88 @@ class TriangleTree:
         boxes: (2l − 1, 6) lower and upper corner of each node, mm.
         leaf_start: (l + 1,) first triangle of each leaf.
         corners: (t, 9) triangle corners in leaf order, mm.
+        order: (t,) which triangle of the mesh stands at each place of the leaf order.
     """
 
     boxes: FloatArray
     leaf_start: IntArray
     corners: FloatArray
+    order: IntArray
 
     def distance_mm(self, xyz_mm: FloatArray) -> FloatArray:
         """(n,) unsigned exact distance; quickest when consecutive points are neighbours."""
+        return self._search(xyz_mm)[0]
+
+    def nearest(self, xyz_mm: FloatArray) -> "Nearest":
+        """The nearest point of the surface to each of (n, 3) points."""
+        distance_mm, place = self._search(xyz_mm)
+        weights = nearest_weights(self.corners[place].reshape(-1, 3, 3), np.asarray(xyz_mm))
+        points = np.einsum("nk,nkx->nx", weights, self.corners[place].reshape(-1, 3, 3))
+        return Nearest(distance_mm, points, self.order[place], weights)
+
+    def _search(self, xyz_mm: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Distances, and the place of the nearest triangle in leaf order."""
         points = np.array(xyz_mm, dtype=np.float64, order="C")
-        out = np.empty(len(points))
+        distance_mm, place = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         pending, bound = np.empty(DEPTH, dtype=np.int64), np.empty(DEPTH)
-        closest_batch(self.boxes, self.leaf_start, self.corners, points, pending, bound, out)
-        return out
+        tree = (self.boxes, self.leaf_start, self.corners)
+        closest_batch(*tree, points, pending, bound, distance_mm, place)
+        return distance_mm, place
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nearest:
+    """Nearest points of a surface.
+
+    Attributes:
+        distance_mm: (n,) unsigned.
+        points_mm: (n, 3) on the surface.
+        triangle: (n,) of the mesh the tree was built from.
+        weights: (n, 3) barycentric, of that triangle's corners; not negative.
+    """
+
+    distance_mm: FloatArray
+    points_mm: FloatArray
+    triangle: IntArray
+    weights: FloatArray
+
+
+def nearest_weights(corners: FloatArray, xyz_mm: FloatArray) -> FloatArray:
+    """(n, 3) barycentric weights of the point of each triangle that is nearest to each point.
+
+    The foot of the perpendicular where it falls into the triangle, else the best of the three edges.
+
+    Args:
+        corners: (n, 3, 3) corner k of triangle n; xyz_mm: (n, 3).
+    """
+    weights = _perpendicular_weights(corners, xyz_mm)
+    outside = np.flatnonzero(~(weights >= 0.0).all(axis=1))
+    best = np.full(len(outside), np.inf)
+    for k in range(3):
+        start, side = corners[outside, k], corners[outside, (k + 1) % 3] - corners[outside, k]
+        length = np.einsum("nx,nx->n", side, side)
+        along = np.einsum("nx,nx->n", xyz_mm[outside] - start, side)
+        t = np.clip(along / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
+        squared = ((start + t[:, None] * side - xyz_mm[outside]) ** 2).sum(axis=1)
+        better = squared < best
+        best[better] = squared[better]
+        rows = outside[better]
+        weights[rows] = 0.0
+        weights[rows, k], weights[rows, (k + 1) % 3] = 1.0 - t[better], t[better]
+    return weights
+
+
+def _perpendicular_weights(corners: FloatArray, xyz_mm: FloatArray) -> FloatArray:
+    """(n, 3) barycentric coordinates of the feet in the triangles' planes; NaN for triangles without area."""
+    b, c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    q = xyz_mm - corners[:, 0]
+    bb, bc, cc = (np.einsum("nx,nx->n", u, v) for u, v in ((b, b), (b, c), (c, c)))
+    qb, qc = np.einsum("nx,nx->n", q, b), np.einsum("nx,nx->n", q, c)
+    squared_area = bb * cc - bc * bc
+    flat = squared_area <= 1e-12 * bb * cc
+    squared_area[flat] = np.nan
+    v, w = (cc * qb - bc * qc) / squared_area, (bb * qc - bc * qb) / squared_area
+    return np.stack([1.0 - v - w, v, w], axis=1)
 
 
 def build_triangle_tree(vertices_mm: FloatArray, triangles: IntArray) -> TriangleTree:
@@ -48,7 +117,9 @@ def build_triangle_tree(vertices_mm: FloatArray, triangles: IntArray) -> Triangl
         along = np.argmax(extent, axis=1)[node]
         order = order[np.lexsort((sorted_centers[np.arange(count), along], node))]
     leaf_start = _starts(count, 1 << levels)
-    return TriangleTree(_boxes(corners[order], leaf_start), leaf_start, corners[order].reshape(count, 9))
+    return TriangleTree(
+        _boxes(corners[order], leaf_start), leaf_start, corners[order].reshape(count, 9), order
+    )
 
 
 def _starts(count: int, nodes: int) -> IntArray:

@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
-from dvf_ig.core import FrameMismatchError, InvalidInputError, SurfaceSeries
+from dvf_ig.core import FrameMismatchError, InvalidInputError, Mesh, SurfaceSeries
 from dvf_ig.kernels.spline import spline_batch
-from dvf_ig.preop import ModelOptions, build_model, check_model, close_surface, model_from_surfaces
+from dvf_ig.preop import (
+    ModelOptions,
+    build_model,
+    check_model,
+    choose_knot_spacing,
+    close_surface,
+    model_from_surfaces,
+)
 from dvf_ig.preop.build import border_distance_mm, potential_at_border
 
 
@@ -50,6 +57,40 @@ def test_check_measures_the_fit(model):
     assert result.excluded_area_share == 0.0
     again = check_model(model, points_per_phase=500, rng=np.random.default_rng(1))
     assert again.mean_mm == result.mean_mm
+
+
+def test_check_measures_normals_against_the_sphere(model):
+    result = check_model(model, points_per_phase=800, rng=np.random.default_rng(2))
+    assert result.normal_median_deg < 0.3
+    assert result.normal_median_deg < result.normal_p95_deg < 1.5
+    assert result.facet_normal_median_deg > result.normal_median_deg
+    assert result.per_phase_normal_p95_deg.shape == result.per_phase_p99_mm.shape == (3,)
+    assert result.per_phase_p99_mm.max() >= result.p99_mm >= result.per_phase_p99_mm.min()
+
+
+def test_wanted_accuracy_picks_the_coarsest_knots_that_reach_it(beating_sphere):
+    closed = close_surface(beating_sphere)
+    meshes, caps = [closed.phase(i) for i in range(3)], [closed.caps] * 3
+    choice = choose_knot_spacing(meshes, caps, 0.02, margin_mm=15.0, band_mm=4.0)
+    assert choice.pilot_phase == 1  # the smallest ball
+    *refused, taken = choice.tried
+    assert taken.knot_spacing_mm == choice.knot_spacing_mm
+    assert taken.mean_mm <= 0.02
+    assert taken.p99_mm <= 0.08
+    assert all(trial.mean_mm > 0.02 or trial.p99_mm > 0.08 for trial in refused)
+    model = model_from_surfaces(beating_sphere, options=ModelOptions(accuracy_mm=0.02))
+    assert model.knot_spacing_mm == choice.knot_spacing_mm
+    assert check_model(model, points_per_phase=500, rng=np.random.default_rng(1)).mean_mm < 0.02
+
+
+def test_accuracy_out_of_reach_is_refused():
+    """A tetrahedron's edges are sharper than any spline."""
+    corners = 8.0 * np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    faces = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    tetrahedron = Mesh("mr", corners, faces)
+    caps = [np.zeros(4, dtype=bool)]
+    with pytest.raises(InvalidInputError, match="out of reach: knots every"):
+        choose_knot_spacing([tetrahedron], caps, 0.001, margin_mm=2.0, band_mm=2.0)
 
 
 def test_check_finds_a_model_that_is_off(model, beating_sphere):
@@ -114,7 +155,8 @@ def test_counts_and_frames_are_checked(beating_sphere):
 
 
 @pytest.mark.parametrize(
-    "bad", [{"knot_spacing_mm": 0.0}, {"margin_mm": -1.0}, {"band_mm": 0.0}, {"threads": 0}]
+    "bad",
+    [{"knot_spacing_mm": 0.0}, {"margin_mm": -1.0}, {"band_mm": 0.0}, {"threads": 0}, {"accuracy_mm": 0.0}],
 )
 def test_options_are_checked(bad):
     with pytest.raises(InvalidInputError):

@@ -50,6 +50,19 @@ def test_check_repeats_with_a_seed(built):
     assert "surface error" in run("model", "check", built[0]).stdout
 
 
+def test_wanted_accuracy_sets_the_knots(built, tmp_path):
+    folder, output = built[0].parent, tmp_path / "m.npz"
+    result = run("model", "build", "--surfaces", folder, "-o", output, "--accuracy-mm", 0.02, "--json")
+    report = json.loads(result.stdout)
+    assert report["surface_error_mm"]["mean"] < 0.02
+    assert report["knot_spacing_mm"] > built[1]["knot_spacing_mm"]
+    assert report["megabytes"] < built[1]["megabytes"]
+    assert report["normal_error_deg"]["p95"] < 5.0
+    assert set(report["definitions"]) >= {"surface_error_mm", "normal_error_deg", "megabytes"}
+    both = run("model", "build", "--surfaces", folder, "-o", output, "--accuracy-mm", 0.1, "--knot-mm", 3)
+    assert both.exit_code == 2
+
+
 def test_force_at_points(built, tmp_path):
     points = tmp_path / "points.csv"
     points.write_text("x_mm,y_mm,z_mm\n0,0,20\n500,0,0\n\n", encoding="utf-8")

@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import Grid, InvalidInputError, Mesh
-from dvf_ig.preop import signed_distance_mm
+from dvf_ig.preop import (
+    angle_deg,
+    build_triangle_tree,
+    dilation_distance_mm,
+    facet_normals,
+    signed_distance_mm,
+    smooth_normals,
+    surface_of_mask,
+    vertex_normals,
+)
 
 
 def test_sphere(sphere_of):
@@ -42,3 +51,61 @@ def test_grids_that_cannot_be_doubled_are_refused(sphere_of):
     mesh = Mesh("mr", *sphere_of(20.0, 1))
     with pytest.raises(InvalidInputError, match="multiples of 4"):
         signed_distance_mm(mesh, Grid.axis_aligned("mr", (40, 41, 41), [-30.0] * 3, 1.5), 6.0)
+
+
+@pytest.mark.parametrize(
+    ("neighbours", "norm"),
+    [
+        (6, lambda p: np.abs(p).sum(axis=-1)),
+        (26, lambda p: np.abs(p).max(axis=-1)),
+        (18, lambda p: np.maximum(np.abs(p).max(axis=-1), np.ceil(np.abs(p).sum(axis=-1) / 2))),
+    ],
+)
+def test_dilation_counts_in_its_own_metric(neighbours, norm):
+    """Around one voxel, k layers reach the ball of the structuring element's norm."""
+    mask = np.zeros((13, 13, 13), dtype=bool)
+    mask[6, 6, 6] = True
+    offset = np.moveaxis(np.indices(mask.shape), 0, -1) - 6.0
+    expected = -(norm(offset) - 0.5) * 1.5
+    expected[6, 6, 6] = 0.75
+    np.testing.assert_array_equal(dilation_distance_mm(mask, 1.5, neighbours), expected)
+
+
+def test_dilation_of_a_slab_is_exact_and_of_nothing_refused():
+    mask = np.zeros((12, 5, 5), dtype=bool)
+    mask[:6] = True
+    expected = np.broadcast_to((5.5 - np.arange(12.0))[:, None, None], mask.shape) * 2.0
+    for neighbours in (6, 18, 26):
+        np.testing.assert_array_equal(dilation_distance_mm(mask, 2.0, neighbours), expected)
+    with pytest.raises(InvalidInputError, match="choose 6, 18 or 26"):
+        dilation_distance_mm(mask, 2.0, 8)
+    with pytest.raises(InvalidInputError, match="inside and outside"):
+        dilation_distance_mm(np.zeros((3, 3, 3), dtype=bool), 2.0, 6)
+
+
+def test_nearest_points_and_smooth_normals_of_a_sphere(sphere_of):
+    mesh = Mesh("mr", *sphere_of(20.0, 4))
+    rng = np.random.default_rng(2)
+    outward = rng.normal(size=(500, 3))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    points = outward * rng.uniform(15.0, 25.0, size=(500, 1))
+    tree = build_triangle_tree(mesh.vertices_mm, mesh.triangles)
+    nearest = tree.nearest(points)
+    assert (nearest.weights >= 0.0).all()
+    np.testing.assert_allclose(nearest.weights.sum(axis=1), 1.0)
+    apart = np.linalg.norm(points - nearest.points_mm, axis=1)
+    np.testing.assert_allclose(apart, nearest.distance_mm, atol=1e-12)
+    again = np.einsum("nk,nkx->nx", nearest.weights, mesh.vertices_mm[mesh.triangles[nearest.triangle]])
+    np.testing.assert_allclose(again, nearest.points_mm, atol=1e-12)
+    of_facets = angle_deg(facet_normals(mesh)[nearest.triangle], nearest.points_mm)
+    of_smooth = angle_deg(smooth_normals(mesh, vertex_normals(mesh), nearest), nearest.points_mm)
+    assert of_smooth.max() < 0.2 < np.median(of_facets)
+
+
+def test_a_mask_gives_its_surface_without_shrinking():
+    grid = Grid.axis_aligned("mr", (41, 41, 41), [-20.0] * 3, 1.0)
+    mesh = surface_of_mask(np.linalg.norm(grid.centers_mm(), axis=-1) < 14.0, grid)
+    radius = np.linalg.norm(mesh.vertices_mm, axis=1)
+    assert abs(radius.mean() - 14.0) < 0.05
+    with pytest.raises(InvalidInputError, match="no voxel inside"):
+        surface_of_mask(np.zeros(grid.shape, dtype=bool), grid)

@@ -1,0 +1,114 @@
+"""What `dvf-ig model build` and `check` print: numbers, and what each one means."""
+
+from typing import TYPE_CHECKING, Any
+
+from dvf_ig.core import DvfModel
+
+if TYPE_CHECKING:
+    from dvf_ig.preop import ModelCheck
+
+DEFINITIONS = {
+    "surface_error_mm": "|d|/|grad d| at random points of the reference triangles, no caps nor rim",
+    "normal_error_deg": "grad d against the smooth surface's normal at the nearest point, within 2 mm of it",
+    "normal_error_deg.facet": "grad d against the exact distance to the flat facets, at the same points",
+    "megabytes": "float32 spline coefficients of all phases, 10^6 bytes",
+}
+
+
+def model_payload(model: DvfModel, result: "ModelCheck", seed: int, seconds: float | None) -> dict[str, Any]:
+    from dvf_ig.preop import border_distance_mm, potential_at_border
+
+    border_mm = border_distance_mm(model)
+    return {
+        "surface_error_mm": {
+            "mean": result.mean_mm,
+            "p99": result.p99_mm,
+            "max": result.max_mm,
+            "per_phase": result.per_phase_mm.tolist(),
+            "per_phase_p99": result.per_phase_p99_mm.tolist(),
+        },
+        "normal_error_deg": {
+            "median": result.normal_median_deg,
+            "p95": result.normal_p95_deg,
+            "per_phase_p95": result.per_phase_normal_p95_deg.tolist(),
+            "facet_median": result.facet_normal_median_deg,
+            "facet_p95": result.facet_normal_p95_deg,
+        },
+        "knot_spacing_mm": model.knot_spacing_mm,
+        "megabytes": model.megabytes,
+        "phases": model.phases,
+        "seconds": seconds,
+        "patient_id": model.patient_id,
+        "surface": model.surface_name,
+        "frame": model.frame,
+        "rr_s": model.timing.rr_s,
+        "rr_assumed": model.timing.rr_assumed,
+        "timing_assumed": model.timing.timing_assumed,
+        "ed_phase": model.ed_phase,
+        "es_fraction": model.es_fraction,
+        "border_distance_mm": border_mm,
+        "potential_at_border": potential_at_border(border_mm, 1.0),
+        "points": result.points,
+        "excluded_area_share": result.excluded_area_share,
+        "rim_mm": result.rim_mm,
+        "seed": seed,
+        "definitions": DEFINITIONS,
+    }
+
+
+def model_rows(model: DvfModel, result: "ModelCheck", seconds: float | None) -> list[tuple[str, str]]:
+    from dvf_ig.preop import border_distance_mm, potential_at_border
+
+    border_mm = border_distance_mm(model)
+    extent = (model.upper_mm - model.origin_mm).round(0).astype(int).tolist()
+    return [
+        ("model", f"{model.surface_name} of {model.patient_id}, frame {model.frame}"),
+        ("phases", f"{model.phases}, RR {model.timing.rr_s:.3f} s, end-systole at {model.es_fraction:.2f}"),
+        ("box", f"{extent[0]} x {extent[1]} x {extent[2]} mm, knots every {model.knot_spacing_mm:g} mm"),
+        (
+            "border",
+            f"{border_mm:.1f} mm off the surface at the nearest: a sigmoid of 1/mm has fallen to "
+            f"{potential_at_border(border_mm, 1.0):.0e} of its cap",
+        ),
+        ("size", f"{model.megabytes:.1f} MB: {DEFINITIONS['megabytes']}"),
+        (
+            "surface error",
+            f"{result.mean_mm:.3f} mm mean, {result.p99_mm:.3f} p99, {result.max_mm:.3f} max "
+            f"({result.points} random points): {DEFINITIONS['surface_error_mm']}",
+        ),
+        (
+            "normal error",
+            f"{result.normal_median_deg:.2f}° median, {result.normal_p95_deg:.2f}° p95: "
+            f"{DEFINITIONS['normal_error_deg']}",
+        ),
+        (
+            "against facets",
+            f"{result.facet_normal_median_deg:.2f}° median, {result.facet_normal_p95_deg:.2f}° p95: "
+            f"{DEFINITIONS['normal_error_deg.facet']}",
+        ),
+        (
+            "not judged",
+            f"{result.excluded_area_share:.0%} of the area: caps and {result.rim_mm:g} mm around them",
+        ),
+        ("time", f"{seconds:.1f} s" if seconds is not None else "-"),
+    ]
+
+
+def phase_rows(model: DvfModel, result: "ModelCheck") -> list[tuple[str, str]]:
+    """One row a phase."""
+    megabytes = model.megabytes / model.phases
+    columns = zip(
+        model.timing.fractions,
+        result.per_phase_mm,
+        result.per_phase_p99_mm,
+        result.per_phase_normal_p95_deg,
+        strict=True,
+    )
+    return [
+        (
+            f"phase {i}",
+            f"at {fraction:.3f} RR: surface {mean:.4f} mm mean, {p99:.3f} p99; normal {turn:.2f}° p95; "
+            f"{megabytes:.2f} MB",
+        )
+        for i, (fraction, mean, p99, turn) in enumerate(columns)
+    ]

@@ -1,0 +1,129 @@
+"""From a 4-D image and the labels of its end-diastole to the fixture model: Section III, end to end."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dvf_ig.core import (
+    BoolArray,
+    DvfModel,
+    FloatArray,
+    InvalidInputError,
+    SurfaceSeries,
+    Volume,
+    VolumeSeries,
+)
+
+from .budget import SurfaceBudget, surface_budget
+from .build import ModelOptions, build_model
+from .cavity import cavity_volumes_mm3
+from .labels import border_caps, surface_of_mask
+from .motion import CycleMotion, MotionOptions, carry_surface, track_cycle
+from .motion_quality import MotionQuality, assess_motion
+from .segment import solid_piece
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class CineOptions:
+    """What the labels mean, and how motion and model are made.
+
+    Attributes:
+        organ_labels: values inside the surface; empty means all but 0.
+        cavity_labels: values of the left ventricular cavity; empty means that it is not labelled.
+        ed_phase: the phase that the labels belong to.
+        surface: name of the surface.
+    """
+
+    organ_labels: tuple[int, ...] = ()
+    cavity_labels: tuple[int, ...] = ()
+    ed_phase: int = 0
+    surface: str = "EPICARDIAL"
+    motion: MotionOptions = field(default_factory=MotionOptions)
+    model: ModelOptions = field(default_factory=ModelOptions)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CineModel:
+    """A model with everything it rests on.
+
+    Attributes:
+        model: the fixture.
+        surfaces: the end-diastolic surface carried through the cycle.
+        motion, quality: how it was carried, and how well.
+        budget: error of the end-diastolic surface itself.
+        volume_mm3: (n,) of the cavity, or enclosed by the surface where no cavity is labelled.
+    """
+
+    model: DvfModel
+    surfaces: SurfaceSeries
+    motion: CycleMotion
+    quality: MotionQuality
+    budget: SurfaceBudget
+    volume_mm3: FloatArray
+
+
+def model_from_cine(
+    image: VolumeSeries,
+    labels: Volume,
+    *,
+    patient_id: str,
+    options: CineOptions = CineOptions(),
+    truth: VolumeSeries | None = None,
+    progress: Progress | None = None,
+    sources: Sequence[str] = (),
+) -> CineModel:
+    """Carry a segmented end-diastole through the cycle by the image's motion, and fit the model to it.
+
+    Args:
+        image: 4-D grey levels.
+        labels: labels of phase `options.ed_phase`, on the image's grid.
+        truth: labels of every phase; they judge the motion and have no part in it.
+        progress: told the fraction done.
+    Raises:
+        InvalidInputError: no voxel of the organ or cavity labels, or labels on another grid.
+    """
+    organ = solid_piece(_chosen(labels, options.organ_labels, "organ"))
+    cavity = _chosen(labels, options.cavity_labels, "cavity") if options.cavity_labels else None
+    report = progress or (lambda _: None)
+    surface = surface_of_mask(organ, image.grid)
+    motion = track_cycle(
+        image, organ, ed_phase=options.ed_phase, options=options.motion, progress=lambda x: report(0.8 * x)
+    )
+    surfaces = carry_surface(motion, image, surface, options.surface, patient_id)
+    volumes = cavity_volumes_mm3(motion, cavity) if cavity is not None else surfaces.volumes_mm3()
+    seen = (
+        None if truth is None else np.stack([_chosen_values(v, options.organ_labels) for v in truth.values])
+    )
+    quality = assess_motion(motion, image, organ, seen)
+    caps = border_caps(surface, image.grid)
+    model = build_model(
+        [surfaces.phase(i) for i in range(len(image.timing))],
+        [caps] * len(image.timing),
+        image.timing,
+        patient_id=patient_id,
+        surface_name=options.surface,
+        frame=image.grid.frame,
+        cavity_mm3=volumes,
+        options=options.model,
+        progress=lambda x: report(0.8 + 0.2 * x),
+        sources=sources,
+    )
+    budget = surface_budget(image.grid.spacing_mm, surface.volume_mm3())
+    return CineModel(model, surfaces, motion, quality, budget, volumes)
+
+
+def _chosen_values(values: BoolArray, chosen: tuple[int, ...]) -> BoolArray:
+    return np.isin(values, chosen) if chosen else np.asarray(values != 0)
+
+
+def _chosen(labels: Volume, chosen: tuple[int, ...], what: str) -> BoolArray:
+    mask = _chosen_values(labels.values, chosen)
+    if not mask.any():
+        raise InvalidInputError(
+            f"the labels have no voxel of the {what} labels {list(chosen) or 'other than 0'}; "
+            f"values present are {np.unique(labels.values).tolist()[:20]}"
+        )
+    return mask

@@ -1,0 +1,241 @@
+"""Motion over the cycle from grey levels: end-diastole carried onto every phase (Ren 2008, Section III).
+
+Two chains leave end-diastole, one forwards and one backwards in time, and meet half a cycle later. Every
+phase is compared with end-diastole itself, so nothing accumulates; its neighbour only says where to begin.
+Both chains do the phase at which they meet; how much they differ there is the closing error of the cycle.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from threading import Lock
+from typing import Literal, Protocol
+
+import numpy as np
+from scipy import ndimage
+
+from dvf_ig.core import (
+    AnyArray,
+    BoolArray,
+    FloatArray,
+    Grid,
+    InvalidInputError,
+    Mesh,
+    SurfaceSeries,
+    Volume,
+    VolumeSeries,
+)
+from dvf_ig.core.frames import require_same_frame
+
+from .demons import DemonsOptions, DisplacementField, match_images_by_demons
+from .free_form import FreeForm, Lattice
+from .image_match import FreeFormOptions, match_images
+
+Progress = Callable[[float], None]
+Method = Literal["bspline", "demons"]
+
+INVERSE_STEPS = 12
+BEYOND_MM = 8.0
+"""Image kept beyond the voxels that are compared, for what moves in from outside."""
+
+
+class Deformation(Protocol):
+    """x ↦ x + u(x) from end-diastole to one phase."""
+
+    @property
+    def grid(self) -> Grid: ...
+    def on_voxels(self) -> FloatArray: ...
+    def move(self, xyz_mm: FloatArray) -> FloatArray: ...
+
+
+@dataclass(frozen=True, slots=True)
+class MotionOptions:
+    """How the motion is found.
+
+    Attributes:
+        method: "bspline" (free-form, Gauss–Newton) or "demons" (diffeomorphic, SimpleITK).
+        rim_mm: how far around the organ grey levels are compared.
+        free_form, demons: settings of either.
+        threads: one chain each, two at most; has no influence on the result.
+    """
+
+    method: Method = "bspline"
+    rim_mm: float = 10.0
+    free_form: FreeFormOptions = field(default_factory=FreeFormOptions)
+    demons: DemonsOptions = field(default_factory=DemonsOptions)
+    threads: int = 2
+
+    def __post_init__(self) -> None:
+        if self.method not in ("bspline", "demons"):
+            raise InvalidInputError(f"motion method is '{self.method}'; needed bspline or demons")
+        if not 2.0 <= self.rim_mm <= 50.0:
+            raise InvalidInputError(f"rim around the organ is {self.rim_mm:g} mm; needed 2 to 50 mm")
+        if self.threads < 1:
+            raise InvalidInputError(f"{self.threads} threads asked for; needed at least 1")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CycleMotion:
+    """Where end-diastole goes.
+
+    Attributes:
+        ed_phase: the phase that everything is carried from.
+        deformations: one a phase, all on one grid around the organ; the identity at end-diastole.
+        meeting_phase: where the two chains meet.
+        meeting: what the backward chain found there; the forward chain's is in `deformations`.
+        start: voxel of the 4-D image at which that grid begins.
+        counts: voxels of it that were compared.
+    """
+
+    ed_phase: int
+    deformations: tuple[Deformation, ...]
+    meeting_phase: int
+    meeting: Deformation
+    start: tuple[int, int, int]
+    counts: BoolArray
+
+    @property
+    def grid(self) -> Grid:
+        return self.meeting.grid
+
+    def cropped(self, values: AnyArray) -> AnyArray:
+        """(nx, ny, nz) of the 4-D image's grid to this motion's grid."""
+        return values[tuple(slice(a, a + n) for a, n in zip(self.start, self.grid.shape, strict=True))]
+
+
+def track_cycle(
+    image: VolumeSeries,
+    organ: BoolArray,
+    *,
+    ed_phase: int = 0,
+    options: MotionOptions = MotionOptions(),
+    progress: Progress | None = None,
+) -> CycleMotion:
+    """Register end-diastole to every phase of a cyclic 4-D image.
+
+    Args:
+        image: grey levels.
+        organ: (nx, ny, nz) voxels of the organ at end-diastole.
+        ed_phase: the phase in which the organ was labelled.
+        progress: told the fraction done.
+    Raises:
+        InvalidInputError: an organ of another shape or without voxels, or no such phase.
+    """
+    phases = len(image.timing)
+    if organ.shape != image.grid.shape:
+        raise InvalidInputError(f"the organ's mask is {organ.shape}, the image {image.grid.shape}")
+    if not 0 <= ed_phase < phases:
+        raise InvalidInputError(f"end-diastole is phase {ed_phase}; the image has phases 0 to {phases - 1}")
+    if not organ.any():
+        raise InvalidInputError("the organ has no voxels at end-diastole; check the label values")
+    box, counts = _surroundings(organ, image.grid, options.rim_mm)
+    grid = _cropped_grid(image.grid, box)
+    grey = image.values[(slice(None), *box)]
+    identity = _identity(grid, options)
+    told = _Counter(phases, progress)
+
+    def chain(order: Sequence[int]) -> list[Deformation]:
+        found: list[Deformation] = []
+        for phase in order:
+            before = found[-1] if found else identity
+            found.append(_match(grey[ed_phase], grey[phase], counts, before, options))
+            told.step()
+        return found
+
+    half = phases // 2
+    forwards = [(ed_phase + k) % phases for k in range(1, half + 1)]
+    backwards = [(ed_phase - k) % phases for k in range(1, phases - half + 1)]
+    with ThreadPoolExecutor(min(options.threads, 2)) as pool:
+        ahead, behind = pool.map(chain, (forwards, backwards))
+    by_phase = {**dict(zip(backwards, behind, strict=True)), **dict(zip(forwards, ahead, strict=True))}
+    by_phase[ed_phase] = identity
+    start = (int(box[0].start), int(box[1].start), int(box[2].start))
+    ordered = tuple(by_phase[i] for i in range(phases))
+    return CycleMotion(ed_phase, ordered, forwards[-1], behind[-1], start, counts)
+
+
+def carry_surface(
+    motion: CycleMotion, image: VolumeSeries, surface: Mesh, name: str, patient: str
+) -> SurfaceSeries:
+    """The end-diastolic surface in every phase, with the same triangles: vertex i is one material point."""
+    require_same_frame(image.grid.frame, surface.frame, f"surface {name}")
+    moved = [
+        surface.vertices_mm if i == motion.ed_phase else deformation.move(surface.vertices_mm)
+        for i, deformation in enumerate(motion.deformations)
+    ]
+    return SurfaceSeries(name, surface.frame, np.stack(moved), surface.triangles, image.timing, patient)
+
+
+def carry_labels(motion: CycleMotion, image: VolumeSeries, labels: Volume, phase: int) -> AnyArray:
+    """(nx, ny, nz) end-diastolic labels as they lie in a phase, background beyond the motion's grid.
+
+    Each voxel looks up where it came from: the inverse deformation by fixed-point iteration.
+    """
+    out = np.zeros(image.grid.shape, dtype=labels.values.dtype)
+    known = motion.cropped(labels.values)
+    if phase != motion.ed_phase:
+        origin = _inverse_index(motion.deformations[phase])
+        known = ndimage.map_coordinates(known, origin, order=0, mode="constant")
+    motion.cropped(out)[...] = known
+    return out
+
+
+def _inverse_index(deformation: Deformation) -> FloatArray:
+    """(3, nx, ny, nz) voxel index that each voxel centre came from: y = x − u(y), iterated."""
+    spacing = deformation.grid.spacing_mm
+    moved = np.moveaxis(deformation.on_voxels() / spacing, -1, 0)
+    here = np.indices(deformation.grid.shape, dtype=np.float64)
+    origin = here - moved
+    for _ in range(INVERSE_STEPS):
+        at = [ndimage.map_coordinates(u, origin, order=1, mode="nearest") for u in moved]
+        origin = here - np.stack(at)
+    return origin
+
+
+def _match(
+    fixed: AnyArray, moving: AnyArray, counts: BoolArray, before: Deformation, options: MotionOptions
+) -> Deformation:
+    if isinstance(before, FreeForm):
+        return match_images(fixed, moving, counts, before, options.free_form)
+    if isinstance(before, DisplacementField):
+        return match_images_by_demons(fixed, moving, counts, before, options.demons)
+    raise InvalidInputError(f"a motion cannot start from a {type(before).__name__}")
+
+
+def _identity(grid: Grid, options: MotionOptions) -> Deformation:
+    if options.method == "demons":
+        return DisplacementField.identity(grid)
+    return FreeForm.identity(Lattice.over(grid, options.free_form.pitch_mm))
+
+
+def _surroundings(
+    organ: BoolArray, grid: Grid, rim_mm: float
+) -> tuple[tuple[slice, slice, slice], BoolArray]:
+    """The part of the image that is used, and in it the voxels within `rim_mm` of the organ."""
+    reach = np.ceil((rim_mm + BEYOND_MM) / grid.spacing_mm).astype(int)
+    found = ndimage.find_objects(organ.view(np.int8))[0]
+    x, y, z = (
+        slice(max(part.start - int(r), 0), min(part.stop + int(r), n))
+        for part, r, n in zip(found, reach, grid.shape, strict=True)
+    )
+    from_organ_mm = ndimage.distance_transform_edt(~organ[x, y, z], sampling=grid.spacing_mm)
+    return (x, y, z), np.asarray(from_organ_mm <= rim_mm)
+
+
+def _cropped_grid(grid: Grid, box: tuple[slice, slice, slice]) -> Grid:
+    start = np.array([part.start for part in box], dtype=np.float64)
+    shape = (box[0].stop - box[0].start, box[1].stop - box[1].start, box[2].stop - box[2].start)
+    return Grid(grid.frame, shape, grid.to_mm(start), grid.spacing_mm, grid.direction)
+
+
+class _Counter:
+    """Registrations done, from two threads."""
+
+    def __init__(self, total: int, report: Progress | None) -> None:
+        self._total, self._done = total, 0
+        self._report, self._lock = report or (lambda _: None), Lock()
+
+    def step(self) -> None:
+        with self._lock:
+            self._done += 1
+            self._report(self._done / self._total)
