@@ -10,10 +10,10 @@ import typer
 
 from dvf_ig.core import FloatArray, UnreadableFileError
 
-from .shell import JsonFlag, command, emit
+from .shell import JsonFlag, command, emit, warn
 
 if TYPE_CHECKING:
-    from dvf_ig.guidance import ForceSamples, Law
+    from dvf_ig.guidance import DeviceLimits, ForceSamples, Gaussian, Law
 
 
 class LawName(StrEnum):
@@ -28,6 +28,7 @@ class BlendName(StrEnum):
 
     force = "force"
     distance = "distance"
+    periodic = "periodic"
 
 
 def force(
@@ -45,29 +46,60 @@ def force(
     exponent: Annotated[float, typer.Option("--m", help="Gaussian: exponent.")] = 1.0,
     cap_n: Annotated[float, typer.Option("--cap-n", help="Largest force in N.")] = 0.6,
     depth_mm: Annotated[float, typer.Option("--depth-mm", help="Depth of the guarded surface in mm.")] = 0.0,
+    inside: Annotated[
+        bool, typer.Option("--inside", help="Sigmoid: confine inside the surface instead of keeping out.")
+    ] = False,
+    free_zone_mm: Annotated[
+        float | None,
+        typer.Option("--free-zone-mm", help="Gaussian: choose width and exponent for this zone …"),
+    ] = None,
+    felt_below_n: Annotated[
+        float, typer.Option("--felt-below-n", help="… in which the force stays below this, in N.")
+    ] = 0.05,
     blend: Annotated[BlendName, typer.Option("--blend", help="How phases are blended.")] = BlendName.force,
     stiffness: Annotated[
         float, typer.Option("--device-stiffness", help="Stiffest wall the device renders, in N/m.")
     ] = 400.0,
+    damping: Annotated[
+        float | None,
+        typer.Option("--device-damping", help="Its physical damping in N·s/m; checks passivity at 1 kHz."),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Evaluate a dynamic fixture; a point outside the model's box gets no force and says so."""
     with command():
         if not math.isfinite(phase):
             raise typer.BadParameter(f"--phase is {phase}; needed a finite number")
-        from dvf_ig.guidance import DeviceLimits, Evaluator, Gaussian, Sigmoid
+        from dvf_ig.guidance import Confinement, DeviceLimits, Evaluator, Gaussian, Sigmoid
         from dvf_ig.io import read_model
 
-        limits = DeviceLimits(stiffness_n_per_m=stiffness)
+        limits = DeviceLimits(stiffness_n_per_m=stiffness, damping_n_s_per_m=damping)
         chosen: Law
         if law is LawName.sigmoid:
-            chosen = Sigmoid(gamma, cap_n, depth_mm)
+            if free_zone_mm is not None:
+                raise typer.BadParameter("--free-zone-mm goes with --law gaussian; a sigmoid has none")
+            chosen = (Confinement if inside else Sigmoid)(gamma, cap_n, depth_mm)
+        elif inside:
+            raise typer.BadParameter("--inside goes with --law sigmoid; a Gaussian pulls from both sides")
+        elif free_zone_mm is not None:
+            chosen = _for_free_zone(free_zone_mm, felt_below_n, cap_n, depth_mm, limits)
         else:
             chosen = Gaussian(delta_mm, exponent, cap_n, depth_mm)
         model = read_model(model_file)
         xyz_mm = _read_points(points)
         samples = Evaluator(model, chosen, blend=blend.value, device=limits).force(xyz_mm, phase)
         _print(samples, xyz_mm, model.frame, as_json)
+
+
+def _for_free_zone(
+    half_width_mm: float, felt_below_n: float, cap_n: float, depth_mm: float, limits: "DeviceLimits"
+) -> "Gaussian":
+    from dvf_ig.guidance import FreeZone, gaussian_for_free_zone
+
+    zone = FreeZone(half_width_mm, felt_below_n)
+    law = gaussian_for_free_zone(zone, cap_n=cap_n, depth_mm=depth_mm, device=limits)
+    warn(f"the free zone gives --delta-mm {law.delta_mm:.4g} --m {law.m:g}")
+    return law
 
 
 def _print(samples: "ForceSamples", xyz_mm: FloatArray, frame: str, as_json: bool) -> None:

@@ -5,7 +5,20 @@ from typing import Annotated
 import typer
 
 import dvf_ig
-from dvf_ig.cli import calibrate, doctor, evaluate, force, gate, inspect, model, register, replay, synth
+from dvf_ig.cli import (
+    bench,
+    calibrate,
+    doctor,
+    evaluate,
+    force,
+    gate,
+    inspect,
+    model,
+    register,
+    replay,
+    study,
+    synth,
+)
 
 app = typer.Typer(
     name="dvf-ig",
@@ -26,6 +39,8 @@ app.command("gate")(gate.gate)
 app.command("register")(register.register)
 app.command("evaluate")(evaluate.evaluate)
 app.command("replay")(replay.replay)
+app.add_typer(study.app, name="study")
+app.command("bench")(bench.bench)
 
 
 def _print_version(wanted: bool) -> None:

@@ -9,15 +9,20 @@ from typing import Literal
 import numpy as np
 
 from dvf_ig.core import FloatArray
-from dvf_ig.kernels.dynamic import BLEND_DISTANCE, BLEND_FORCE
+from dvf_ig.kernels.dynamic import BLEND_DISTANCE, BLEND_FORCE, BLEND_PERIODIC
 from dvf_ig.kernels.laws import DIRECTION_LOST, DIRECTION_SURE
 
 from .laws import Law
 
-Blend = Literal["force", "distance"]
-"""`force`: blend two phases' forces (eq. 10, corrected). `distance`: blend d and ∇d, then apply one law."""
+Blend = Literal["force", "distance", "periodic"]
+"""`force`: blend two phases' forces (eq. 10, corrected). `distance`: blend d and ∇d, then apply one law.
+`periodic`: as `distance`, but d is a cubic periodic spline of phase, without a kink at frame switches."""
 
-BLEND_CODES: dict[Blend, int] = {"force": BLEND_FORCE, "distance": BLEND_DISTANCE}
+BLEND_CODES: dict[Blend, int] = {
+    "force": BLEND_FORCE,
+    "distance": BLEND_DISTANCE,
+    "periodic": BLEND_PERIODIC,
+}
 
 
 def static_force(law: Law, distance_mm: FloatArray, gradient: FloatArray) -> FloatArray:
@@ -53,6 +58,10 @@ def blend_distances(
     """
     weight = np.asarray(alpha)
     distance_mm = (1.0 - weight) * first[0] + weight * second[0]
-    gradient = blend_forces(first[1], second[1], weight)
+    return force_of_blend(law, distance_mm, blend_forces(first[1], second[1], weight))
+
+
+def force_of_blend(law: Law, distance_mm: FloatArray, gradient: FloatArray) -> FloatArray:
+    """(n, 3) force of a blended field, (n,) distance and (n, 3) gradient: the law at d/|∇d|."""
     norm = np.linalg.norm(gradient, axis=1)
     return static_force(law, distance_mm / np.where(norm > 0.0, norm, 1.0), gradient)

@@ -6,14 +6,22 @@ from typing import TypeVar
 
 from dvf_ig.core import InvalidInputError
 
-from .laws import Gaussian, Law, Sigmoid
+from .laws import Gaussian, Law
 
-L = TypeVar("L", bound=Sigmoid | Gaussian)
+L = TypeVar("L", bound=Law)
+
+MM_PER_M = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceLimits:
     """Bounds of one device.
+
+    Passivity, per servo period T in which the tip moves by x = vT: holding a spring's force gives up to ½Kx²,
+    reading its position to a step Δ another ½KΔx; viscous friction takes at least (b − |B|)x²/T, dry friction
+    c·x. So K <= 2((b − |B|)v + c)/(vT + Δ) at every speed v up to the fastest. Where no friction and no
+    resolution are given this is the bound of Colgate and Schenkel (b > KT/2 + |B|); at unlimited speed it is
+    that of Abbott and Okamura, min(2b/T, 2c/Δ).
 
     Attributes:
         rate_hz: servo rate 1/T.
@@ -21,28 +29,59 @@ class DeviceLimits:
         damping_n_s_per_m: physical damping b of device and hand; None where it is unknown, and then the
             passivity bound is not checked.
         virtual_damping_n_s_per_m: damping B that the controller adds.
+        friction_n: dry friction c that is always there; 0 counts on none.
+        resolution_mm: step Δ of the position sensor.
+        fastest_mm_s: the bound is to hold up to this speed of the tip.
+    Raises:
+        InvalidInputError: a number that is negative or not finite.
+    Source: Colgate and Schenkel 1997; Abbott and Okamura 2005 (IEEE Trans. Robotics 21(5)).
     """
 
     rate_hz: float = 1000.0
     stiffness_n_per_m: float = 400.0
     damping_n_s_per_m: float | None = None
     virtual_damping_n_s_per_m: float = 0.0
+    friction_n: float = 0.0
+    resolution_mm: float = 0.0
+    fastest_mm_s: float = math.inf
 
     def __post_init__(self) -> None:
         for name in ("rate_hz", "stiffness_n_per_m"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise InvalidInputError(f"device limit {name} is {value:g}; it must be positive and finite")
+        for name in ("damping_n_s_per_m", "friction_n", "resolution_mm"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value >= 0.0):
+                raise InvalidInputError(
+                    f"device limit {name} is {value:g}; it must be finite and not negative"
+                )
         if not math.isfinite(self.virtual_damping_n_s_per_m):
             raise InvalidInputError("device limit virtual_damping_n_s_per_m must be finite")
+        if not self.fastest_mm_s > 0.0:
+            raise InvalidInputError(
+                f"device limit fastest_mm_s is {self.fastest_mm_s:g}; it must be positive"
+            )
 
     @property
     def passive_stiffness_n_per_mm(self) -> float:
-        """Colgate–Schenkel: b > KT/2 + |B| gives K < 2(b − |B|)/T; infinite where b is unknown."""
+        """The stiffest spring that adds no energy; infinite where b is unknown, 0 where none is passive."""
         if self.damping_n_s_per_m is None:
             return math.inf
-        spare = self.damping_n_s_per_m - abs(self.virtual_damping_n_s_per_m)
-        return 2.0 * max(spare, 0.0) * self.rate_hz / 1000.0
+        spare = (self.damping_n_s_per_m - abs(self.virtual_damping_n_s_per_m)) / MM_PER_M
+        # monotone in v: the worst speed is 0 or the fastest
+        resting = 2.0 * self.friction_n / self.resolution_mm if self.resolution_mm > 0.0 else math.inf
+        if math.isinf(self.fastest_mm_s):
+            moving = 2.0 * spare * self.rate_hz
+        else:
+            lost_n = spare * self.fastest_mm_s + self.friction_n
+            moving = 2.0 * lost_n / (self.fastest_mm_s / self.rate_hz + self.resolution_mm)
+        return max(0.0, min(resting, moving))
+
+    @property
+    def allowed_stiffness_n_per_mm(self) -> float:
+        """The smaller of stiffness cap and passivity bound."""
+        return min(self.stiffness_n_per_m / MM_PER_M, self.passive_stiffness_n_per_mm)
 
     def checked(self, law: L) -> L:
         """The law itself, if this device can render it.
@@ -50,16 +89,26 @@ class DeviceLimits:
         Raises:
             InvalidInputError: its steepest point exceeds the stiffness cap or the passivity bound.
         """
-        allowed = min(self.stiffness_n_per_m / 1000.0, self.passive_stiffness_n_per_mm)
+        allowed = self.allowed_stiffness_n_per_mm
         stiffness = law.stiffness_n_per_mm
         if stiffness <= allowed:
             return law
-        passive = self.passive_stiffness_n_per_mm < self.stiffness_n_per_m / 1000.0
-        reason = "passivity at its sampling rate" if passive else "its stiffness cap"
         raise InvalidInputError(
-            f"the fixture is too stiff for the device: {stiffness * 1000:.4g} N/m at its steepest, "
-            f"at most {allowed * 1000:.4g} N/m allowed by {reason}; {_remedy(law, allowed)}"
+            f"the fixture is too stiff for the device: {stiffness * MM_PER_M:.4g} N/m at its steepest, "
+            f"at most {allowed * MM_PER_M:.4g} N/m allowed by {self._reason()}; {_remedy(law, allowed)}"
         )
+
+    def _reason(self) -> str:
+        if self.damping_n_s_per_m is None or self.passive_stiffness_n_per_mm >= (
+            self.stiffness_n_per_m / MM_PER_M
+        ):
+            return "its stiffness cap"
+        parts = [f"b {self.damping_n_s_per_m:g}", f"|B| {abs(self.virtual_damping_n_s_per_m):g} N·s/m"]
+        if self.friction_n > 0.0:
+            parts.append(f"dry friction {self.friction_n:g} N up to {self.fastest_mm_s:g} mm/s")
+        if self.resolution_mm > 0.0:
+            parts.append(f"resolution {self.resolution_mm:g} mm")
+        return f"passivity at {self.rate_hz:g} Hz ({', '.join(parts)})"
 
 
 COMMON_DEVICE = DeviceLimits()
@@ -69,8 +118,8 @@ COMMON_DEVICE = DeviceLimits()
 def _remedy(law: Law, allowed_n_per_mm: float) -> str:
     """What to change so that the law fits: γ ≤ 4K/F, δ ≥ c_m F/K."""
     if allowed_n_per_mm <= 0.0:
-        return "lower the virtual damping"
-    if isinstance(law, Sigmoid):
+        return "no stiffness is passive: lower the virtual damping or raise the physical one"
+    if not isinstance(law, Gaussian):
         return f"use gamma_per_mm <= {4.0 * allowed_n_per_mm / law.cap_n:.4g} or a lower cap"
     if law.m < 0.5:
         return "use m >= 0.5 (below it the stiffness at the target is unbounded)"

@@ -1,6 +1,6 @@
 """Force of a dynamic virtual fixture at given points and phases of the model."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError
 from dvf_ig.core.arrays import check_shape
-from dvf_ig.kernels.dynamic import force_batch
+from dvf_ig.kernels.dynamic import force_batch, packed_fixture
 
 from .blend import BLEND_CODES, Blend
 from .device import COMMON_DEVICE, DeviceLimits
 from .laws import Law
+from .periodic import periodic_coefficients, periodic_powers
 from .status import Status
 
 
@@ -25,28 +26,51 @@ class ForceSamples:
         distance_mm: (n,) signed distance, positive inside, blended between phases; NaN unless OK.
         gradient: (n, 3) its gradient, pointing into the organ; NaN unless OK.
         status: (n,) `Status` values.
+        rate_mm_per_cycle: (n,) ∂d/∂φ, the point held still; NaN unless OK, and where nothing is known of it.
     """
 
     force_n: FloatArray
     distance_mm: FloatArray
     gradient: FloatArray
     status: IntArray
+    rate_mm_per_cycle: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        for array in (self.force_n, self.distance_mm, self.gradient, self.status):
+        if len(self.rate_mm_per_cycle) != len(self.status):
+            object.__setattr__(self, "rate_mm_per_cycle", np.full(len(self.status), np.nan))
+        for array in (
+            self.force_n,
+            self.distance_mm,
+            self.gradient,
+            self.status,
+            self.rate_mm_per_cycle,
+        ):
             array.setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.status)
 
+    def surface_speed_mm_s(self, phase_rate_hz: float) -> FloatArray:
+        """(n,) how fast the surface through each point moves along ∇d/|∇d|, into the organ: −(∂d/∂t)/|∇d|.
+
+        Args:
+            phase_rate_hz: dφ/dt, one over the RR interval where the phase runs evenly.
+        """
+        norm = np.linalg.norm(self.gradient, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(-phase_rate_hz * self.rate_mm_per_cycle / norm)
+
 
 class Evaluator:
     """A model, a law and a blend, ready to be asked for forces.
 
+    Holds its own copy of the coefficients: kernels are quicker to call with arrays that are not read-only.
+
     Args:
         model: the dynamic fixture.
         law: force law.
-        blend: "force" (corrected eq. 10) or "distance" (one potential per instant).
+        blend: "force" (corrected eq. 10), "distance" (one potential per instant) or "periodic" (as distance,
+            twice continuously differentiable in phase; half as fast, for it reads four phases).
         device: what the haptic device can render.
     Raises:
         InvalidInputError: unknown blend, or a law beyond the device's limits.
@@ -60,19 +84,26 @@ class Evaluator:
         self.model = model
         self.law: Law = device.checked(law)
         self.blend: Blend = blend
-        self._fixture = (
-            model.coefficients,
+        periodic = blend == "periodic"
+        coefficients, timing = model.coefficients, model.timing
+        self._coefficients = periodic_coefficients(coefficients, timing) if periodic else coefficients.copy()
+        self._constants = (
             model.origin_mm,
-            float(model.knot_spacing_mm),
-            model.timing.fractions,
+            model.knot_spacing_mm,
+            timing.fractions,
+            periodic_powers(timing) if periodic else np.zeros((0, 4, 4)),
             law.parameters,
             BLEND_CODES[blend],
         )
 
     @property
-    def fixture(self) -> tuple[NDArray[np.float32], FloatArray, float, FloatArray, FloatArray, int]:
-        """Leading arguments of `dvf_ig.kernels.dynamic.force_tick` and `force_batch`."""
-        return self._fixture
+    def coefficients(self) -> NDArray[np.float32]:
+        """(n, cx, cy, cz) mm: those of the model, or of the periodic spline through its phases."""
+        return self._coefficients
+
+    def kernel_arguments(self, model_from_query: FloatArray) -> tuple[NDArray[np.float32], FloatArray]:
+        """Leading arguments of `dvf_ig.kernels.dynamic.force_tick` and `force_batch`; map as (3, 4)."""
+        return self._coefficients, packed_fixture(*self._constants, model_from_query)
 
     def force(self, xyz_mm: Any, model_phase: Any) -> ForceSamples:
         """Forces in the model's frame.
@@ -102,6 +133,8 @@ class Evaluator:
         check_shape(phase, "model phase", (n,))
         known = np.full(n, int(Status.OK)) if status is None else np.array(status, dtype=np.int64)
         check_shape(known, "status", (n,))
-        buffers = (np.empty((n, 3)), np.empty(n), np.empty((n, 3)), known)
-        force_batch(*self._fixture, model_from_query, xyz, phase, *buffers)
-        return ForceSamples(*buffers)
+        force, distance, gradient, rate = np.empty((n, 3)), np.empty(n), np.empty((n, 3)), np.empty(n)
+        force_batch(
+            *self.kernel_arguments(model_from_query), xyz, phase, force, distance, gradient, rate, known
+        )
+        return ForceSamples(force, distance, gradient, known, rate)

@@ -1,7 +1,8 @@
 """Force laws: how hard the fixture pushes at a signed distance (Ren 2008, Sections IV and V).
 
 Every law is F = −cap·f(s)·n with s = d − depth, d > 0 inside the organ and n = ∇d/|∇d|. The readable form of
-f is here; `dvf_ig.kernels.laws` holds the same formula for the servo loop.
+f is here; `dvf_ig.kernels.laws` holds the same formula for the servo loop. Where |∇d| falls below 0.4 there
+is no sure direction, and every law is faded by smoothstep(|∇d|, 0.2, 0.4) (`static_force`).
 """
 
 import math
@@ -49,6 +50,45 @@ class Sigmoid:
 
 
 @dataclass(frozen=True, slots=True)
+class Confinement:
+    """Confinement inside a chamber: a sigmoid of s = −d − depth, d the distance field of the cavity.
+
+    The wall around the cavity is what is forbidden: the force points into the chamber. The kernels need no
+    law of their own for it: cap·σ(γ(−d − depth)) is a sigmoid of steepness −γ, depth −depth and cap −cap.
+
+    Attributes:
+        gamma_per_mm: steepness γ.
+        cap_n: largest force F.
+        depth_mm: how far beyond the chamber's surface, in its wall, the guarded surface lies (negative: how
+            far inside the chamber, a margin).
+    """
+
+    gamma_per_mm: float = 1.0
+    cap_n: float = 0.6
+    depth_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require_positive("confinement steepness gamma_per_mm", self.gamma_per_mm, "1/mm")
+        _require_positive("force cap cap_n", self.cap_n, "N")
+        _require_finite("guarded depth depth_mm", self.depth_mm)
+
+    def potential(self, distance_mm: FloatArray) -> FloatArray:
+        """−f in (−1, 0) at signed distances of the cavity: against ∇d the force would leave the chamber."""
+        s = -np.asarray(distance_mm, dtype=np.float64) - self.depth_mm
+        return np.asarray(-0.5 * (1.0 + np.tanh(0.5 * self.gamma_per_mm * s)))
+
+    @property
+    def stiffness_n_per_mm(self) -> float:
+        """Largest |dF/dd|: γF/4, at the guarded depth."""
+        return self.gamma_per_mm * self.cap_n / 4.0
+
+    @property
+    def parameters(self) -> FloatArray:
+        """(5,) kind, scale, exponent, cap, depth: what the kernels take."""
+        return np.array([SIGMOID, -self.gamma_per_mm, 1.0, -self.cap_n, -self.depth_mm])
+
+
+@dataclass(frozen=True, slots=True)
 class Gaussian:
     """Guidance to a surface (eqs 7–9): pulls back to the guarded depth from either side.
 
@@ -77,12 +117,8 @@ class Gaussian:
 
     @property
     def stiffness_n_per_mm(self) -> float:
-        """Largest |dF/dd|: c_m·F/δ with n = 2m, u = (n−1)/n, c_m = n·u^u·e^(−u); infinite for m < 1/2."""
-        n = 2.0 * self.m
-        if n < 1.0:
-            return math.inf
-        u = (n - 1.0) / n
-        return float(n * u**u * math.exp(-u) * self.cap_n / self.delta_mm)
+        """Largest |dF/dd|: c_m·F/δ; infinite for m < 1/2."""
+        return gaussian_steepness(self.m) * self.cap_n / self.delta_mm
 
     @classmethod
     def with_free_zone(
@@ -99,12 +135,23 @@ class Gaussian:
         δ = w/[−ln(1 − f_t/F)]^(1/2m) (theory: fixtures, free-zone design).
         """
         _require_positive("free zone half_width_mm", half_width_mm, "mm")
-        if not 0.0 < felt_below_n < cap_n:
+        unit = cls(1.0, m, cap_n, depth_mm)
+        return cls(half_width_mm / unit.half_width_mm(felt_below_n), m, cap_n, depth_mm)
+
+    def half_width_mm(self, force_n: float) -> float:
+        """Distance from the target at which the pull reaches `force_n`: δ[−ln(1 − f/F)]^(1/2m).
+
+        For the threshold of touch this is the free zone; for the dry friction of a device it is the dead band
+        in which the fixture cannot move it.
+
+        Raises:
+            InvalidInputError: a force that is not between 0 and the cap.
+        """
+        if not 0.0 < force_n < self.cap_n:
             raise InvalidInputError(
-                f"threshold force is {felt_below_n:g} N; it must lie between 0 and the cap of {cap_n:g} N"
+                f"threshold force is {force_n:g} N; it must lie between 0 and the cap of {self.cap_n:g} N"
             )
-        delta_mm = half_width_mm / (-math.log1p(-felt_below_n / cap_n)) ** (1.0 / (2.0 * m))
-        return cls(delta_mm, m, cap_n, depth_mm)
+        return float(self.delta_mm * (-math.log1p(-force_n / self.cap_n)) ** (0.5 / self.m))
 
     @property
     def parameters(self) -> FloatArray:
@@ -112,7 +159,20 @@ class Gaussian:
         return np.array([GAUSSIAN, self.delta_mm, self.m, self.cap_n, self.depth_mm])
 
 
-Law = Sigmoid | Gaussian
+Law = Sigmoid | Confinement | Gaussian
+
+
+def gaussian_steepness(m: float) -> float:
+    """c_m, the steepest slope of 1 − exp(−|x|^n), n = 2m: n·u^u·e^(−u) with u = (n−1)/n.
+
+    The slope n·|x|^(n−1)·exp(−|x|^n) is greatest where |x|^n = u. (Theory writes u^(1−1/n): 1 − 1/n is u.)
+    Infinite for m < 1/2, where it grows without bound towards the target.
+    """
+    n = 2.0 * m
+    if n < 1.0:
+        return math.inf
+    u = (n - 1.0) / n
+    return float(n * u**u * math.exp(-u))
 
 
 def _require_positive(what: str, value: float, unit: str) -> None:

@@ -1,6 +1,7 @@
 """The pose-and-phase transform: from where the tool is in the room and when, to the fixture and back."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError, Rigid
 from dvf_ig.core.arrays import check_shape
 from dvf_ig.core.frames import require_same_frame
-from dvf_ig.kernels.dynamic import force_tick_packed, packed_fixture
+from dvf_ig.kernels.dynamic import force_tick
 
 from .evaluator import Evaluator, ForceSamples
 from .status import Status
@@ -68,6 +69,7 @@ class PoseAndPhase:
             samples.distance_mm,
             np.einsum("nij,nj->ni", turn, samples.gradient),
             samples.status,
+            samples.rate_mm_per_cycle,
         )
 
     def bind(self, evaluator: Evaluator) -> "BoundTick":
@@ -80,28 +82,27 @@ class PoseAndPhase:
         return np.ascontiguousarray(self.mr_from_tracker.matrix[:3])
 
 
-class BoundTick:
+class BoundTick(partial[int]):
     """One tick of the servo loop: tip (tracker frame) and model phase in, force (tracker frame) out.
 
-    `arguments` are the leading arguments of `dvf_ig.kernels.dynamic.force_tick`, for loops that run inside a
-    kernel and never cross Python.
+    `tick(tip_tracker_mm, model_phase, known, out)` returns the `Status` value and fills `out`:
+
+    Args:
+        tip_tracker_mm: (3,) tool tip, tracker frame.
+        model_phase: place in the model's cycle.
+        known: `Status` of phase, pose and tool together; anything but OK gives zero force.
+        out: (7,) force in N, distance in mm, gradient, vectors in the tracker frame; (8,) to be told ∂d/∂φ
+            too, in mm a cycle.
+
+    Arguments are not checked: this is for a servo loop, and nothing stands between it and the kernel.
+    `PoseAndPhase.evaluate` is the same with checks. `args` are the leading arguments of
+    `dvf_ig.kernels.dynamic.force_tick`, for loops that run inside a kernel and never cross Python.
     """
 
-    def __init__(self, evaluator: Evaluator, mr_from_tracker: FloatArray) -> None:
-        self.arguments = (*evaluator.fixture, mr_from_tracker)
-        self._coefficients = evaluator.model.coefficients
-        self._packed = packed_fixture(*self.arguments[1:])
+    __slots__ = ()
 
-    def __call__(self, tip_tracker_mm: FloatArray, model_phase: float, known: int, out: FloatArray) -> int:
-        """Force, distance and gradient into `out` (7,); returns the `Status` value.
-
-        Args:
-            tip_tracker_mm: (3,) tool tip, tracker frame.
-            model_phase: place in the model's cycle.
-            known: `Status` of phase, pose and tool together; anything but OK gives zero force.
-            out: (7,) force in N, distance in mm, gradient; vectors in the tracker frame.
-        """
-        return force_tick_packed(self._coefficients, self._packed, tip_tracker_mm, model_phase, known, out)
+    def __new__(cls, evaluator: Evaluator, mr_from_tracker: FloatArray) -> "BoundTick":
+        return super().__new__(cls, force_tick, *evaluator.kernel_arguments(mr_from_tracker))
 
 
 def _rotations(tracker_from_device: FloatArray, n: int) -> FloatArray:

@@ -2,11 +2,19 @@
 
 from .atomic import output_folder as output_folder
 from .atomic import write_text as write_text
+from .beat_annotations import BeatAnnotations as BeatAnnotations
+from .beat_annotations import read_annotations as read_annotations
+from .cine import read_cine_labels as read_cine_labels
 from .describe import Description as Description
 from .describe import describe as describe
 from .ecg import read_ecg as read_ecg
 from .ecg import write_ecg_csv as write_ecg_csv
 from .ecg_extra import read_beat_annotations as read_beat_annotations
+from .feature_points import read_feature_points as read_feature_points
+from .feature_points import read_target_recording as read_target_recording
+from .feature_points import tracked_probe as tracked_probe
+from .gate_picture import gate_png as gate_png
+from .image_map import read_image_map as read_image_map
 from .json_file import plain as plain
 from .json_file import read_json as read_json
 from .json_file import write_json as write_json
@@ -21,6 +29,8 @@ from .mesh import write_mesh as write_mesh
 from .model_file import model_digest as model_digest
 from .model_file import read_model as read_model
 from .model_file import write_model as write_model
+from .motion_picture import write_motion_picture as write_motion_picture
+from .nwire import phantom_from_probe as phantom_from_probe
 from .nwire import read_nwire_phantom as read_nwire_phantom
 from .nwire import read_nwire_recording as read_nwire_recording
 from .nwire import read_wire_points as read_wire_points
@@ -32,9 +42,12 @@ from .plus_xml import read_calibrations as read_calibrations
 from .plus_xml import read_coordinate_definitions as read_coordinate_definitions
 from .plus_xml import write_coordinate_definitions as write_coordinate_definitions
 from .poses import read_poses as read_poses
+from .residual_picture import write_latency_picture as write_latency_picture
+from .residual_picture import write_residual_picture as write_residual_picture
 from .scenario_read import read_scenario as read_scenario
 from .scenario_readme import ScenarioNotes as ScenarioNotes
 from .scenario_write import write_scenario as write_scenario
+from .seeds import read_seeds as read_seeds
 from .sequence_read import read_sequence as read_sequence
 from .sequence_write import write_poses as write_poses
 from .sequence_write import write_sequence as write_sequence
@@ -45,7 +58,10 @@ from .timing import read_timing as read_timing
 from .timing import write_timing as write_timing
 from .transform import read_transform as read_transform
 from .transform import write_transform as write_transform
+from .trigger import read_triggers as read_triggers
 from .volume import read_volume as read_volume
 from .volume import read_volume_series as read_volume_series
 from .volume import write_volume as write_volume
 from .volume import write_volume_series as write_volume_series
+from .wire_picture import write_wire_picture as write_wire_picture
+from .wire_search import read_wire_search as read_wire_search

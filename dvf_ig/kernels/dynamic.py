@@ -1,4 +1,4 @@
-"""The dynamic virtual fixture in one call: pose, phase bracket, two splines, law, blend, force turned back.
+"""The dynamic virtual fixture in one call: pose, phases around φ, splines, law, blend, force turned back.
 
 Corrected eq. 10: F = (1−α) F(V_i) + α F(V_{i+1}); as printed, the weights are swapped and the force jumps at
 every frame switch (theory: fixtures).
@@ -13,136 +13,197 @@ from dvf_ig.core import FloatArray, IntArray
 
 from . import status as code
 from .compiled import inlined, kernel
+from .lanes import Four, four, numbers, plus, scaled, times
 from .laws import direction_certainty, signed_potential
-from .spline import Lanes, cell_of, cell_value_gradient, cubic_weights, inside_box
+from .phase import cubic_in_phase, phase_bracket
+from .spline import Cell, cell_value_gradient, find_cell, inside_box
 
 BLEND_FORCE = 0
 BLEND_DISTANCE = 1
+BLEND_PERIODIC = 2
+
+# Places in a packed fixture.
+ORIGIN = 0
+PER_KNOT = 3
+BLEND = 4
+LAW = 5
+DEPTH = 9
+POSE = 10
+TIMES = 22
+POWERS = 16
+"""Numbers a phase behind the phase times, with the periodic blend."""
+
+WITHOUT_RATE = 7
+"""Numbers in the answer of a tick: force 3, distance, gradient 3; the distance rate may follow."""
 
 Vector = tuple[float, float, float]
-Answer = tuple[int, float, float, float, float, float, float, float]
-"""Status, force (N), distance (mm), gradient."""
+Answer = tuple[int, Vector, float, Vector, float]
+"""Status, force (N), distance (mm), gradient, distance rate (mm a cycle)."""
+
+
+def packed_fixture(
+    origin_mm: FloatArray,
+    knot_mm: float,
+    fractions: FloatArray,
+    powers: FloatArray,
+    law: FloatArray,
+    blend: int,
+    model_from_query: FloatArray,
+) -> FloatArray:
+    """Everything but the coefficients in one array: each array argument lengthens a call from Python.
+
+    Args:
+        origin_mm: (3,); knot_mm: knot pitch.
+        fractions: (n,) phase times as fractions of the cycle.
+        powers: (n, 4, 4) phase weights of BLEND_PERIODIC (`cubic_in_phase`); (0, 4, 4) otherwise.
+        law: (5,) kind, scale, exponent, cap in N, guarded depth in mm (dvf_ig.guidance laws).
+        blend: BLEND_FORCE, BLEND_DISTANCE or BLEND_PERIODIC.
+        model_from_query: (3, 4) rigid map of query points into the model's frame.
+    """
+    head = [origin_mm, [1.0 / knot_mm, float(blend)], law, model_from_query.ravel()]
+    return np.concatenate([*head, fractions, powers.ravel()])
 
 
 @inlined
-def phase_bracket(fractions: FloatArray, phi: float) -> tuple[int, int, float]:
-    """Neighbouring phases of `phi` (cyclic) and the weight of the second, as CycleTiming.bracket."""
-    phi -= math.floor(phi)
-    low, high = 0, len(fractions)
-    while low < high:
-        middle = (low + high) // 2
-        if fractions[middle] <= phi:
-            low = middle + 1
-        else:
-            high = middle
-    second = low if low < len(fractions) else 0
-    first = low - 1 if low > 0 else len(fractions) - 1
-    width = fractions[second] - fractions[first]
-    past = phi - fractions[first]
-    width = width + 1.0 if width <= 0.0 else width
-    past = past + 1.0 if past < 0.0 else past
-    return first, second, past / width
+def _nothing(status: int) -> Answer:
+    """No force, and nothing known."""
+    unknown = (math.nan, math.nan, math.nan)
+    return status, (0.0, 0.0, 0.0), math.nan, unknown, math.nan
 
 
 @inlined
-def _push(law: FloatArray, s_mm: float, norm: float) -> float:
+def _push(f: FloatArray, s_mm: float, norm: float) -> float:
     """Force per unit of gradient: −cap·f(s)·certainty/|∇d|; zero where there is no direction."""
     certainty = direction_certainty(norm)
     if certainty == 0.0:
         return 0.0
-    push: float = -law[3] * signed_potential(int(law[0]), law[1], law[2], s_mm) * certainty / norm
+    potential = signed_potential(int(f[LAW]), f[LAW + 1], f[LAW + 2], s_mm)
+    push: float = -f[LAW + 3] * potential * certainty / norm
     return push
 
 
 @inlined
-def _blend_forces(law: FloatArray, a: Lanes, b: Lanes, alpha: float) -> Vector:
-    """Corrected eq. 10; `a`, `b` are (distance, gradient) of the two phases."""
-    first = (1.0 - alpha) * _push(law, a[0] - law[4], math.sqrt(a[1] * a[1] + a[2] * a[2] + a[3] * a[3]))
-    second = alpha * _push(law, b[0] - law[4], math.sqrt(b[1] * b[1] + b[2] * b[2] + b[3] * b[3]))
-    return first * a[1] + second * b[1], first * a[2] + second * b[2], first * a[3] + second * b[3]
+def _push_of_field(f: FloatArray, field: Four) -> float:
+    """`_push` at a distance and gradient of one phase."""
+    d, gx, gy, gz = numbers(field)
+    return _push(f, d - f[DEPTH], math.sqrt(gx * gx + gy * gy + gz * gz))
 
 
 @inlined
-def _mix(a: Lanes, b: Lanes, alpha: float) -> Lanes:
-    rest = 1.0 - alpha
-    return (
-        rest * a[0] + alpha * b[0],
-        rest * a[1] + alpha * b[1],
-        rest * a[2] + alpha * b[2],
-        rest * a[3] + alpha * b[3],
+def _push_of_blend(f: FloatArray, field: Four) -> float:
+    """`_push` on a blended field; d/|∇d| because a blend of distances is no distance."""
+    d, gx, gy, gz = numbers(field)
+    norm = math.sqrt(gx * gx + gy * gy + gz * gz)
+    return _push(f, d / norm - f[DEPTH], norm) if norm > 0.0 else 0.0
+
+
+@inlined
+def _field(coefficients: NDArray[np.float32], phase: int, cell: Cell, per_knot: float) -> Four:
+    """(distance, gradient) of one phase, gradient per mm."""
+    return times(
+        four(1.0, per_knot, per_knot, per_knot), cell_value_gradient(coefficients, np.uintp(phase), cell)
     )
 
 
 @inlined
-def _law_of_mix(law: FloatArray, mixed: Lanes) -> Vector:
-    """One law on the blended field; d/|∇d| because a blend of distances is steeper than no distance."""
-    norm = math.sqrt(mixed[1] * mixed[1] + mixed[2] * mixed[2] + mixed[3] * mixed[3])
-    push = _push(law, mixed[0] / norm - law[4], norm) if norm > 0.0 else 0.0
-    return push * mixed[1], push * mixed[2], push * mixed[3]
+def _cells(coefficients: NDArray[np.float32]) -> tuple[int, int, int]:
+    return coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3
 
 
 @inlined
-def _force_at(
-    coefficients: NDArray[np.float32],
-    origin_mm: FloatArray,
-    per_knot: float,
-    fractions: FloatArray,
-    law: FloatArray,
-    blend: int,
-    q: Vector,
-    phi: float,
-) -> Answer:
-    """Force at one point of the model's frame."""
-    cells = (coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3)
-    u = (q[0] - origin_mm[0]) * per_knot
-    v = (q[1] - origin_mm[1]) * per_knot
-    w = (q[2] - origin_mm[2]) * per_knot
+def _placed(
+    coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float
+) -> tuple[int, float, float, float]:
+    """Status and knot coordinates of a point."""
+    u = (q[0] - f[ORIGIN]) * f[PER_KNOT]
+    v = (q[1] - f[ORIGIN + 1]) * f[PER_KNOT]
+    w = (q[2] - f[ORIGIN + 2]) * f[PER_KNOT]
     if not math.isfinite(u + v + w + phi):
-        return code.FAULT, 0.0, 0.0, 0.0, math.nan, math.nan, math.nan, math.nan
-    if not inside_box(u, v, w, cells):
-        return code.OUT_OF_VOLUME, 0.0, 0.0, 0.0, math.nan, math.nan, math.nan, math.nan
-    first, second, alpha = phase_bracket(fractions, phi)
-    i, j, k = cell_of(u, cells[0]), cell_of(v, cells[1]), cell_of(w, cells[2])
-    x, y, z = cubic_weights(u - i), cubic_weights(v - j), cubic_weights(w - k)
-    d, gx, gy, gz = cell_value_gradient(coefficients, np.uintp(first), (i, j, k), x, y, z)
-    a = (d, gx * per_knot, gy * per_knot, gz * per_knot)
-    d, gx, gy, gz = cell_value_gradient(coefficients, np.uintp(second), (i, j, k), x, y, z)
-    b = (d, gx * per_knot, gy * per_knot, gz * per_knot)
-    m = _mix(a, b, alpha)
-    fx, fy, fz = _law_of_mix(law, m) if blend == BLEND_DISTANCE else _blend_forces(law, a, b, alpha)
-    if not math.isfinite(fx + fy + fz):
-        return code.FAULT, 0.0, 0.0, 0.0, math.nan, math.nan, math.nan, math.nan
-    return code.OK, fx, fy, fz, m[0], m[1], m[2], m[3]
+        return code.FAULT, u, v, w
+    return code.OK if inside_box(u, v, w, _cells(coefficients)) else code.OUT_OF_VOLUME, u, v, w
 
 
 @inlined
-def _moved(pose: FloatArray, x: float, y: float, z: float) -> Vector:
+def _answer(push: Four, field: Four, rate: float) -> Answer:
+    """The answer made of (0, force), (distance, gradient) and distance rate."""
+    _, fx, fy, fz = numbers(push)
+    d, gx, gy, gz = numbers(field)
+    if not math.isfinite(fx + fy + fz):
+        return _nothing(code.FAULT)
+    return code.OK, (fx, fy, fz), d, (gx, gy, gz), rate
+
+
+@kernel
+def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Answer:
+    """Cubic in phase: one law on the blended field, whose phases are those of the periodic spline.
+
+    Not merged into its callers, whose registers it would take (dvf_ig/notes/0006).
+    """
+    status, u, v, w = _placed(coefficients, f, q, phi)
+    if status != code.OK:
+        return _nothing(status)
+    cell = find_cell(u, v, w, _cells(coefficients))
+    count, per_knot = len(coefficients), f[PER_KNOT]
+    first, second, alpha, width = phase_bracket(f, TIMES, count, phi)
+    weights, slopes = cubic_in_phase(f, TIMES + count + POWERS * first, alpha)
+    before = first - 1 if first > 0 else count - 1
+    after = second + 1 if second + 1 < count else 0
+    a = _field(coefficients, before, cell, per_knot)
+    b = _field(coefficients, first, cell, per_knot)
+    mixed = plus(scaled(weights[0], a), weights[1], b)
+    sloped = plus(scaled(slopes[0], a), slopes[1], b)
+    a = _field(coefficients, second, cell, per_knot)
+    b = _field(coefficients, after, cell, per_knot)
+    mixed = plus(plus(mixed, weights[2], a), weights[3], b)
+    sloped = plus(plus(sloped, slopes[2], a), slopes[3], b)
+    return _answer(scaled(_push_of_blend(f, mixed), mixed), mixed, numbers(sloped)[0] / width)
+
+
+@inlined
+def _force_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Answer:
+    """Force at one point of the model's frame; linear in phase, unless the blend is periodic."""
+    blend = int(f[BLEND])
+    if blend == BLEND_PERIODIC:
+        return _periodic_at(coefficients, f, q, phi)
+    status, u, v, w = _placed(coefficients, f, q, phi)
+    if status != code.OK:
+        return _nothing(status)
+    cell = find_cell(u, v, w, _cells(coefficients))
+    first, second, alpha, width = phase_bracket(f, TIMES, len(coefficients), phi)
+    a = _field(coefficients, first, cell, f[PER_KNOT])
+    b = _field(coefficients, second, cell, f[PER_KNOT])
+    mixed = plus(scaled(1.0 - alpha, a), alpha, b)
+    rate = (numbers(b)[0] - numbers(a)[0]) / width
+    if blend == BLEND_DISTANCE:
+        force = scaled(_push_of_blend(f, mixed), mixed)
+    else:
+        force = plus(scaled((1.0 - alpha) * _push_of_field(f, a), a), alpha * _push_of_field(f, b), b)
+    return _answer(force, mixed, rate)
+
+
+@inlined
+def _moved(f: FloatArray, x: float, y: float, z: float) -> Vector:
     return (
-        pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3],
-        pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3],
-        pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3],
+        f[POSE] * x + f[POSE + 1] * y + f[POSE + 2] * z + f[POSE + 3],
+        f[POSE + 4] * x + f[POSE + 5] * y + f[POSE + 6] * z + f[POSE + 7],
+        f[POSE + 8] * x + f[POSE + 9] * y + f[POSE + 10] * z + f[POSE + 11],
     )
 
 
 @inlined
-def _turned_back(pose: FloatArray, x: float, y: float, z: float) -> Vector:
-    """Rᵀ v: a free vector of the target frame in the source frame."""
+def _turned_back(f: FloatArray, v: Vector) -> Vector:
+    """Rᵀ v: a free vector of the model's frame in the query frame."""
     return (
-        pose[0, 0] * x + pose[1, 0] * y + pose[2, 0] * z,
-        pose[0, 1] * x + pose[1, 1] * y + pose[2, 1] * z,
-        pose[0, 2] * x + pose[1, 2] * y + pose[2, 2] * z,
+        f[POSE] * v[0] + f[POSE + 4] * v[1] + f[POSE + 8] * v[2],
+        f[POSE + 1] * v[0] + f[POSE + 5] * v[1] + f[POSE + 9] * v[2],
+        f[POSE + 2] * v[0] + f[POSE + 6] * v[1] + f[POSE + 10] * v[2],
     )
 
 
 @kernel
 def force_tick(
     coefficients: NDArray[np.float32],
-    origin_mm: FloatArray,
-    knot_mm: float,
-    fractions: FloatArray,
-    law: FloatArray,
-    blend: int,
-    model_from_query: FloatArray,
+    packed: FloatArray,
     xyz_mm: FloatArray,
     phi: float,
     known: int,
@@ -151,100 +212,48 @@ def force_tick(
     """Force at one point; the call of a servo loop.
 
     Args:
-        coefficients: (n, cx, cy, cz) mm; origin_mm: (3,); knot_mm: knot pitch.
-        fractions: (n,) phase times as fractions of the cycle.
-        law: (5,) kind, scale, exponent, cap in N, guarded depth in mm (dvf_ig.guidance laws).
-        blend: BLEND_FORCE or BLEND_DISTANCE.
-        model_from_query: (3, 4) rigid map of `xyz_mm` into the model's frame.
+        coefficients: (n, cx, cy, cz) mm; of the phases, or of the periodic spline through them.
+        packed: the rest of the fixture (`packed_fixture`).
         xyz_mm: (3,) point in the query frame.
         phi: model phase.
         known: status of everything that led here; anything but OK is passed on with zero force.
-        out: (7,) force in N, distance in mm, gradient of distance; vectors in the query frame.
+        out: (7,) force in N, distance in mm, gradient of distance, vectors in the query frame; (8,) to be
+            told the distance rate too, in mm a cycle.
     Returns:
         status code; unless OK the force is zero and the rest NaN.
     """
-    status = known
-    fx = fy = fz = 0.0
-    d = gx = gy = gz = math.nan
+    status, force, d, gradient, rate = _nothing(known)
     if status == code.OK:
-        q = _moved(model_from_query, xyz_mm[0], xyz_mm[1], xyz_mm[2])
-        status, fx, fy, fz, d, gx, gy, gz = _force_at(
-            coefficients, origin_mm, 1.0 / knot_mm, fractions, law, blend, q, phi
-        )
-    out[0], out[1], out[2] = _turned_back(model_from_query, fx, fy, fz)
+        q = _moved(packed, xyz_mm[0], xyz_mm[1], xyz_mm[2])
+        status, force, d, gradient, rate = _force_at(coefficients, packed, q, phi)
+    out[0], out[1], out[2] = _turned_back(packed, force)
     out[3] = d
-    out[4], out[5], out[6] = _turned_back(model_from_query, gx, gy, gz)
+    out[4], out[5], out[6] = _turned_back(packed, gradient)
+    if len(out) > WITHOUT_RATE:
+        out[WITHOUT_RATE] = rate
     return status
-
-
-PACKED_HEAD = 22
-"""Numbers before the phase times in a packed fixture: origin 3, knot, blend, law 5, pose 12."""
-
-
-def packed_fixture(
-    origin_mm: FloatArray,
-    knot_mm: float,
-    fractions: FloatArray,
-    law: FloatArray,
-    blend: int,
-    model_from_query: FloatArray,
-) -> FloatArray:
-    """Everything but the coefficients in one array: each array argument costs a call from Python 0.15 µs."""
-    head = [origin_mm, [knot_mm, float(blend)], law, model_from_query.ravel()]
-    return np.concatenate([*head, fractions])
-
-
-@kernel
-def force_tick_packed(
-    coefficients: NDArray[np.float32],
-    packed: FloatArray,
-    xyz_mm: FloatArray,
-    phi: float,
-    known: int,
-    out: FloatArray,
-) -> int:
-    """`force_tick` with its constants in one array made by `packed_fixture`."""
-    return force_tick(
-        coefficients,
-        packed[0:3],
-        packed[3],
-        packed[PACKED_HEAD:],
-        packed[5:10],
-        int(packed[4]),
-        packed[10:PACKED_HEAD].reshape(3, 4),
-        xyz_mm,
-        phi,
-        known,
-        out,
-    )
 
 
 @kernel
 def force_batch(
     coefficients: NDArray[np.float32],
-    origin_mm: FloatArray,
-    knot_mm: float,
-    fractions: FloatArray,
-    law: FloatArray,
-    blend: int,
-    model_from_query: FloatArray,
+    packed: FloatArray,
     xyz_mm: FloatArray,
     phi: FloatArray,
     force_n: FloatArray,
     distance_mm: FloatArray,
     gradient: FloatArray,
+    rate_mm_per_cycle: FloatArray,
     status: IntArray,
 ) -> None:
     """`force_tick` for (k, 3) points and (k,) phases; entries whose `status` comes in not OK get no force."""
-    per_knot = 1.0 / knot_mm
     for n in range(len(xyz_mm)):
-        fx = fy = fz = 0.0
-        d = gx = gy = gz = math.nan
-        if status[n] == code.OK:
-            q = _moved(model_from_query, xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
-            status[n], fx, fy, fz, d, gx, gy, gz = _force_at(
-                coefficients, origin_mm, per_knot, fractions, law, blend, q, phi[n]
-            )
-        force_n[n, 0], force_n[n, 1], force_n[n, 2] = _turned_back(model_from_query, fx, fy, fz)
+        known, force, d, g, rate = _nothing(status[n])
+        if known == code.OK:
+            q = _moved(packed, xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
+            known, force, d, g, rate = _force_at(coefficients, packed, q, phi[n])
+        status[n] = known
+        force_n[n, 0], force_n[n, 1], force_n[n, 2] = _turned_back(packed, force)
         distance_mm[n] = d
-        gradient[n, 0], gradient[n, 1], gradient[n, 2] = _turned_back(model_from_query, gx, gy, gz)
+        gradient[n, 0], gradient[n, 1], gradient[n, 2] = _turned_back(packed, g)
+        rate_mm_per_cycle[n] = rate

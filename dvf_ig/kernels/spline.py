@@ -1,10 +1,11 @@
 """Cubic B-spline value and gradient at a point (Ren 2008, eq. 1, degree 3 along each axis).
 
 With u = (q − origin)/knot and i = floor(u), d(q) = Σ c[i+a, j+b, k+e] B_a(x) B_b(y) B_e(z), a, b, e = 0 … 3.
-Values and derivatives share their loads: each coefficient is read once. Sums over y come first, in four lanes
-along z (contiguous in memory), then sums over x, then over z.
+Values and derivatives share their loads: each row of four coefficients along z is read once, sums over y come
+first, then over x, then over z.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -14,24 +15,27 @@ from dvf_ig.core import FloatArray, IntArray
 
 from . import status as code
 from .compiled import inlined, kernel
+from .lanes import Four, four, numbers, plus, row_of, scaled, sums, times
 
-Lanes = tuple[float, float, float, float]
-
+Numbers = tuple[float, float, float, float]
 Index = Any
 """np.uintp: indices that cannot be negative spare the compiled code a wrap-around test."""
+Weights = tuple[Numbers, Numbers]
+"""B_0 … B_3 along one axis, and their derivatives."""
+Cell = tuple[Index, Index, Index, Weights, Weights, Four, Four]
+"""First coefficient along each axis; weights along x and y; weights and derivatives along z, as rows."""
 
 
 @inlined
-def cubic_weights(t: float) -> tuple[Lanes, Lanes]:
-    """B_0 … B_3 and their derivatives at t in [0, 1]; the fourth follows from the sum being 1 (0)."""
-    rest = 1.0 - t
-    b0 = rest * rest * rest / 6.0
-    b1 = (3.0 * t - 6.0) * t * t / 6.0 + 2.0 / 3.0
-    b3 = t * t * t / 6.0
-    d0 = -0.5 * rest * rest
-    d1 = (1.5 * t - 2.0) * t
-    d3 = 0.5 * t * t
-    return (b0, b1, 1.0 - b0 - b1 - b3, b3), (d0, d1, -d0 - d1 - d3, d3)
+def cubic_weights(t: float) -> tuple[Four, Four]:
+    """B_0 … B_3 and their derivatives at t in [0, 1], by powers of t."""
+    one = four(1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0, 0.0)
+    t1 = four(-0.5, 0.0, 0.5, 0.0)
+    t2 = four(0.5, -1.0, 0.5, 0.0)
+    t3 = four(-1.0 / 6.0, 0.5, -0.5, 1.0 / 6.0)
+    weights = plus(one, t, plus(t1, t, plus(t2, t, t3)))
+    slopes = plus(t1, t, plus(scaled(2.0, t2), t, scaled(3.0, t3)))
+    return weights, slopes
 
 
 @inlined
@@ -41,69 +45,91 @@ def inside_box(u: float, v: float, w: float, cells: tuple[int, int, int]) -> boo
 
 
 @inlined
-def cell_of(u: float, cells: int) -> Index:
+def _cell_of(u: float, cells: int) -> Index:
     """floor(u) for 0 <= u <= cells; the far border belongs to the last cell."""
     return min(np.uintp(u), np.uintp(cells - 1))
 
 
 @inlined
-def _sum_y(c: NDArray[np.float32], p: Index, i: Index, j: Index, k: Index, w: Lanes) -> float:
-    total: float = (
-        w[0] * c[p, i, j, k] + w[1] * c[p, i, j + 1, k] + w[2] * c[p, i, j + 2, k] + w[3] * c[p, i, j + 3, k]
-    )
-    return total
+def find_cell(u: float, v: float, w: float, cells: tuple[int, int, int]) -> Cell:
+    """Where knot coordinates inside the box fall, and the weights there; one for all phases."""
+    i, j, k = _cell_of(u, cells[0]), _cell_of(v, cells[1]), _cell_of(w, cells[2])
+    x, dx = cubic_weights(u - i)
+    y, dy = cubic_weights(v - j)
+    z, dz = cubic_weights(w - k)
+    return i, j, k, (numbers(x), numbers(dx)), (numbers(y), numbers(dy)), z, dz
 
 
 @inlined
-def _lanes_y(c: NDArray[np.float32], p: Index, i: Index, j: Index, k: Index, w: Lanes) -> Lanes:
+def _sum_y(c: NDArray[np.float32], p: Index, i: Index, j: Index, k: Index, y: Weights) -> tuple[Four, Four]:
+    """Σ_b B_b(y) of the rows of one slice, and the same with the derivatives."""
+    r0, r1, r2, r3 = (
+        row_of(c, p, i, j, k),
+        row_of(c, p, i, j + 1, k),
+        row_of(c, p, i, j + 2, k),
+        row_of(c, p, i, j + 3, k),
+    )
+    w, s = y
     return (
-        _sum_y(c, p, i, j, k, w),
-        _sum_y(c, p, i, j, k + 1, w),
-        _sum_y(c, p, i, j, k + 2, w),
-        _sum_y(c, p, i, j, k + 3, w),
+        plus(plus(plus(scaled(w[0], r0), w[1], r1), w[2], r2), w[3], r3),
+        plus(plus(plus(scaled(s[0], r0), s[1], r1), s[2], r2), s[3], r3),
     )
 
 
 @inlined
-def _dot(w: Lanes, v: Lanes) -> float:
-    return w[0] * v[0] + w[1] * v[1] + w[2] * v[2] + w[3] * v[3]
+def cell_value_gradient(c: NDArray[np.float32], p: Index, cell: Cell) -> Four:
+    """(value, ∂x, ∂y, ∂z) of phase `p` in one cell; gradient per knot."""
+    i, j, k, x, y, z, dz = cell
+    w, s = x
+    plain, slope = _sum_y(c, p, i, j, k, y)
+    value, dx, dy = scaled(w[0], plain), scaled(s[0], plain), scaled(w[0], slope)
+    plain, slope = _sum_y(c, p, i + 1, j, k, y)
+    value, dx, dy = plus(value, w[1], plain), plus(dx, s[1], plain), plus(dy, w[1], slope)
+    plain, slope = _sum_y(c, p, i + 2, j, k, y)
+    value, dx, dy = plus(value, w[2], plain), plus(dx, s[2], plain), plus(dy, w[2], slope)
+    plain, slope = _sum_y(c, p, i + 3, j, k, y)
+    value, dx, dy = plus(value, w[3], plain), plus(dx, s[3], plain), plus(dy, w[3], slope)
+    return sums(times(z, value), times(z, dx), times(z, dy), times(dz, value))
 
 
 @inlined
-def _sum_x(w: Lanes, a: Lanes, b: Lanes, c: Lanes, d: Lanes) -> Lanes:
-    return (
-        w[0] * a[0] + w[1] * b[0] + w[2] * c[0] + w[3] * d[0],
-        w[0] * a[1] + w[1] * b[1] + w[2] * c[1] + w[3] * d[1],
-        w[0] * a[2] + w[1] * b[2] + w[2] * c[2] + w[3] * d[2],
-        w[0] * a[3] + w[1] * b[3] + w[2] * c[3] + w[3] * d[3],
-    )
+def _point(
+    coefficients: NDArray[np.float32],
+    origin_mm: FloatArray,
+    per_knot: float,
+    phase: int,
+    q: tuple[float, float, float],
+) -> tuple[int, float, float, float, float]:
+    """Status, distance and gradient of one phase; NaN unless OK."""
+    cells = (coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3)
+    u = (q[0] - origin_mm[0]) * per_knot
+    v = (q[1] - origin_mm[1]) * per_knot
+    w = (q[2] - origin_mm[2]) * per_knot
+    if not inside_box(u, v, w, cells):
+        known = code.OUT_OF_VOLUME if math.isfinite(u + v + w) else code.FAULT
+        return known, math.nan, math.nan, math.nan, math.nan
+    d, gx, gy, gz = numbers(cell_value_gradient(coefficients, np.uintp(phase), find_cell(u, v, w, cells)))
+    return code.OK, d, gx * per_knot, gy * per_knot, gz * per_knot
 
 
-@inlined
-def cell_value_gradient(
-    c: NDArray[np.float32],
-    p: Index,
-    cell: tuple[Index, Index, Index],
-    x: tuple[Lanes, Lanes],
-    y: tuple[Lanes, Lanes],
-    z: tuple[Lanes, Lanes],
-) -> tuple[float, float, float, float]:
-    """Value and gradient (per knot) of phase `p` in one cell, given the weights along each axis."""
-    i, j, k = cell
-    a = _lanes_y(c, p, i, j, k, y[0])
-    b = _lanes_y(c, p, i + 1, j, k, y[0])
-    e = _lanes_y(c, p, i + 2, j, k, y[0])
-    f = _lanes_y(c, p, i + 3, j, k, y[0])
-    dy = _sum_x(
-        x[0],
-        _lanes_y(c, p, i, j, k, y[1]),
-        _lanes_y(c, p, i + 1, j, k, y[1]),
-        _lanes_y(c, p, i + 2, j, k, y[1]),
-        _lanes_y(c, p, i + 3, j, k, y[1]),
-    )
-    value = _sum_x(x[0], a, b, e, f)
-    dx = _sum_x(x[1], a, b, e, f)
-    return _dot(z[0], value), _dot(z[0], dx), _dot(z[0], dy), _dot(z[1], value)
+@kernel
+def spline_tick(
+    coefficients: NDArray[np.float32], box: FloatArray, phase: int, xyz_mm: FloatArray, out: FloatArray
+) -> int:
+    """Distance and gradient of one phase at one point.
+
+    Args:
+        coefficients: (n, cx, cy, cz) mm.
+        box: (4,) origin in mm, knot pitch in mm.
+        phase: index of the phase, not checked.
+        xyz_mm: (3,) point in the model's frame.
+        out: (4,) distance in mm and its gradient; NaN unless the status is OK.
+    Returns:
+        status code.
+    """
+    q = (xyz_mm[0], xyz_mm[1], xyz_mm[2])
+    status, out[0], out[1], out[2], out[3] = _point(coefficients, box, 1.0 / box[3], phase, q)
+    return status
 
 
 @kernel
@@ -127,23 +153,8 @@ def spline_batch(
         value, gradient, status: (k,), (k, 3), (k,) outputs; NaN where the status is not OK.
     """
     per_knot = 1.0 / knot_mm
-    cells = (coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3)
-    p = np.uintp(phase)
     for n in range(len(xyz_mm)):
-        u = (xyz_mm[n, 0] - origin_mm[0]) * per_knot
-        v = (xyz_mm[n, 1] - origin_mm[1]) * per_knot
-        w = (xyz_mm[n, 2] - origin_mm[2]) * per_knot
-        if not inside_box(u, v, w, cells):
-            status[n] = code.OUT_OF_VOLUME if np.isfinite(u + v + w) else code.FAULT
-            value[n] = np.nan
-            gradient[n, 0] = gradient[n, 1] = gradient[n, 2] = np.nan
-            continue
-        i, j, k = cell_of(u, cells[0]), cell_of(v, cells[1]), cell_of(w, cells[2])
-        d, gx, gy, gz = cell_value_gradient(
-            coefficients, p, (i, j, k), cubic_weights(u - i), cubic_weights(v - j), cubic_weights(w - k)
+        q = (xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
+        status[n], value[n], gradient[n, 0], gradient[n, 1], gradient[n, 2] = _point(
+            coefficients, origin_mm, per_knot, phase, q
         )
-        status[n] = code.OK
-        value[n] = d
-        gradient[n, 0] = gx * per_knot
-        gradient[n, 1] = gy * per_knot
-        gradient[n, 2] = gz * per_knot

@@ -68,7 +68,9 @@ def test_kernel_is_its_readable_twin(ball, shell_points, law, blend):
 
 
 @given(
-    seed=st.integers(0, 2**32 - 1), law=st.sampled_from(LAWS), blend=st.sampled_from(["force", "distance"])
+    seed=st.integers(0, 2**32 - 1),
+    law=st.sampled_from(LAWS),
+    blend=st.sampled_from(["force", "distance", "periodic"]),
 )
 def test_force_never_exceeds_its_cap(ball, seed, law, blend):
     rng = np.random.default_rng(seed)
@@ -89,7 +91,7 @@ def jumps(force, phi_of_switch, points):
     ]
 
 
-@pytest.mark.parametrize("blend", ["force", "distance"])
+@pytest.mark.parametrize("blend", ["force", "distance", "periodic"])
 def test_force_is_continuous_across_frame_switches_and_the_cycle_s_end(ball, shell_points, blend):
     evaluator = Evaluator(ball, Sigmoid(), blend=blend)
     switches = [*ball.timing.fractions, 0.0, 1.0]
@@ -161,7 +163,7 @@ def test_wrong_shapes_and_blends_are_refused(ball):
         evaluator.force(np.zeros(3), 0.1)
     with pytest.raises(InvalidInputError, match=r"model phase has shape \(2,\)"):
         evaluator.force(np.zeros((3, 3)), np.zeros(2))
-    with pytest.raises(InvalidInputError, match="choose one of force, distance"):
+    with pytest.raises(InvalidInputError, match="choose one of force, distance, periodic"):
         Evaluator(ball, Sigmoid(), blend="nearest")
 
 

@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dvf_ig.core import InvalidInputError
-from dvf_ig.guidance import DeviceLimits, Gaussian, Sigmoid
+from dvf_ig.guidance import Confinement, DeviceLimits, Evaluator, Gaussian, Sigmoid, Status
+from dvf_ig.guidance.laws import gaussian_steepness
 
 
 def steepest(law, reach_mm):
-    d = np.linspace(-reach_mm, reach_mm, 400_001)
+    d = np.linspace(-reach_mm, reach_mm, 40_001)
     return law.cap_n * np.abs(np.diff(law.potential(d))).max() / (d[1] - d[0])
 
 
@@ -44,6 +45,34 @@ def test_gaussian_stiffness_is_its_steepest_slope(m, c):
     assert law.stiffness_n_per_mm * law.delta_mm / law.cap_n == pytest.approx(c, abs=1.5e-3)
 
 
+@given(st.floats(0.5, 20.0))
+def test_both_forms_of_the_steepness_are_one(m):
+    """Theory writes n·u^(1−1/n)·e^(−u); with u = (n−1)/n the exponent 1 − 1/n is u itself."""
+    n = 2 * m
+    u = (n - 1) / n
+    assert gaussian_steepness(m) == pytest.approx(n * u ** (1 - 1 / n) * math.exp(-u), rel=1e-12)
+
+
+@given(st.floats(0.1, 4.0), st.floats(-5.0, 5.0))
+def test_confinement_is_a_sigmoid_of_the_negated_field(gamma, depth):
+    d = np.linspace(-9, 9, 50)
+    confined, free = Confinement(gamma, 0.6, depth), Sigmoid(gamma, 0.6, depth)
+    np.testing.assert_allclose(confined.potential(d), -free.potential(-d), atol=1e-15)
+    assert confined.stiffness_n_per_mm == free.stiffness_n_per_mm
+
+
+@pytest.mark.parametrize("blend", ["force", "distance"])
+def test_confinement_pushes_back_into_the_chamber(ball, shell_points, blend):
+    """Inside and out, towards the centre, harder the further out; full depth inside, next to nothing."""
+    samples = Evaluator(ball, Confinement(2.0, 0.6, 1.0), blend=blend).force(
+        shell_points, ball.timing.fractions[0]
+    )
+    radius = np.linalg.norm(shell_points, axis=1)
+    expected = -0.6 / (1 + np.exp(-2.0 * (radius - 16.0 - 1.0)))[:, None] * shell_points / radius[:, None]
+    assert (samples.status == Status.OK).all()
+    np.testing.assert_allclose(samples.force_n, expected, atol=0.008)
+
+
 def test_flat_gaussian_has_no_stiffness_bound():
     assert math.isinf(Gaussian(2.0, 0.3).stiffness_n_per_mm)
 
@@ -61,6 +90,8 @@ def test_free_zone_is_felt_at_its_border_only():
         lambda: Sigmoid(0.0),
         lambda: Sigmoid(1.0, -0.1),
         lambda: Sigmoid(1.0, 0.6, math.nan),
+        lambda: Confinement(-1.0),
+        lambda: Confinement(1.0, 0.0),
         lambda: Gaussian(-1.0),
         lambda: Gaussian(1.0, 0.0),
         lambda: Gaussian(1.0, 1.0, math.inf),

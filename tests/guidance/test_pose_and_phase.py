@@ -73,17 +73,28 @@ def test_an_unknown_device_orientation_is_a_fault(ball, shell_points):
     assert not samples.force_n[1:].any()
 
 
-def test_the_bound_tick_is_the_batch(ball, shell_points):
+@pytest.mark.parametrize("blend", ["force", "distance", "periodic"])
+def test_the_bound_tick_is_the_batch(ball, shell_points, blend):
     tip = POSE.inverse().apply_array(shell_points)
-    evaluator = Evaluator(ball, Sigmoid(), blend="distance")
+    evaluator = Evaluator(ball, Sigmoid(), blend=blend)
     batch = PoseAndPhase(POSE).evaluate(evaluator, tip, 0.7, np.ones(len(tip), dtype=bool))
     tick = PoseAndPhase(POSE).bind(evaluator)
-    out = np.empty(7)
+    out = np.empty(8)
     for k in range(0, len(tip), 17):
         assert tick(tip[k], 0.7, int(Status.OK), out) == Status.OK
         assert np.array_equal(out[:3], batch.force_n[k])
         assert out[3] == batch.distance_mm[k]
-        assert np.array_equal(out[4:], batch.gradient[k])
+        assert np.array_equal(out[4:7], batch.gradient[k])
+        assert out[7] == batch.rate_mm_per_cycle[k]
+
+
+def test_the_bound_tick_leaves_what_it_was_not_given(ball):
+    """Seven numbers are enough for who does not ask for the rate."""
+    buffer = np.full(9, -1.0)
+    tick = PoseAndPhase(POSE).bind(Evaluator(ball, Sigmoid()))
+    tip = POSE.inverse().apply_array(np.array([0.0, 0.0, 14.0]))
+    assert tick(tip, 0.1, int(Status.OK), buffer[:7]) == Status.OK
+    assert buffer[7:].tolist() == [-1.0, -1.0]
 
 
 @pytest.mark.parametrize("known", [s for s in Status if s is not Status.OK])

@@ -1,0 +1,89 @@
+"""`dvf-ig bench`: how fast and how exact the fixture is beside other ways to the same distance."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
+
+if TYPE_CHECKING:
+    from dvf_ig.guidance import Continuity
+    from dvf_ig.study.bench import Bench
+
+
+def bench(
+    model_file: Annotated[
+        Path | None, typer.Argument(metavar="[MODEL]", help="Model file (default: the phantom's heart).")
+    ] = None,
+    calls: Annotated[int, typer.Option("--calls", min=100, help="Points of the path, 1 kHz.")] = 10_000,
+    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Passes; the quietest counts.")] = 5,
+    peers: Annotated[bool, typer.Option("--peers/--no-peers", help="Time other libraries too.")] = True,
+    continuity: Annotated[
+        int, typer.Option("--continuity", min=0, help="Also compare forces at this many pairs of neighbours.")
+    ] = 0,
+    step_mm: Annotated[float, typer.Option("--step-mm", help="Pitch of the phantom's mesh.")] = 1.5,
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for bench.json.")] = None,
+    seed: SeedOption = 1,
+    threads: ThreadsOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Time single calls, kernel loops and batches, ours and others', on one heart; print their ratios.
+
+    Times are per call in µs, of the quietest pass; error_mm is the RMS error against the exact distance to
+    the mesh. Other programs on the machine lengthen everything: compare ratios.
+    """
+    with command(threads):
+        from dvf_ig.io import output_folder, read_model, write_json
+        from dvf_ig.io.json_file import plain
+        from dvf_ig.study.bench import BenchOptions, continuity_checks, run_bench
+        from dvf_ig.study.bench_heart import bench_model
+
+        options = BenchOptions(calls=calls, repeats=repeats, batch=min(calls, 5000), peers=peers, seed=seed)
+        if model_file is not None:
+            model = read_model(model_file)
+        else:
+            with progress("the phantom's heart") as report:
+                model = bench_model(step_mm=step_mm, threads=threads or 2, progress=report)
+        done = run_bench(model, options)
+        checks = continuity_checks(model, continuity, seed)
+        result = {**plain(done), "ratios": done.ratios(), "continuity": plain(checks), "seed": seed}
+        if out is not None:
+            with output_folder(out):
+                write_json(out / "bench.json", result)
+        emit(result, [*_rows(done), *_continuity_rows(checks)], as_json=as_json)
+        if out is not None:
+            wrote(out / "bench.json")
+
+
+def _rows(done: "Bench") -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [("", "", "median µs", "p99", "p99.9", "max", "error mm", "")]
+    for r in done.rows:
+        times = [f"{t:9.3f}" for t in (r.median_us, r.p99_us, r.p999_us, r.max_us)]
+        rows.append((r.name, r.what, *times, "" if r.error_mm is None else f"{r.error_mm:.4f}", r.note))
+    rows += [("ratio", name, f"{ratio:9.2f}") for name, ratio in done.ratios().items()]
+    rows.append(("first call", "new process, s", f"{done.first_call_s:9.3f}"))
+    size = f"{done.vertices} vertices, {done.phases} phases, {done.megabytes:.1f} MB"
+    rows.append(("heart", size, "", "", "", "", f"{done.near_error_mm:.4f}", "our error within 2 mm of it"))
+    return rows
+
+
+def _continuity_rows(checks: "list[Continuity]") -> list[tuple[str, ...]]:
+    if not checks:
+        return []
+    rows: list[tuple[str, ...]] = [
+        ("", "", "of bound", "pairs", "across switches", "|∇d| < 0.4", "beyond the bound")
+    ]
+    rows += [
+        (
+            "continuity",
+            f"{c.blend}, {c.law}",
+            f"{c.largest_share:9.3f}",
+            f"{c.pairs}",
+            f"{c.across_switches}",
+            f"{c.near_no_direction}",
+            f"{c.violations}",
+        )
+        for c in checks
+    ]
+    return rows

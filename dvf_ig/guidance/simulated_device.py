@@ -1,0 +1,140 @@
+"""A haptic stylus that exists only as its mass, its friction and its clock: what a fixture is tried on."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core.arrays import frozen_floats
+from dvf_ig.kernels.device import advance
+
+from .device import DeviceLimits
+from .feed_forward import NO_FEED_FORWARD, FeedForward
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceState:
+    """Where the stylus tip is and how it moves.
+
+    Attributes:
+        position_mm: (3,), frame of the device.
+        velocity_mm_s: (3,).
+    """
+
+    position_mm: FloatArray
+    velocity_mm_s: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("position_mm", "velocity_mm_s"):
+            object.__setattr__(self, name, frozen_floats(getattr(self, name), f"device {name}", (3,)))
+
+    @classmethod
+    def at_rest(cls, position_mm: FloatArray) -> "DeviceState":
+        return cls(position_mm, np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedDevice:
+    """A gravity-compensated stylus: the same apparent mass and friction in every direction.
+
+    Attributes:
+        name: what it stands for.
+        mass_kg: apparent mass at the tip.
+        viscous_n_s_per_m: viscous friction at the tip.
+        dry_n: dry (Coulomb) friction at the tip, static and sliding alike.
+        resolution_mm: step of the position sensor; 0 measures exactly.
+        largest_n: longer forces are shortened to this.
+        rate_hz: servo rate; a force is held for one period.
+        steps: sub-steps of a period.
+    """
+
+    name: str
+    mass_kg: float
+    viscous_n_s_per_m: float
+    dry_n: float
+    resolution_mm: float = 0.0
+    largest_n: float = math.inf
+    rate_hz: float = 1000.0
+    steps: int = 10
+
+    def __post_init__(self) -> None:
+        for name, low in (("mass_kg", 1e-4), ("rate_hz", 1.0), ("steps", 1)):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= low):
+                raise InvalidInputError(f"device {name} is {value:g}; needed a finite number from {low:g} on")
+        for name in ("viscous_n_s_per_m", "dry_n", "resolution_mm"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InvalidInputError(f"device {name} is {value:g}; it must be finite and not negative")
+        if not self.largest_n > 0.0:
+            raise InvalidInputError(f"device largest_n is {self.largest_n:g} N; it must be positive")
+
+    def step(self, state: DeviceState, force_n: FloatArray) -> DeviceState:
+        """The state one servo period later, under a force (3,) in N held meanwhile.
+
+        A force that is not finite counts as none.
+        """
+        before = np.concatenate([state.position_mm, state.velocity_mm_s])
+        after = np.empty(6)
+        advance(before, np.array(force_n, dtype=np.float64), *self.constants, after)
+        return DeviceState(after[:3], after[3:])
+
+    def measured_mm(self, position_mm: FloatArray) -> FloatArray:
+        """(3,) position as the sensor reports it: rounded to its resolution."""
+        if self.resolution_mm == 0.0:
+            return np.array(position_mm)
+        return np.asarray(np.round(position_mm / self.resolution_mm) * self.resolution_mm)
+
+    @property
+    def constants(self) -> tuple[float, float, float, float, float, int]:
+        """Mass, viscous and dry friction, largest force, period, sub-steps: for `kernels.device.advance`."""
+        return (
+            self.mass_kg,
+            self.viscous_n_s_per_m,
+            self.dry_n,
+            self.largest_n,
+            1.0 / self.rate_hz,
+            self.steps,
+        )
+
+    def limits(
+        self,
+        *,
+        fastest_mm_s: float,
+        stiffness_n_per_m: float = 400.0,
+        feed_forward: FeedForward = NO_FEED_FORWARD,
+    ) -> DeviceLimits:
+        """What this device renders passively while its tip moves no faster than `fastest_mm_s`.
+
+        Friction that a feed-forward compensates takes no energy away any more, and its damping costs some.
+
+        Raises:
+            InvalidInputError: a feed-forward that compensates more friction than there is.
+        """
+        if feed_forward.friction_n > self.dry_n:
+            raise InvalidInputError(
+                f"the feed-forward compensates {feed_forward.friction_n:g} N of friction, but {self.name} "
+                f"has {self.dry_n:g} N; compensate less"
+            )
+        return DeviceLimits(
+            rate_hz=self.rate_hz,
+            stiffness_n_per_m=stiffness_n_per_m,
+            damping_n_s_per_m=self.viscous_n_s_per_m,
+            virtual_damping_n_s_per_m=feed_forward.damping_n_s_per_m,
+            friction_n=self.dry_n - feed_forward.friction_n,
+            resolution_mm=self.resolution_mm,
+            fastest_mm_s=fastest_mm_s,
+        )
+
+
+PREMIUM = SimulatedDevice("PHANToM Premium 1.0", 0.072, 0.005, 0.038, 0.03, 8.5)
+"""A research arm: mass and frictions as identified by Diolaiti, Niemeyer, Barbagli and Salisbury (IEEE Trans.
+Robotics 22(2), 2006); resolution and largest force from its maker (SensAble: 0.03 mm, 8.5 N)."""
+
+OMNI = SimulatedDevice("PHANToM Omni", 0.045, 0.005, 0.26, 0.055, 3.3)
+"""A desktop stylus: its maker's apparent mass (45 g), back-drive friction (0.26 N), resolution (0.055 mm) and
+largest force (3.3 N). No viscous friction is published: that of the other arm stands in."""
+
+DEVICES = {"premium": PREMIUM, "omni": OMNI}
+"""Simulated devices by name."""

@@ -1,0 +1,55 @@
+"""Where a phase falls in the cycle, and the weights of the phases around it."""
+
+import math
+
+from dvf_ig.core import FloatArray
+
+from .compiled import inlined
+from .lanes import Four, four, numbers, plus, scaled
+
+Numbers = tuple[float, float, float, float]
+
+
+@inlined
+def phase_bracket(times: FloatArray, start: int, count: int, phi: float) -> tuple[int, int, float, float]:
+    """Neighbouring phases of `phi` (cyclic), weight of the second, and their distance in cycles.
+
+    The search starts where evenly spaced phases would put `phi`, and is then over at once.
+
+    Args:
+        times: holds the phase times as fractions of the cycle, `count` of them from `start` on.
+        phi: model phase.
+    """
+    phi -= math.floor(phi)
+    before = min(int(phi * count), count - 1)
+    while before < count - 1 and times[start + before + 1] <= phi:
+        before += 1
+    while before >= 0 and times[start + before] > phi:
+        before -= 1
+    first = before if before >= 0 else count - 1
+    second = before + 1 if before + 1 < count else 0
+    width = times[start + second] - times[start + first]
+    past = phi - times[start + first]
+    width = width + 1.0 if width <= 0.0 else width
+    past = past + 1.0 if past < 0.0 else past
+    return first, second, past / width, width
+
+
+@inlined
+def _row(c: FloatArray, k: int) -> Four:
+    return four(c[k], c[k + 1], c[k + 2], c[k + 3])
+
+
+@inlined
+def cubic_in_phase(powers: FloatArray, start: int, alpha: float) -> tuple[Numbers, Numbers]:
+    """Weights of the four phases around an interval, and their derivatives re alpha.
+
+    Args:
+        powers: from `start` on, the coefficients of 1, α, α², α³ for phases first−1 … first+2, 16 numbers.
+        alpha: place in the interval, 0 … 1.
+    """
+    one, a1 = _row(powers, start), _row(powers, start + 4)
+    a2, a3 = _row(powers, start + 8), _row(powers, start + 12)
+    weights = plus(one, alpha, plus(a1, alpha, plus(a2, alpha, a3)))
+    slopes = plus(a1, alpha, plus(scaled(2.0, a2), alpha, scaled(3.0, a3)))
+    return numbers(weights), numbers(slopes)
