@@ -10,14 +10,14 @@ from .channels import ModelChannels as ModelChannels
 from .channels import channels_from_labels as channels_from_labels
 from .channels import channels_from_mr as channels_from_mr
 from .channels import channels_from_still as channels_from_still
-from .evidence import distance_between as distance_between
+from .chart import HEART_RADIUS_MM as HEART_RADIUS_MM
+from .chart import distance_between as distance_between
 from .gating import Gated as Gated
 from .gating import gate_frames as gate_frames
 from .landmarks import LandmarkPrior as LandmarkPrior
 from .landmarks import LandmarkStart as LandmarkStart
 from .landmarks import prior_from_landmarks as prior_from_landmarks
 from .landmarks import start_from_landmarks as start_from_landmarks
-from .optimise import HEART_RADIUS_MM as HEART_RADIUS_MM
 from .pair import register_pair as register_pair
 from .rigid import Level as Level
 from .rigid import RegistrationOptions as RegistrationOptions

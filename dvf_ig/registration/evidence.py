@@ -1,14 +1,14 @@
 """Whether a registration may be believed: covariance, agreement, success probability."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray
 
+from .chart import HEART_RADIUS_MM, PoseChart, hessian
+from .climb import cost_of
 from .landmarks import LandmarkPrior
-from .optimise import HEART_RADIUS_MM, PoseChart, hessian
 from .similarity import Lc2
 
 WRONG_POSES = 24
@@ -19,35 +19,17 @@ LOGISTIC = (-8.0, 2.0, -2.0)
 choice, not a fit: even odds at contrast 4, less where the halves disagree."""
 
 
-def distance_between(first: Rigid, second: Rigid, center_mm: FloatArray, radius_mm: float) -> float:
-    """Mean distance in mm between two poses over six points at `radius_mm` from the centre (fixed frame)."""
-    corners = np.vstack([np.eye(3), -np.eye(3)]) * radius_mm + center_mm
-    source = first.inverse().apply_array(corners)
-    return float(np.linalg.norm(second.apply_array(source) - corners, axis=1).mean())
-
-
-def objective(metric: Lc2, chart: PoseChart, prior: LandmarkPrior | None) -> Callable[[FloatArray], float]:
-    """−log posterior per observation, of the six coordinates of a chart.
-
-    With S the explained share of variance over n observations, −n/2·log(1 − S) is the log likelihood of the
-    local linear model up to a constant; touched landmarks, if any, add their own.
-    """
-
-    def cost(xi_mm: FloatArray) -> float:
-        pose = chart.pose(xi_mm)
-        image = 0.5 * math.log(max(1.0 - metric.score(pose).similarity, 1e-12))
-        return image if prior is None else image + prior.energy(pose) / metric.information
-
-    return cost
-
-
 def covariance_of(metric: Lc2, chart: PoseChart, prior: LandmarkPrior | None) -> FloatArray:
     """Covariance of the pose: inverse curvature of −log posterior; NaN where that has no minimum.
 
     Returns:
         (6, 6): rotation vector (rad) then translation (mm), left perturbation about the chart's centre.
     """
-    curvature = metric.information * hessian(objective(metric, chart, prior), np.zeros(6), 0.5)
+
+    def cost(xi_mm: FloatArray) -> float:
+        return cost_of(metric, chart.pose(xi_mm), prior)
+
+    curvature = metric.information * hessian(cost, np.zeros(6), 0.5)
     if not np.isfinite(curvature).all() or np.linalg.eigvalsh(curvature).min() <= 0:
         return np.full((6, 6), np.nan)
     unit = np.diag([1 / HEART_RADIUS_MM] * 3 + [1.0] * 3)

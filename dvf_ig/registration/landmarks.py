@@ -7,6 +7,8 @@ import numpy as np
 from dvf_ig.core import FloatArray, InvalidInputError, Landmarks, Points, Rigid
 from dvf_ig.core.paired import fit_paired_points
 
+from .chart import HEART_RADIUS_MM
+
 MIN_FOR_PRIOR = 5
 LEAST_SIGMA_MM = 0.5
 """A stylus on a beating heart is never better than this per coordinate."""
@@ -39,6 +41,16 @@ class LandmarkPrior:
         """Half the squared distance of the landmarks in standard deviations: −log of their likelihood."""
         apart = pose.apply(self.moving).xyz_mm - self.fixed.xyz_mm
         return float(0.5 * (apart * apart).sum() / self.sigma_mm**2)
+
+    def normal_equations(self, pose: Rigid, center_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(6, 6) and (6,): curvature and downhill direction of `energy` in the coordinates of `chart`."""
+        at = pose.apply(self.moving).xyz_mm
+        jacobian = np.zeros((len(at), 3, 6))
+        jacobian[:, :, 3:] = np.eye(3)
+        for axis, turn in enumerate(np.eye(3)):
+            jacobian[:, :, axis] = np.cross(turn, at - center_mm) / HEART_RADIUS_MM
+        flat = jacobian.reshape(-1, 6) / self.sigma_mm
+        return flat.T @ flat, flat.T @ (self.fixed.xyz_mm - at).ravel() / self.sigma_mm
 
 
 def prior_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkPrior | None:

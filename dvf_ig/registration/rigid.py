@@ -1,6 +1,6 @@
 """Rigid US/MR registration: many coarse starts, LC2 refinement, and evidence that it worked.
 
-1. coarse: from the start pose and displaced copies of it, a short search on 3 mm slices each;
+1. coarse: from the start pose and displaced copies of it, a short climb on 3 mm slices each; the best go on;
 2. fine: the best distinct candidates are refined on 1.5 mm slices and ranked by LC2;
 3. evidence: covariance from the Hessian, the two halves of the slices registered apart, overlap.
 """
@@ -14,9 +14,10 @@ import numpy as np
 from dvf_ig.core import FloatArray, Rigid, Stop
 
 from .channels import ModelChannels
-from .evidence import contrast_of, covariance_of, distance_between, objective, success_probability
+from .chart import HEART_RADIUS_MM, PoseChart, distance_between
+from .climb import Climb, ClimbOptions, climb
+from .evidence import contrast_of, covariance_of, success_probability
 from .landmarks import LandmarkPrior
-from .optimise import HEART_RADIUS_MM, PoseChart, Search, search
 from .similarity import Lc2
 from .slices import SliceSet
 
@@ -29,7 +30,7 @@ class RegistrationOptions:
         starts: displaced copies of the start pose, besides the start itself.
         spread_mm: how far a displaced copy is from the start at the heart's radius.
         patch_mm: edge of an LC2 patch.
-        bound_mm: how far a pose may move from the start, per coordinate.
+        bound_mm: how far a pose may move from the start over the heart.
         min_overlap: least share of the slices inside the model's volume.
         min_contrast: least standard deviations above wrong poses of an acceptable match.
         max_disagreement_mm: largest mean distance between the poses of the two halves.
@@ -39,12 +40,17 @@ class RegistrationOptions:
     spread_mm: float = 9.0
     patch_mm: float = 13.0
     bound_mm: float = 30.0
-    coarse_evaluations: int = 70
     candidates: int = 3
-    fine_evaluations: int = 140
     min_overlap: float = 0.35
     min_contrast: float = 3.8
     max_disagreement_mm: float = 4.0
+
+
+FIRST_LOOK = ClimbOptions(steps=7, cap_mm=8.0, tolerance_mm=0.3)
+COARSE = ClimbOptions(steps=16, cap_mm=6.0, tolerance_mm=0.2)
+FINE = ClimbOptions(steps=30, cap_mm=2.0, tolerance_mm=0.01)
+APART_MM = 4.0
+"""Candidates nearer to each other than this over the heart are one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,31 +123,29 @@ def register_rigid(
     opts = options or RegistrationOptions()
     tell = progress or (lambda _: None)
     began = perf_counter()
-    chart = PoseChart(start, center_mm)
-    basins, evaluations = _coarse_basins(coarse, chart, prior, rng, opts, tell)
+    basins, evaluations = _coarse_basins(coarse, start, center_mm, prior, rng, opts, tell)
     metric = _metric(fine, opts)
     refined = []
     for k, basin in enumerate(basins):
-        refined.append(_refine(metric, chart, prior, basin, opts))
+        refined.append(climb(metric, basin, center_mm, prior, FINE))
         tell(0.6 + 0.2 * (k + 1) / len(basins))
-    refined.sort(key=lambda s: s.cost)
+    refined.sort(key=lambda c: c.cost)
     best = refined[0]
-    pose = chart.pose(best.xi_mm)
-    halves = [_refine(_metric(half, opts), chart, prior, best.xi_mm, opts) for half in _halves(fine)]
-    disagreement = distance_between(
-        chart.pose(halves[0].xi_mm), chart.pose(halves[1].xi_mm), center_mm, HEART_RADIUS_MM
-    )
+    pose = best.pose
+    halves = [climb(_metric(half, opts), pose, center_mm, prior, FINE) for half in _halves(fine)]
+    disagreement = _apart(halves[0].pose, halves[1].pose, center_mm)
     tell(0.95)
     found = PoseChart(pose, center_mm)
     covariance, contrast = covariance_of(metric, found, prior), contrast_of(metric, found, rng)
     score = metric.score(pose)
     others = [
-        metric.score(other).similarity
-        for other in (chart.pose(s.xi_mm) for s in refined[1:])
-        if distance_between(other, pose, center_mm, HEART_RADIUS_MM) > 4.0
+        metric.score(other.pose).similarity
+        for other in refined[1:]
+        if _apart(other.pose, pose, center_mm) > APART_MM
     ]
     second = max(others, default=0.0)
-    stop = _verdict(best, contrast, score.overlap, disagreement, covariance, opts)
+    moved = _apart(start, pose, center_mm)
+    stop = _verdict(best, moved, contrast, score.overlap, disagreement, covariance, opts)
     tell(1.0)
     return RegistrationResult(
         mr_from_tracker=pose,
@@ -155,8 +159,8 @@ def register_rigid(
         overlap=score.overlap,
         disagreement_mm=disagreement,
         second_best=second,
-        moved_mm=distance_between(start, pose, center_mm, HEART_RADIUS_MM),
-        evaluations=evaluations + sum(s.evaluations for s in (*refined, *halves)),
+        moved_mm=moved,
+        evaluations=evaluations + sum(c.evaluations for c in (*refined, *halves)),
         seconds=perf_counter() - began,
         slices=len(fine.slices),
     )
@@ -166,54 +170,42 @@ def _metric(level: Level, opts: RegistrationOptions) -> Lc2:
     return Lc2(level.slices, level.model, patch_mm=opts.patch_mm, pitch_mm=level.pitch_mm)
 
 
+def _apart(first: Rigid, second: Rigid, center_mm: FloatArray) -> float:
+    return distance_between(first, second, center_mm, HEART_RADIUS_MM)
+
+
 def _coarse_basins(
     level: Level,
-    chart: PoseChart,
+    start: Rigid,
+    center_mm: FloatArray,
     prior: LandmarkPrior | None,
     rng: np.random.Generator,
     opts: RegistrationOptions,
     tell: Callable[[float], None],
-) -> tuple[list[FloatArray], int]:
-    """Short searches from the start and its displaced copies; the best distinct ends, best first."""
-    cost = objective(_metric(level, opts), chart, prior)
+) -> tuple[list[Rigid], int]:
+    """Short climbs from the start and its displaced copies; the best distinct ends, best first."""
+    metric = _metric(level, opts)
     directions = rng.normal(size=(opts.starts, 6))
     directions *= opts.spread_mm / np.linalg.norm(directions, axis=1, keepdims=True)
-    ends: list[Search] = []
+    looks: list[Climb] = []
     for k, xi in enumerate(np.vstack([np.zeros(6), directions])):
-        ends.append(
-            search(
-                cost,
-                xi,
-                first_step_mm=4.0,
-                last_step_mm=0.5,
-                bound_mm=opts.bound_mm,
-                max_evaluations=opts.coarse_evaluations,
-            )
-        )
-        tell(0.6 * (k + 1) / (opts.starts + 1))
-    ends.sort(key=lambda s: s.cost)
-    basins: list[FloatArray] = []
-    for end in ends:
-        if all(np.linalg.norm(end.xi_mm - known) > 4.0 for known in basins):
-            basins.append(end.xi_mm)
-    return basins[: opts.candidates], sum(s.evaluations for s in ends)
+        looks.append(climb(metric, PoseChart(start, center_mm).pose(xi), center_mm, prior, FIRST_LOOK))
+        tell(0.5 * (k + 1) / (opts.starts + 1))
+    ends = [
+        climb(metric, pose, center_mm, prior, COARSE)
+        for pose in _distinct(looks, center_mm, 2 * opts.candidates)
+    ]
+    used = sum(c.evaluations for c in (*looks, *ends))
+    return _distinct(ends, center_mm, opts.candidates), used
 
 
-def _refine(
-    metric: Lc2,
-    chart: PoseChart,
-    prior: LandmarkPrior | None,
-    xi_mm: FloatArray,
-    opts: RegistrationOptions,
-) -> Search:
-    return search(
-        objective(metric, chart, prior),
-        xi_mm,
-        first_step_mm=1.5,
-        last_step_mm=0.02,
-        bound_mm=opts.bound_mm,
-        max_evaluations=opts.fine_evaluations,
-    )
+def _distinct(climbs: list[Climb], center_mm: FloatArray, count: int) -> list[Rigid]:
+    """Poses of the best climbs that are not one another's neighbours, best first."""
+    chosen: list[Rigid] = []
+    for end in sorted(climbs, key=lambda c: c.cost):
+        if all(_apart(end.pose, known, center_mm) > APART_MM for known in chosen):
+            chosen.append(end.pose)
+    return chosen[:count]
 
 
 def _halves(level: Level) -> tuple[Level, Level]:
@@ -226,7 +218,8 @@ def _halves(level: Level) -> tuple[Level, Level]:
 
 
 def _verdict(
-    best: Search,
+    best: Climb,
+    moved_mm: float,
     contrast: float,
     overlap: float,
     disagreement_mm: float,
@@ -237,7 +230,7 @@ def _verdict(
         return Stop.LOW_OVERLAP
     if contrast < opts.min_contrast:
         return Stop.POOR_MATCH
-    if np.abs(best.xi_mm).max() > 0.99 * opts.bound_mm:
+    if not best.converged or moved_mm > opts.bound_mm:
         return Stop.MAX_ITERATIONS
     if not np.isfinite(covariance).all():
         return Stop.WEAK_GEOMETRY

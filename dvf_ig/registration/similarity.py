@@ -1,8 +1,10 @@
 """LC2 of a slice set against the phase-matched model, as a function of the pose."""
 
 import itertools
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -10,8 +12,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from dvf_ig.core import FloatArray, IntArray, Rigid, require_same_frame
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.kernels.similarity import SUMS, lc2_slices
+from dvf_ig.kernels.similarity_step import HELD, NORMAL, lc2_normal_slices
 
 from .channels import ModelChannels
+from .chart import HEART_RADIUS_MM
 from .slices import SliceSet
 
 MIN_FILL = 0.6
@@ -31,6 +35,21 @@ class Score:
 
     similarity: float
     overlap: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalEquations:
+    """Quadratic model of Σ w(1 − S) in the coordinates of `chart`, local fits held.
+
+    Attributes:
+        matrix: (6, 6) JᵀJ; right: (6,) Jᵀr, half the gradient of Σ w·S.
+        similarity, weight: S over all slices, and Σ w.
+    """
+
+    matrix: FloatArray
+    right: FloatArray
+    similarity: float
+    weight: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,23 +121,24 @@ class Lc2:
         self._values = np.empty((s, rows, cols, 2))
         self._tables = np.empty((s, rows + 1, cols + 1, SUMS))
         self._out = np.empty((s, 3))
-        self._index_from_mm = np.linalg.inv(model.grid.axes_mm)
+        self._slopes: tuple[FloatArray, FloatArray] | None = None
+        self._constant = (
+            slices.images,
+            slices.masks,
+            self._patches.first,
+            self._patches.boxes,
+            self._patches.moments,
+        )
+        self._index_from_mm = np.ascontiguousarray(np.linalg.inv(model.grid.axes_mm))
         threads = max(1, min(thread_count(), s))
         self._shares = [round(k * s / threads) for k in range(threads + 1)]
         self._pool = ThreadPoolExecutor(max(1, threads - 1))
 
     def per_slice(self, mr_from_tracker: Rigid) -> FloatArray:
         """(s, 3) weighted score, weight and overlap of each slice."""
-        require_same_frame(self._slices.frame, mr_from_tracker.source, "registration pose")
-        require_same_frame(self._model.grid.frame, mr_from_tracker.target, "registration pose")
-        mr_from_pixel = mr_from_tracker.rotation @ self._slices.frame_from_pixel
-        mr_from_pixel[:, :, 2] += mr_from_tracker.translation_mm - self._model.grid.origin_mm
+        mr_from_pixel = self._placed(mr_from_tracker)
         arguments = (
-            self._slices.images,
-            self._slices.masks,
-            self._patches.first,
-            self._patches.boxes,
-            self._patches.moments,
+            *self._constant,
             np.ascontiguousarray(self._index_from_mm @ mr_from_pixel),
             self._phases,
             self._model.values,
@@ -126,12 +146,55 @@ class Lc2:
             self._tables,
             self._out,
         )
+        self._shared(lc2_slices, arguments)
+        return self._out.copy()
+
+    def normal_equations(self, mr_from_tracker: Rigid, center_mm: FloatArray) -> NormalEquations:
+        """How the score changes with small motions about `center_mm` (3,), fixed frame."""
+        mr_from_pixel = self._placed(mr_from_tracker)
+        s, rows, cols = self._slices.images.shape
+        if self._slopes is None:
+            self._slopes = np.empty((s, rows, cols, 6)), np.empty((s, rows + 1, cols + 1, HELD))
+        places = mr_from_pixel.copy()
+        places[:, :, 2] += self._model.grid.origin_mm - center_mm
+        out = np.empty((s, NORMAL + 2))
+        arguments = (
+            *self._constant,
+            np.ascontiguousarray(self._index_from_mm @ mr_from_pixel),
+            places,
+            self._index_from_mm,
+            self._phases,
+            self._model.values,
+            HEART_RADIUS_MM,
+            self._values,
+            self._slopes[0],
+            self._tables,
+            self._slopes[1],
+            out,
+        )
+        self._shared(lc2_normal_slices, arguments)
+        sums = out.sum(axis=0)
+        lower = np.zeros((6, 6))
+        lower[np.tril_indices(6)] = sums[:21]
+        matrix = lower + lower.T - np.diag(np.diag(lower))
+        weight = max(float(sums[NORMAL + 1]), 1e-300)
+        return NormalEquations(matrix, sums[21:NORMAL], float(sums[NORMAL]) / weight, weight)
+
+    def _placed(self, mr_from_tracker: Rigid) -> FloatArray:
+        """(s, 3, 3) mm from the model grid's origin, from (column, row, 1)."""
+        require_same_frame(self._slices.frame, mr_from_tracker.source, "registration pose")
+        require_same_frame(self._model.grid.frame, mr_from_tracker.target, "registration pose")
+        mr_from_pixel = mr_from_tracker.rotation @ self._slices.frame_from_pixel
+        mr_from_pixel[:, :, 2] += mr_from_tracker.translation_mm - self._model.grid.origin_mm
+        return mr_from_pixel
+
+    def _shared(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+        """Run a kernel over all slices, a share of them on each thread."""
         *others, (begin, end) = itertools.pairwise(self._shares)
-        running = [self._pool.submit(lc2_slices, *arguments, *share) for share in others]
-        lc2_slices(*arguments, begin, end)
+        running = [self._pool.submit(kernel, *arguments, *share) for share in others]
+        kernel(*arguments, begin, end)
         for share in running:
             share.result()
-        return self._out.copy()
 
     def score(self, mr_from_tracker: Rigid) -> Score:
         """Similarity and overlap of all slices together."""

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from numba import config
 from scipy import ndimage
-from toy_heart import toy_mr, toy_pose, toy_slices
+from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import Rigid
 from dvf_ig.kernels.similarity import RIDGE, sample_channels
 from dvf_ig.registration import Lc2, ModelChannels, SliceSet, channels_from_mr
+from dvf_ig.registration.chart import PoseChart
 
 
 def lc2_twin(slices: SliceSet, model: ModelChannels, pose: Rigid, radius: int) -> tuple[float, float]:
@@ -102,6 +103,21 @@ def test_true_pose_scores_above_displaced_ones() -> None:
             0.05 * rng.normal(size=3), 6 * shift / np.linalg.norm(shift), [0, 0, 0]
         )
         assert metric.score(moved).similarity < best
+
+
+def test_normal_equations_carry_the_score_and_its_gradient() -> None:
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.1)
+    metric = Lc2(slices, channels_from_mr(toy_mr(), smoothing_mm=3.0), patch_mm=13.0, pitch_mm=3.0)
+    away = PoseChart(toy_pose(), CENTER_MM).pose(np.array([2.0, -1.0, 1.5, 1.0, -2.0, 1.5]))
+    here = metric.normal_equations(away, CENTER_MM)
+    assert here.similarity == pytest.approx(metric.score(away).similarity, rel=1e-9)
+    chart, slope = PoseChart(away, CENTER_MM), np.empty(6)
+    for i, step in enumerate(0.05 * np.eye(6)):
+        ahead, behind = (metric.score(chart.pose(s)).similarity for s in (step, -step))
+        slope[i] = here.weight * (ahead - behind) / 0.1
+    # half the gradient of the weighted score; trilinear channels bend at every voxel
+    np.testing.assert_allclose(2 * here.right, slope, atol=0.04 * np.abs(slope).max())
+    assert np.linalg.eigvalsh(here.matrix).min() > 0
 
 
 @pytest.mark.parametrize("threads", [2, 5])
