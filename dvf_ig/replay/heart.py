@@ -63,7 +63,7 @@ def build_heart(
     center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     if preop.mr is not None:
         coarse = channels_from_mr(preop.mr, smoothing_mm=2.0)
-        fine = channels_from_mr(preop.mr, smoothing_mm=1.0)
+        fine = channels_from_mr(preop.mr, smoothing_mm=2.0)
     else:
         labels = _label_map(preop)
         coarse = channels_from_labels(labels, smoothing_mm=2.5)
