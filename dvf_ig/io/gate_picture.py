@@ -196,7 +196,7 @@ def _draw_legend(figure: Figure, track: PhaseTrack) -> None:
     figure.legend(
         handles=handles,
         loc="outside lower center",
-        ncols=len(handles),
+        ncols=(len(handles) + 1) // 2,
         fontsize=8,
         frameon=False,
         columnspacing=1.2,
