@@ -147,9 +147,9 @@ def _on_real_anatomy(
 ) -> "tuple[Scenario, ReplayedPath]":
     """Read the real recordings and simulate the ultrasound between them."""
     from data_synth import replayed_path, surface_scenario
-    from dvf_ig.io import read_beat_annotations, read_ecg, read_sequence, read_surface_series
+    from dvf_ig.io import read_annotations, read_ecg, read_sequence, read_surface_series
 
-    beats_s = read_beat_annotations(ecg)
+    beats_s = read_annotations(ecg).t_s
     signal = read_ecg(ecg)
     sequence = read_sequence(probe_path)
     fixed = "reference" if any("reference" in name for name in sequence.poses) else "tracker"

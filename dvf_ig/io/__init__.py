@@ -9,7 +9,6 @@ from .describe import Description as Description
 from .describe import describe as describe
 from .ecg import read_ecg as read_ecg
 from .ecg import write_ecg_csv as write_ecg_csv
-from .ecg_extra import read_beat_annotations as read_beat_annotations
 from .feature_points import read_feature_points as read_feature_points
 from .feature_points import read_target_recording as read_target_recording
 from .feature_points import tracked_probe as tracked_probe

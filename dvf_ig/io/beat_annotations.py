@@ -7,8 +7,11 @@ import numpy as np
 
 from ..core.arrays import BoolArray, FloatArray
 from ..core.errors import UnreadableFileError
-from .ecg_extra import _DAMAGE, BEAT_SYMBOLS, _existing_record, _quiet, _wfdb
+from .ecg_extra import DAMAGE, existing_record, quiet, wfdb_package
 from .reading import reading
+
+BEAT_SYMBOLS = frozenset("NLRBAaJSVrFejnE/fQ?")
+"""Annotation codes that mark a heart beat (PhysioNet, "WFDB annotation codes")."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,15 +45,15 @@ def read_annotations(spec: str) -> BeatAnnotations:
     kind, colon, name = spec.partition(":")
     if not colon or kind != "wfdb":
         raise UnreadableFileError(f"'{spec}' has no annotations; give a WFDB record as wfdb:RECORD")
-    wfdb = _wfdb()
-    record = _existing_record(Path(name))
+    wfdb = wfdb_package()
+    record = existing_record(Path(name))
     with reading(Path(f"{record}.atr"), "beat annotations"), open(f"{record}.atr", "rb"):
         pass
     try:
-        with _quiet():
+        with quiet():
             rate_hz = float(wfdb.rdheader(str(record.resolve())).fs)
             notes = wfdb.rdann(str(record.resolve()), "atr")
-    except _DAMAGE as exc:
+    except DAMAGE as exc:
         raise UnreadableFileError(f"{record}.atr: not readable annotations ({exc}); copy it again") from exc
     beats = {s: y for s, y in zip(notes.sample, notes.symbol, strict=True) if y in BEAT_SYMBOLS}
     rhythms = [

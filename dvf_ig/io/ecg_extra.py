@@ -12,12 +12,8 @@ import numpy as np
 from ..core.arrays import FloatArray
 from ..core.errors import MissingDependencyError, UnreadableFileError
 from ..core.signal import Signal
-from .reading import reading
 
-BEAT_SYMBOLS = frozenset("NLRBAaJSVrFejnE/fQ?")
-"""Annotation codes that mark a heart beat (PhysioNet, "WFDB annotation codes")."""
-
-_DAMAGE = (ValueError, LookupError, TypeError, ArithmeticError, OSError)
+DAMAGE = (ValueError, LookupError, TypeError, ArithmeticError, OSError)
 """What these packages raise on damaged files."""
 
 _TO_MV = {"mv": 1.0, "uv": 1e-3, "µv": 1e-3, "μv": 1e-3, "v": 1e3}
@@ -30,12 +26,12 @@ def read_wfdb(record: Path) -> Signal:
         MissingDependencyError: the package wfdb is absent.
         UnreadableFileError: a file of the record is absent or damaged.
     """
-    wfdb = _wfdb()
-    record = _existing_record(record)
+    wfdb = wfdb_package()
+    record = existing_record(record)
     try:
-        with _quiet():
+        with quiet():
             data = wfdb.rdrecord(str(record.resolve()))
-    except _DAMAGE as exc:
+    except DAMAGE as exc:
         raise UnreadableFileError(f"{record}: not a readable WFDB record ({exc}); copy it again") from exc
     if data.p_signal is None:
         raise UnreadableFileError(f"{record}: the record has several sampling rates; resample it to one")
@@ -52,7 +48,7 @@ def read_edf(path: Path) -> Signal:
     """
     edfio = _extra("edfio")
     try:
-        with _quiet():
+        with quiet():
             edf = edfio.read_edf(path)
         labelled = [s for s in edf.signals if "ecg" in s.label.lower()]
         chosen = labelled or list(edf.signals)
@@ -60,7 +56,7 @@ def read_edf(path: Path) -> Signal:
         columns = [np.asarray(s.data, dtype=np.float64) for s in chosen]
     except FileNotFoundError:
         raise
-    except _DAMAGE as exc:
+    except DAMAGE as exc:
         raise UnreadableFileError(f"{path}: not a readable EDF file ({exc}); export it again") from exc
     if len(rates) != 1:
         listed = ", ".join(f"{s.label} {s.sampling_frequency:g} Hz" for s in chosen) or "none"
@@ -69,35 +65,7 @@ def read_edf(path: Path) -> Signal:
     return _signal(path, np.column_stack(columns), units, [s.label for s in chosen], rates.pop())
 
 
-def read_beat_annotations(spec: str) -> FloatArray:
-    """Times of the annotated beats.
-
-    Args:
-        spec: `wfdb:PATH`; PATH.atr and PATH.hea must exist.
-    Returns:
-        (k,) increasing, s from the start of the record.
-    Raises:
-        MissingDependencyError: the package wfdb is absent.
-        UnreadableFileError: no annotations, or not readable.
-    """
-    kind, colon, name = spec.partition(":")
-    if not colon or kind != "wfdb":
-        raise UnreadableFileError(f"'{spec}' has no beat annotations; give a WFDB record as wfdb:RECORD")
-    wfdb = _wfdb()
-    record = _existing_record(Path(name))
-    with reading(Path(f"{record}.atr"), "beat annotations"), open(f"{record}.atr", "rb"):
-        pass
-    try:
-        with _quiet():
-            rate_hz = float(wfdb.rdheader(str(record.resolve())).fs)
-            notes = wfdb.rdann(str(record.resolve()), "atr")
-    except _DAMAGE as exc:
-        raise UnreadableFileError(f"{record}.atr: not readable annotations ({exc}); copy it again") from exc
-    beats = [s for s, symbol in zip(notes.sample, notes.symbol, strict=True) if symbol in BEAT_SYMBOLS]
-    return np.unique(np.asarray(beats, dtype=np.float64)) / rate_hz
-
-
-def _existing_record(record: Path) -> Path:
+def existing_record(record: Path) -> Path:
     """The record's path without suffix, checked before wfdb could look for it elsewhere."""
     if record.suffix in (".hea", ".dat", ".atr"):
         record = record.with_suffix("")
@@ -117,12 +85,12 @@ def _signal(path: Path, samples: FloatArray, units: list[str], leads: list[str],
     return Signal(samples, rate_hz, 0.0, tuple(leads))
 
 
-def _wfdb() -> ModuleType:
+def wfdb_package() -> ModuleType:
     return _extra("wfdb")
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Silence what these packages' own dependencies warn about; a user cannot act on it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -131,7 +99,7 @@ def _quiet() -> Iterator[None]:
 
 def _extra(name: str) -> ModuleType:
     try:
-        with _quiet():
+        with quiet():
             return importlib.import_module(name)
     except ModuleNotFoundError as exc:
         raise MissingDependencyError(

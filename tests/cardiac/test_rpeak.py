@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dvf_ig.cardiac import RPeakDetector, detect_r_peaks, track_phase
 from dvf_ig.core import FloatArray, InvalidInputError, Signal
-from dvf_ig.io import read_beat_annotations, read_ecg
+from dvf_ig.io import read_annotations, read_ecg
 
 
 def beats_ecg(r_s: FloatArray, rate_hz: float, duration_s: float, noise_mv: float = 0.02) -> Signal:
@@ -188,7 +188,7 @@ def matched(found: FloatArray, truth: FloatArray, window_s: float) -> int:
 def test_annotated_records(data_dir: Path, record: str, se_150: float, ppv_150: float, se_50: float) -> None:
     pytest.importorskip("wfdb")
     spec = f"wfdb:{data_dir / 'mitdb-ds1' / record}"
-    truth = read_beat_annotations(spec)
+    truth = read_annotations(spec).t_s
     peaks = detect_r_peaks(read_ecg(spec))
     found = np.array([p.t_s for p in peaks])
     assert matched(found, truth, 0.15) / len(truth) >= se_150

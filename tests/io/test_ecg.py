@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dvf_ig.core import InvalidInputError, MissingDependencyError, Signal, UnreadableFileError
-from dvf_ig.io import read_beat_annotations, read_ecg, write_ecg_csv
+from dvf_ig.io import read_annotations, read_ecg, write_ecg_csv
 
 
 def test_record_101(data_dir: Path) -> None:
@@ -23,7 +23,7 @@ def test_record_101(data_dir: Path) -> None:
 
 
 def test_annotations_of_record_101(data_dir: Path) -> None:
-    beats = read_beat_annotations(f"wfdb:{data_dir / 'mitdb-ds1' / '101'}")
+    beats = read_annotations(f"wfdb:{data_dir / 'mitdb-ds1' / '101'}").t_s
     assert len(beats) == 1865  # 1860 normal, 3 atrial premature, 2 unclassifiable (PhysioNet's table)
     assert (np.diff(beats) > 0).all()
     assert beats[-1] < 650_000 / 360
@@ -134,7 +134,7 @@ def test_absent_and_garbage(tmp_path: Path) -> None:
         with pytest.raises(UnreadableFileError, match="not a readable"):
             read_ecg(f"{kind}:{tmp_path / path}")
     with pytest.raises(UnreadableFileError, match=r"g\.atr does not exist"):
-        read_beat_annotations(f"wfdb:{tmp_path / 'g'}")
+        read_annotations(f"wfdb:{tmp_path / 'g'}")
 
 
 def test_truncated_wfdb(tmp_path: Path, data_dir: Path) -> None:
