@@ -19,10 +19,11 @@ from dvf_ig.guidance import Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Stat
 from dvf_ig.registration import RegistrationResult
 
 from .heart import Heart, build_heart
-from .locate import Sight, locate, look, retimed, start_pose
+from .locate import Sight, landmark_pose, locate, look, retimed, start_pose
 from .rulers import Rulers, calibrate
 from .schedule import pose_schedule
 from .ticks import TipTrack, predict_tip
+from .trust import Trust
 
 RATE_HZ = 1000.0
 FIRST_ATTEMPT_S = 8.0
@@ -38,7 +39,8 @@ COMPUTE_S = 3.0
 class Attempt:
     """One registration: when it was asked for, from when it could be used, what it saw and what it gave.
 
-    `result` is None where too few frames passed the gate; `refusal` then says why.
+    `result` is None where too few frames passed the gate. `refusal` says why an attempt must not guide though
+    its own evidence does not: too few frames, or see `trust`.
     """
 
     asked_s: float
@@ -49,7 +51,7 @@ class Attempt:
 
     @property
     def usable(self) -> bool:
-        return self.result is not None and self.result.stop.usable
+        return self.result is not None and self.result.stop.usable and not self.refusal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +115,7 @@ def run_replay(
     model_phase = retimed(heart.model, track.phi, track.rr_s)
     tip = predict_tip(scenario.tool, rulers.pivot.tip.xyz_mm[0], t_s)
     poses = pose_schedule(_usable(attempts), heart.center_mm)
-    samples, valid = _forces(heart, poses, tip, model_phase, track.valid)
+    samples, valid = _forces(heart, poses, _withheld(attempts, t_s), tip, model_phase, track.valid)
     tell(1.0)
     return Replay(
         scenario=scenario,
@@ -177,7 +179,7 @@ def _registrations(
     """Attempts on a fixed timetable: retry until one is usable, then refresh from the pose in use."""
     begin_s = float(scenario.ultrasound.t_s[0]) + rulers.latency.lag_s
     attempts: list[Attempt] = []
-    now, pose = begin_s + FIRST_ATTEMPT_S, start
+    now, pose, trust = begin_s + FIRST_ATTEMPT_S, start, Trust(heart.center_mm, landmark_pose(scenario))
     while now + COMPUTE_S < end_s:
         sight = look(
             scenario,
@@ -191,23 +193,37 @@ def _registrations(
             result = locate(
                 scenario, heart, sight, rulers.probe.probe_from_image, pose, seed=seed, warm=pose is not start
             )
-            attempts.append(Attempt(now, now + COMPUTE_S, sight, result))
+            doubt = ""
+            if result.stop.usable:
+                trust, doubt = trust.judged(result.mr_from_tracker)
+            attempts.append(Attempt(now, now + COMPUTE_S, sight, result, doubt))
         except NoOverlapError as error:
             attempts.append(Attempt(now, now + COMPUTE_S, sight, None, str(error)))
-        if attempts[-1].usable and attempts[-1].result is not None:
-            pose = attempts[-1].result.mr_from_tracker
+        pose = trust.in_use or trust.unconfirmed or start
         now += REFRESH_S if attempts[-1].usable else RETRY_S
         tell(min(1.0, (now - begin_s) / (end_s - begin_s)))
     return tuple(attempts)
 
 
 def _usable(attempts: tuple[Attempt, ...]) -> list[tuple[float, Rigid]]:
-    return [(a.ready_s, a.result.mr_from_tracker) for a in attempts if a.result and a.result.stop.usable]
+    return [(a.ready_s, a.result.mr_from_tracker) for a in attempts if a.result and a.usable]
+
+
+def _withheld(attempts: tuple[Attempt, ...], t_s: FloatArray) -> BoolArray:
+    """(n,) ticks at which a later registration had put the pose in use in doubt and none had confirmed it."""
+    out = np.zeros(len(t_s), dtype=np.bool_)
+    for attempt in attempts:
+        if attempt.usable:
+            out[t_s >= attempt.ready_s] = False
+        elif attempt.result is not None and attempt.result.stop.usable:
+            out[t_s >= attempt.ready_s] = True
+    return out
 
 
 def _forces(
     heart: Heart,
     poses: tuple[tuple[float, Rigid], ...],
+    withheld: BoolArray,
     tip: TipTrack,
     model_phase: FloatArray,
     phase_valid: BoolArray,
@@ -215,8 +231,9 @@ def _forces(
     """Force at every tick through the pose then in use, in frame "tracker", and which ticks were valid."""
     evaluator = Evaluator(heart.model, Sigmoid())
     which = np.searchsorted([start_s for start_s, _ in poses], tip.t_s, side="right") - 1
-    refusal = np.where(which < 0, Status.NO_POSE, np.where(phase_valid, Status.STALE_TOOL, Status.NO_PHASE))
-    valid = (which >= 0) & phase_valid & tip.valid
+    posed = (which >= 0) & ~withheld
+    refusal = np.where(~posed, Status.NO_POSE, np.where(phase_valid, Status.STALE_TOOL, Status.NO_PHASE))
+    valid = posed & phase_valid & tip.valid
     n = len(tip.t_s)
     force, gradient = np.zeros((n, 3)), np.full((n, 3), np.nan)
     distance, status = np.full(n, np.nan), refusal.astype(np.int64)

@@ -99,12 +99,20 @@ def start_pose(scenario: Scenario) -> Rigid:
     """
     if scenario.start is not None:
         return scenario.start
-    if scenario.landmarks_mr is not None and scenario.landmarks_tracker is not None:
-        return start_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker).mr_from_tracker
+    touched = landmark_pose(scenario)
+    if touched is not None:
+        return touched
     raise InvalidInputError(
         "the scenario has neither a start pose nor landmarks; add start.tfm, or landmarks_mr.mrk.json and "
         "landmarks_tracker.mrk.json"
     )
+
+
+def landmark_pose(scenario: Scenario) -> Rigid | None:
+    """The landmark fit, where landmarks were touched."""
+    if scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
+        return None
+    return start_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker).mr_from_tracker
 
 
 def _prior(scenario: Scenario) -> LandmarkPrior | None:

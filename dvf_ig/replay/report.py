@@ -76,6 +76,9 @@ def report_html(replay: Replay, result: dict[str, Any]) -> str:
 
 def _verdict(result: dict[str, Any]) -> str:
     attempts = result["registrations"]
+    if any(a["usable"] for a in attempts) and not attempts[-1]["usable"]:
+        reason = html.escape(attempts[-1]["reason"])
+        return f"<p class='verdict bad'>Registered, but not to the end; the last attempt: {reason}</p>"
     if any(a["usable"] for a in attempts):
         return "<p class='verdict good'>Registered: force was given in valid state only</p>"
     reason = attempts[-1]["reason"] if attempts else "the recording is too short to register"

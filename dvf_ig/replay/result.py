@@ -124,7 +124,7 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
         "frames": len(attempt.sight.used),
         "frames_rejected": attempt.sight.gated.rejected,
         "stop": result.stop.name if result else "TOO_FEW_FRAMES",
-        "reason": result.stop.value if result else attempt.refusal,
+        "reason": attempt.refusal or (result.stop.value if result else ""),
     }
     if result is not None:
         out |= {"mr_from_tracker": result.mr_from_tracker.matrix.tolist(), **evidence_of(result)}

@@ -63,6 +63,9 @@ def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
             f"{len(usable)} of {len(attempts)} usable, in use from {usable[0]['ready_s']:.1f} s, "
             f"success probability {usable[-1]['success_probability']:.2f}"
         )
+        refused = [a for a in attempts if not a["usable"]]
+        if refused:
+            text += f"; at {refused[-1]['ready_s']:.1f} s: {refused[-1]['reason']}"
     else:
         text = f"none of {len(attempts)} usable" + (f": {attempts[-1]['reason']}" if attempts else "")
     error = (
