@@ -11,7 +11,7 @@ from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.core.frames import require_same_frame
 
 from . import ultrasound_beam as beam
-from .kernels import sector
+from .kernels import receive, sector
 from .line_tracing import traced_lines
 from .motion import PullBack
 from .muscle_grain import STRIDE
@@ -118,7 +118,7 @@ def envelope_lines(
         for part, formed in zip(parts, out, strict=True):
             form_beams(probe, part, formed)
         detect(probe, out, seeds, band, envelope)
-    sector.decibel(envelope, 1.0 / probe.bands)
+    receive.decibel(envelope, 1.0 / probe.bands)
     return envelope
 
 
@@ -208,11 +208,11 @@ def form_beams(probe: SectorProbe, part: Raster, out: Raster) -> None:
     """Lateral beam and axial pulse: (lines·fine, 2·samples) to (lines, samples)."""
     tables = beam_tables(probe)
     wide = np.empty((probe.lines, part.shape[1]), dtype=np.float32)
-    sector.lateral_blur(part, tables.lateral, probe.fine_lines, wide)
-    sector.axial_blur(wide, tables.axial, out)
+    receive.lateral_blur(part, tables.lateral, probe.fine_lines, wide)
+    receive.axial_blur(wide, tables.axial, out)
 
 
 def detect(probe: SectorProbe, beams: Raster, seeds: Seeds, band: int, envelope: Raster) -> None:
     """Receiver noise and gain on `beams` (2, lines, samples); their envelope is added to `envelope`."""
     tables, noise = beam_tables(probe), np.float32(10 ** (probe.noise_db / 20))
-    sector.detect(beams[0], beams[1], noise, tables.gain, band, tables.deviates, seeds.once, envelope)
+    receive.detect(beams[0], beams[1], noise, tables.gain, band, tables.deviates, seeds.once, envelope)

@@ -11,7 +11,7 @@ from dvf_ig.core import FloatArray, Grid, InvalidInputError, Rigid, Volume
 from dvf_ig.core.frames import require_same_frame
 
 from . import ultrasound_beam as beam
-from .kernels import scan, sector
+from .kernels import receive, scan
 from .slice_lattice import fine_lattice
 from .ultrasound import checked_phases, log_compressed
 from .ultrasound_lines import Insonified, Raster, Seeds, beam_tables, detect, form_beams, insonified, scatter
@@ -171,13 +171,13 @@ def _detected(
 
     def across(part: int) -> None:
         wide = beams[part].reshape(beams.shape[1], -1)
-        sector.lateral_blur(wide, taps, s.fine_lines, formed[part].reshape(probe.tall, -1))
+        receive.lateral_blur(wide, taps, s.fine_lines, formed[part].reshape(probe.tall, -1))
 
     def detected(m: int) -> None:
         # every row of the array has its own receiver noise
         own = Seeds(seeds.texture, np.uint64((int(seeds.once) + _ROW_SEED * (m + 1)) & (2**64 - 1)))
         detect(s, formed[:, m], own, 0, level[m])
-        sector.decibel(level[m], 1.0)
+        receive.decibel(level[m], 1.0)
 
     list(pool.map(across, range(2)))
     list(pool.map(detected, range(probe.tall)))

@@ -1,0 +1,70 @@
+"""Kernels that turn scatterers' echoes into an envelope: beam, pulse, noise, gain."""
+
+import numpy as np
+from numba import njit
+
+from dvf_ig.core import AnyArray
+
+from .sector import lattice_hash
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+def axial_blur(halves: AnyArray, taps: AnyArray, out: AnyArray) -> None:
+    """Axial pulse: (m, 2·samples) as `scatter` has them to (m, samples).
+
+    `taps` has even length, centred between the two halves of a sample.
+    """
+    reach = len(taps) // 2
+    samples = out.shape[1]
+    for m in range(out.shape[0]):
+        for i in range(samples):
+            out[m, i] = 0.0
+        for k in range(len(taps)):
+            shift = k + 1 - reach
+            ahead, base = shift >> 1, (shift & 1) * samples
+            for i in range(max(0, -ahead), min(samples, samples - ahead)):
+                out[m, i] += taps[k] * halves[m, base + i + ahead]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+def lateral_blur(signal: AnyArray, taps: AnyArray, fine: int, out: AnyArray) -> None:
+    """Beam pattern: (lines·fine, n) to (lines, n); `taps` (k, n), k even."""
+    reach = taps.shape[0] // 2
+    rows = signal.shape[0]
+    for line in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            out[line, i] = 0.0
+        start = line * fine + fine // 2 - reach
+        for k in range(taps.shape[0]):
+            row = start + k
+            if 0 <= row < rows:
+                for i in range(out.shape[1]):
+                    out[line, i] += taps[k, i] * signal[row, i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def detect(
+    real: AnyArray,
+    imaginary: AnyArray,
+    noise: float,
+    gain: AnyArray,
+    band: int,
+    table: AnyArray,
+    frame_seed: np.uint64,
+    envelope: AnyArray,
+) -> None:
+    """Receiver noise, then time-gain compensation, then the envelope, which is added to `envelope`."""
+    for line in range(real.shape[0]):
+        for i in range(real.shape[1]):
+            h = lattice_hash(line, i, 3 + band, frame_seed)
+            re = (real[line, i] + noise * table[h, 0]) * gain[i]
+            im = (imaginary[line, i] + noise * table[h, 1]) * gain[i]
+            envelope[line, i] += np.sqrt(re * re + im * im)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def decibel(envelope: AnyArray, scale: float) -> None:
+    """In place: 20 log10 of the scaled envelope, at least −200."""
+    for line in range(envelope.shape[0]):
+        for i in range(envelope.shape[1]):
+            envelope[line, i] = 20.0 * np.log10(max(envelope[line, i] * scale, 1e-10))
