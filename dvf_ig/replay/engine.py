@@ -8,13 +8,22 @@ The planted truth is not read here; `score` does that with what this returns.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
 from dvf_ig.cardiac import FEWEST_BEATS, PhaseTracking, track_phase
-from dvf_ig.core import BoolArray, DvfModel, FloatArray, InvalidInputError, NoOverlapError, Rigid, Scenario
+from dvf_ig.core import (
+    BoolArray,
+    DvfModel,
+    FloatArray,
+    InvalidInputError,
+    NoOverlapError,
+    Rigid,
+    Scenario,
+    Stop,
+)
 from dvf_ig.guidance import Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Status
 from dvf_ig.registration import RegistrationResult
 
@@ -256,6 +265,8 @@ def register_scenario(
 ) -> RegistrationResult:
     """One registration on the whole recording, from the scenario's own start unless one is given.
 
+    It ends in DISAGREEMENT where landmarks were touched and lie elsewhere (see `trust`).
+
     Raises:
         NoOverlapError: too few frames can be compared with the model.
         InvalidInputError, QualityGateError: as `run_replay`.
@@ -268,7 +279,7 @@ def register_scenario(
     _refuse_beatless(tracking, scenario)
     heart = build_heart(scenario.preop, progress=lambda f: tell(0.6 * f))
     sight = look(scenario, heart, tracking.peaks, rulers.latency.lag_s, from_s=-np.inf, until_s=np.inf)
-    return locate(
+    result = locate(
         scenario,
         heart,
         sight,
@@ -277,3 +288,5 @@ def register_scenario(
         seed=seed,
         progress=lambda f: tell(0.6 + 0.4 * f),
     )
+    _, doubt = Trust(heart.center_mm, landmark_pose(scenario)).judged(result.mr_from_tracker)
+    return replace(result, stop=Stop.DISAGREEMENT) if doubt and result.stop.usable else result
