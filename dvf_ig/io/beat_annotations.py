@@ -44,7 +44,7 @@ def read_annotations(spec: str) -> BeatAnnotations:
     """
     kind, colon, name = spec.partition(":")
     if not colon or kind != "wfdb":
-        raise UnreadableFileError(f"'{spec}' has no annotations; give a WFDB record as wfdb:RECORD")
+        raise UnreadableFileError(f"'{spec}' has no beat annotations; give a WFDB record as wfdb:RECORD")
     wfdb = wfdb_package()
     record = existing_record(Path(name))
     with reading(Path(f"{record}.atr"), "beat annotations"), open(f"{record}.atr", "rb"):
