@@ -101,7 +101,12 @@ def simulate_volume(
     level = simulate_pyramid(
         anatomy, probe, mr_from_plane, line_phases, seed=seed, frame=frame, threads=threads
     )
-    return _converted(log_compressed(level, probe.sector), probe, threads)
+    return shown_volume(level, probe, threads=threads)
+
+
+def shown_volume(level_db: NDArray[np.float32], probe: MatrixProbe, *, threads: int = 2) -> EchoVolume:
+    """Log compression and conversion to voxels of a pyramid of scan lines."""
+    return _converted(log_compressed(level_db, probe.sector), probe, threads)
 
 
 def simulate_pyramid(

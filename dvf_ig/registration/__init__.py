@@ -30,3 +30,4 @@ from .slices import prepare_slices as prepare_slices
 from .slices import root_amplitude as root_amplitude
 from .slices import slices_of_volume as slices_of_volume
 from .slices import spread as spread
+from .volumes import prepare_volumes as prepare_volumes

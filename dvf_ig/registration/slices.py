@@ -1,11 +1,14 @@
 """Tracked ultrasound slices prepared for registration: amplitude, pitch, fan mask, place and phase."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import BoolArray, FloatArray, ImageMap, IntArray, InvalidInputError
+from dvf_ig.core import BoolArray, FloatArray, ImageMap, IntArray, InvalidInputError, require_same_frame
 
 DYNAMIC_RANGE_DB = 60.0
 
@@ -51,9 +54,16 @@ def fan_mask_from_images(images: NDArray[np.uint8]) -> BoolArray:
 
 def root_amplitude(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Square root of the echo amplitude behind log-compressed grey levels (60 dB shown in 255 levels)."""
+    return np.asarray(grey_to_root_amplitude()[grey])
+
+
+@lru_cache(maxsize=1)
+def grey_to_root_amplitude() -> NDArray[np.float32]:
+    """(256,) table of `root_amplitude`."""
     levels = np.arange(256) / 255.0
     table = np.where(levels > 0, 10 ** (DYNAMIC_RANGE_DB * (levels - 1) / 40), 0).astype(np.float32)
-    return np.asarray(table[grey])
+    table.setflags(write=False)
+    return np.asarray(table)
 
 
 def prepare_slices(
@@ -103,7 +113,14 @@ def _block_mean(images: NDArray[np.float32], step_r: int, step_c: int) -> NDArra
 
 
 def slices_of_volume(
-    values: NDArray[np.float32], axes_mm: FloatArray, origin_mm: FloatArray, *, every: int, frame: str
+    values: NDArray[np.float32],
+    axes_mm: FloatArray,
+    origin_mm: FloatArray,
+    *,
+    every: int,
+    frame: str,
+    model_phase: float = 0.0,
+    t_s: float = 0.0,
 ) -> SliceSet:
     """Planes of a 3-D ultrasound image along its three axes, padded to one size.
 
@@ -111,6 +128,9 @@ def slices_of_volume(
         values: (nx, ny, nz) root amplitude; NaN where nothing was insonified.
         axes_mm: (3, 3) mm per voxel step; origin_mm: (3,).
         every: keep each `every`-th plane along each axis.
+        model_phase, t_s: of the whole image.
+    Raises:
+        InvalidInputError: nothing was insonified.
     """
     size = max(values.shape)
     images: list[NDArray[np.float32]] = []
@@ -133,8 +153,33 @@ def slices_of_volume(
         raise InvalidInputError("the ultrasound volume has no plane with enough insonified voxels")
     stack = np.stack(images)
     masks = np.isfinite(stack)
-    zeros = np.zeros(len(stack))
-    return SliceSet(frame, np.where(masks, stack, 0).astype(np.float32), masks, np.stack(maps), zeros, zeros)
+    return SliceSet(
+        frame,
+        np.where(masks, stack, 0).astype(np.float32),
+        masks,
+        np.stack(maps),
+        np.full(len(stack), model_phase),
+        np.full(len(stack), t_s),
+    )
+
+
+def joined(sets: Sequence[SliceSet]) -> SliceSet:
+    """All slices of several sets in one frame, padded to one size."""
+    rows, columns = (max(s.images.shape[axis] for s in sets) for axis in (1, 2))
+
+    def padded(stack: NDArray[Any]) -> NDArray[Any]:
+        return np.pad(stack, ((0, 0), (0, rows - stack.shape[1]), (0, columns - stack.shape[2])))
+
+    for other in sets[1:]:
+        require_same_frame(sets[0].frame, other.frame, "slices that share one pose")
+    return SliceSet(
+        sets[0].frame,
+        np.concatenate([padded(s.images) for s in sets]),
+        np.concatenate([padded(s.masks) for s in sets]),
+        np.concatenate([s.frame_from_pixel for s in sets]),
+        np.concatenate([s.model_phase for s in sets]),
+        np.concatenate([s.t_s for s in sets]),
+    )
 
 
 def spread(count: int, wanted: int) -> IntArray:
