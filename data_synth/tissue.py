@@ -5,8 +5,6 @@ from enum import IntEnum
 
 import numpy as np
 
-from dvf_ig.core import FloatArray
-
 
 class Tissue(IntEnum):
     """Codes stored in tissue maps. 1–15 lie inside the epicardial surface, 20 and above outside."""
@@ -129,11 +127,3 @@ def bssfp_signal(tissue: Tissue, flip_rad: float = np.pi / 3, echo_time_ms: floa
     ratio = r.t1_ms / r.t2_ms
     level = r.density * np.sin(flip_rad) * np.exp(-echo_time_ms / r.t2_ms)
     return float(r.inflow * level / ((ratio + 1) - np.cos(flip_rad) * (ratio - 1)))
-
-
-def code_table(values: dict[Tissue, float]) -> FloatArray:
-    """(256,) lookup from tissue code to value; codes without a tissue hold 0."""
-    table = np.zeros(256)
-    for code, value in values.items():
-        table[int(code)] = value
-    return table

@@ -8,16 +8,8 @@ from numpy.random import Generator
 
 from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, PoseStream, QualityGateError
 
-from .target_fit import (
-    Fit,
-    ProbeTargetResult,
-    TargetOptions,
-    agreeing,
-    concentrate,
-    finished,
-    map_from_columns,
-    started,
-)
+from .target_fit import ProbeTargetResult, TargetOptions, agreeing, finished
+from .target_start import best_start, centred_pixels, map_from_solution
 from .target_views import TargetErrors, Views, same_sensor, target_errors, usable_views
 
 _MOVE = "let the crossing wander over the whole image, left and right, near and far"
@@ -86,15 +78,10 @@ def calibrate_crosswire(
     ]
     misses = [np.linalg.norm(design @ x - right, axis=1) for x in solved]
     ranked = sorted(range(len(solved)), key=lambda k: float(np.median(misses[k])))
-    best: Fit[PointTarget] | None = None
-    for k in ranked[:3]:
-        fit = started(_map(solved[k], views), PointTarget(solved[k][9:]), views, options.isotropic)
-        fit = concentrate(fit, views, misses[k] <= np.median(misses[k]))
-        if best is None or fit.cost < best.cost:
-            best = fit
-    if best is None:
-        raise InvalidInputError(f"{options.hypotheses} subsets of frames are tried; needed at least 1")
-    fit, keep, limit = agreeing(best, views, options)
+    starts = [
+        (map_from_solution(solved[k], views), PointTarget(solved[k][9:]), misses[k]) for k in ranked[:3]
+    ]
+    fit, keep, limit = agreeing(best_start(starts, views, options), views, options)
     return finished(fit, poses, points_px, views, keep, limit, options, ADVICE)
 
 
@@ -127,13 +114,7 @@ def _checked(poses: PoseStream, points_px: FloatArray, least: int) -> Views:
 
 def _linear_rows(views: Views) -> tuple[FloatArray, FloatArray]:
     """(f, 3, 12) rows of R a u + R b v + R o − q = −t, with u and v centred and in hundreds of pixels."""
-    u, v = ((views.pixels[:, 0] - views.center_px) / 100.0).T[..., None, None]
+    u, v = centred_pixels(views)[:, 0].T[..., None, None]
     turn = views.rotations
     minus = np.broadcast_to(-np.eye(3), turn.shape)
     return np.concatenate([turn * u, turn * v, turn, minus], axis=2), -views.translations_mm
-
-
-def _map(solution: FloatArray, views: Views) -> ImageMap:
-    columns = solution[:9].reshape(3, 3).T / np.array([100.0, 100.0, 1.0])
-    columns[:, 2] -= columns[:, :2] @ views.center_px
-    return map_from_columns(columns, views.source)

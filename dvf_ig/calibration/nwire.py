@@ -6,10 +6,10 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, NWirePhantom, NWireRecording, Wire
 
+from .error_summary import summarise
+
 MEDIAN_NORM_PER_SIGMA = 1.5382
 """Median length of a 3-D Gaussian residual over its per-coordinate sigma (Maxwell distribution)."""
-LOWEST_SHARE = 0.95
-"""Share of the smallest errors behind `mean95_mm`, the convention in which PLUS reports."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,13 +111,12 @@ def diagonal_crossings(pattern: tuple[Wire, Wire, Wire]) -> tuple[FloatArray, Fl
 def measure_errors(probe_from_pixel: FloatArray, seen: NWireFrames, recording: NWireRecording) -> WireErrors:
     """Errors of a (3, 3) map [u, v, 1] -> probe mm over the given frames."""
     errors = middle_errors_mm(probe_from_pixel, seen)
-    flat = np.sort(errors.ravel())
-    lowest = flat[: max(1, int(np.floor(LOWEST_SHARE * len(flat))))]
+    summary = summarise(errors.ravel())
     return WireErrors(
-        mean_mm=float(flat.mean()),
-        sd_mm=_sd(flat),
-        mean95_mm=float(lowest.mean()),
-        sd95_mm=_sd(lowest),
+        mean_mm=summary.mean_mm,
+        sd_mm=summary.sd_mm,
+        mean95_mm=summary.mean95_mm,
+        sd95_mm=summary.sd95_mm,
         frames_used=len(seen.frames),
         frames=len(recording.phantom_from_probe),
         wire_names=tuple(w.name for w in recording.phantom.wires),
@@ -202,7 +201,3 @@ def _along(wire: Wire) -> FloatArray:
 
 def _angle(u: FloatArray, v: FloatArray) -> float:
     return float(np.arcsin(min(1.0, float(np.linalg.norm(np.cross(u, v))))))
-
-
-def _sd(values: FloatArray) -> float:
-    return float(values.std(ddof=1)) if len(values) > 1 else 0.0

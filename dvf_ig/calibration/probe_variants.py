@@ -7,7 +7,8 @@ from numpy.random import Generator
 
 from dvf_ig.core import DvfIgError, InvalidInputError, NotConvergedError, NWireRecording, QualityGateError
 
-from .nwire import LOWEST_SHARE, middle_errors_mm, usable_frames
+from .error_summary import summarise
+from .nwire import middle_errors_mm, usable_frames
 from .probe import ProbeOptions, ProbeResult, agree_on_frames, calibrate_agreed
 from .probe_fit import PROBE_METHODS, ProbeMethod, columns_of, fit_map, linear_map
 
@@ -84,5 +85,4 @@ def cross_validated_mm(recording: NWireRecording, found: ProbeResult, folds: int
         rest = seen.part(fitted)
         image_map = fit_map(rest, linear_map(rest), sensor, recording.phantom, found.method)
         errors.append(middle_errors_mm(columns_of(image_map), seen.part(piece)).ravel())
-    flat = np.sort(np.concatenate(errors))
-    return float(flat[: max(1, int(np.floor(LOWEST_SHARE * len(flat))))].mean())
+    return summarise(np.concatenate(errors)).mean95_mm

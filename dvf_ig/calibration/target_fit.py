@@ -6,9 +6,9 @@ from typing import Generic, Protocol, Self, TypeVar
 import numpy as np
 from scipy.stats import chi2
 
-from dvf_ig.core import BoolArray, FloatArray, ImageMap, PoseStream, QualityGateError, Rigid
+from dvf_ig.core import BoolArray, FloatArray, ImageMap, InvalidInputError, PoseStream, QualityGateError
 
-from .map_parameters import MapParameters, with_square_pixels
+from .map_parameters import MapParameters
 from .probe_covariance import MapUncertainty, piece_jackknife, refuse_unconstrained
 from .target_views import TargetErrors, Views, rejections, target_errors
 
@@ -55,6 +55,10 @@ class TargetOptions:
     max_rotation_sd_deg: float = 2.0
     max_scale_sd_percent: float = 5.0
     least_noise_mm: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.hypotheses < 1:
+            raise InvalidInputError(f"{self.hypotheses} subsets of frames are tried; needed at least 1")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,12 +171,6 @@ def agreeing(fit: Fit[T], views: Views, options: TargetOptions) -> tuple[Fit[T],
     return fit, keep, limit
 
 
-def started(start: ImageMap, target: T, views: Views, isotropic: bool) -> Fit[T]:
-    center = views.center_px
-    image_map = with_square_pixels(start, center) if isotropic else start
-    return Fit(MapParameters(image_map, center, isotropic), target, np.inf)
-
-
 def finished(
     fit: Fit[T],
     poses: PoseStream,
@@ -238,25 +236,6 @@ def _judged(fit: Fit[T], views: Views, options: TargetOptions, advice: dict[str,
     return MapUncertainty(
         fit.parameters, covariance[:count, :count], len(views), np.linalg.norm(held_out, axis=1)
     )
-
-
-def map_from_columns(columns: FloatArray, sensor: str) -> ImageMap:
-    """Rotation times sizes near a (3, 3) linear map [u, v, 1] to mm, however far from orthogonal that is.
-
-    The bisector of the two axes is kept and both are turned to 45° from it; an axis that is not determined
-    (zero, or along the other one) becomes some direction across the other.
-    """
-    size = np.maximum(np.linalg.norm(columns[:, :2], axis=0), 1e-6)
-    u, v = (columns[:, :2] / size).T
-    if np.linalg.norm(np.cross(u, v)) < 1e-3:
-        u = u / np.linalg.norm(u) if np.linalg.norm(u) > 0.5 else np.array([1.0, 0.0, 0.0])
-        v = np.cross(u, np.eye(3)[int(np.abs(u).argmin())])
-        v /= np.linalg.norm(v)
-    along, across = u + v, u - v
-    along, across = along / np.linalg.norm(along), across / np.linalg.norm(across)
-    axes = np.column_stack([along + across, along - across]) / np.sqrt(2)
-    rotation = np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])])
-    return ImageMap(Rigid(sensor, "image", rotation, columns[:, 2]), size)
 
 
 def _stepped(state: Fit[T], step: FloatArray) -> Fit[T]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, PoseStream
 
-from .nwire import LOWEST_SHARE
+from .error_summary import summarise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,9 +128,13 @@ def rejections(
 
 def target_errors(errors_mm: FloatArray, frames: int) -> TargetErrors:
     """Summary of one error a frame, of a recording of `frames`."""
-    flat = np.sort(errors_mm)
-    lowest = flat[: max(1, int(np.floor(LOWEST_SHARE * len(flat))))]
-    sd, sd95 = (float(v.std(ddof=1)) if len(v) > 1 else 0.0 for v in (flat, lowest))
+    summary = summarise(errors_mm)
     return TargetErrors(
-        float(flat.mean()), sd, float(lowest.mean()), sd95, len(flat), frames, np.asarray(errors_mm)
+        summary.mean_mm,
+        summary.sd_mm,
+        summary.mean95_mm,
+        summary.sd95_mm,
+        len(errors_mm),
+        frames,
+        np.asarray(errors_mm),
     )

@@ -8,16 +8,8 @@ from numpy.random import Generator
 
 from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, PoseStream, QualityGateError
 
-from .target_fit import (
-    Fit,
-    ProbeTargetResult,
-    TargetOptions,
-    agreeing,
-    concentrate,
-    finished,
-    map_from_columns,
-    started,
-)
+from .target_fit import Fit, ProbeTargetResult, TargetOptions, agreeing, finished
+from .target_start import best_start, centred_pixels, map_from_solution
 from .target_views import TargetErrors, Views, same_sensor, target_errors, usable_views
 
 NORMALS = 240
@@ -100,14 +92,7 @@ def calibrate_wall(
     """
     options = options or TargetOptions()
     views = _checked(poses, points_px, options.min_frames)
-    best: Fit[PlaneTarget] | None = None
-    for start, target, misses in _starts(views, rng, options):
-        fit = started(start, target, views, options.isotropic)
-        fit = concentrate(fit, views, misses <= np.median(misses))
-        if best is None or fit.cost < best.cost:
-            best = fit
-    if best is None:
-        raise InvalidInputError(f"{options.hypotheses} subsets of frames are tried; needed at least 1")
+    best = best_start(_starts(views, rng, options), views, options)
     _refuse_collapsed(best, views)
     fit, keep, limit = agreeing(best, views, options)
     return finished(fit, poses, points_px, views, keep, limit, options, ADVICE)
@@ -177,7 +162,7 @@ def _starts(
     out = []
     for n in ranked:
         h = int(best_subset[n])
-        image_map = _map(solved[n, h], views)
+        image_map = map_from_solution(solved[n, h], views)
         seen = views.placed_mm(image_map).reshape(-1, 3)
         middle = np.median(seen, axis=0)
         point = middle + (solved[n, h, 9] - normals[n] @ middle) * normals[n]
@@ -188,17 +173,11 @@ def _starts(
 def _linear_rows(views: Views, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n, f, 2, 10) rows of nᵀR a u + nᵀR b v + nᵀR o − d = −nᵀt, pixels centred and in hundreds."""
     facing = np.einsum("ni,fij->nfj", normals, views.rotations)[:, :, None]
-    u, v = np.moveaxis((views.pixels - views.center_px) / 100.0, 2, 0)[..., None]
+    u, v = np.moveaxis(centred_pixels(views), 2, 0)[..., None]
     shape = (len(normals), *views.pixels.shape[:2])
     rows = [facing * u, facing * v, np.broadcast_to(facing, (*shape, 3)), np.full((*shape, 1), -1.0)]
     right = -np.einsum("ni,fi->nf", normals, views.translations_mm)
     return np.concatenate(rows, axis=3), np.broadcast_to(right[:, :, None], shape)
-
-
-def _map(solution: FloatArray, views: Views) -> ImageMap:
-    columns = solution[:9].reshape(3, 3).T / np.array([100.0, 100.0, 1.0])
-    columns[:, 2] -= columns[:, :2] @ views.center_px
-    return map_from_columns(columns, views.source)
 
 
 def _hemisphere(count: int) -> FloatArray:

@@ -28,6 +28,10 @@ TrialsOption = Annotated[int, typer.Option("--trials", min=1, help="How many; se
 WorkersOption = Annotated[
     int | None, typer.Option("--workers", min=1, help="Processes (default: one for each core).")
 ]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option("--scheduler", help="Work on this dask.distributed scheduler instead (tcp://HOST:8786)."),
+]
 FolderOption = Annotated[
     Path,
     typer.Option("-o", "--out", help="Folder; a study that was stopped goes on where it was."),
@@ -53,6 +57,7 @@ def calibration(
         typer.Option("--method", help="N-wire: linear, orthogonal, isotropic, all-wires or chosen."),
     ] = "orthogonal",
     workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     seed: SeedOption = 1,
     as_json: JsonFlag = False,
 ) -> None:
@@ -69,7 +74,7 @@ def calibration(
         seeds = range(seed, seed + trials)
         with output_folder(out), progress(f"{kind.value} trials") as report:
             count = workers or os.cpu_count() or 1
-            lines = run_trials(study, seeds, out, workers=count, report=report)
+            lines = run_trials(study, seeds, out, workers=count, scheduler=scheduler, report=report)
             refused = [line for line in lines if "refused" in line]
             summary = {
                 **settings,

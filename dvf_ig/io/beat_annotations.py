@@ -8,7 +8,7 @@ import numpy as np
 from ..core.arrays import BoolArray, FloatArray
 from ..core.errors import UnreadableFileError
 from .ecg_extra import DAMAGE, existing_record, quiet, wfdb_package
-from .reading import reading
+from .reading import read_bytes
 
 BEAT_SYMBOLS = frozenset("NLRBAaJSVrFejnE/fQ?")
 """Annotation codes that mark a heart beat (PhysioNet, "WFDB annotation codes")."""
@@ -47,8 +47,7 @@ def read_annotations(spec: str) -> BeatAnnotations:
         raise UnreadableFileError(f"'{spec}' has no beat annotations; give a WFDB record as wfdb:RECORD")
     wfdb = wfdb_package()
     record = existing_record(Path(name))
-    with reading(Path(f"{record}.atr"), "beat annotations"), open(f"{record}.atr", "rb"):
-        pass
+    read_bytes(Path(f"{record}.atr"), "beat annotations")
     try:
         with quiet():
             rate_hz = float(wfdb.rdheader(str(record.resolve())).fs)

@@ -53,9 +53,7 @@ def indexed_sequence(path: Path, raw: RawSequence) -> tuple[TrackedSequence, Int
         sequence = TrackedSequence(
             t_s=t_s,
             images=_images(raw, kept),
-            image_valid=_statuses(raw, "ImageStatus" if "ImageStatus" in raw.frame_fields else "Status")[
-                kept
-            ],
+            image_valid=_statuses(raw, _image_status_field(raw))[kept],
             poses=_streams(path, raw, t_s, kept),
             has_timestamps=has_timestamps,
             orientation=_orientation(raw),

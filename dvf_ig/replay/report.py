@@ -36,9 +36,16 @@ def report_html(replay: Replay, result: dict[str, Any]) -> str:
             pictures.overlay(replay),
         ),
         (
-            "Registration and phase error over time",
+            "The pose from beat to beat",
+            "Each heart beat is asked about the pose: how far it is off where that is known, and by how "
+            "much another pose explains the beat better; dotted: more than noise does. Red: in doubt, no "
+            "force. Upright lines: a registration came into use, or (dotted) did not.",
+            pictures.pose_over_time(replay),
+        ),
+        (
+            "Phase error over time",
             "Against the planted truth. Grey: no force was given.",
-            pictures.errors_over_time(replay),
+            pictures.phase_error(replay),
         ),
         (
             "Force and distance",
@@ -57,7 +64,7 @@ def report_html(replay: Replay, result: dict[str, Any]) -> str:
         ),
     )
     body = "".join(
-        f"<h2>{html.escape(title)}</h2><p class=note>{html.escape(note)}</p>{_image(figure, title)}"
+        f"<h2>{html.escape(title)}</h2><p class=note>{html.escape(note)}</p>{image_tag(figure, title)}"
         for title, note, figure in sections
         if figure is not None
     )
@@ -85,7 +92,8 @@ def _verdict(result: dict[str, Any]) -> str:
     return f"<p class='verdict bad'>Not registered, no force was given: {html.escape(reason)}</p>"
 
 
-def _image(figure: Figure, title: str) -> str:
+def image_tag(figure: Figure, title: str) -> str:
+    """The figure as a PNG inside the page."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
     data = base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -1,13 +1,14 @@
-"""Many seeded trials of one piece of work, over processes, one JSON line each; a killed study goes on.
+"""Many seeded trials of one piece of work, over processes or a cluster, one JSON line each.
 
-A study is a folder: `study.json` says what is studied, `trials.jsonl` holds the trials done so far. Running
-it again with the same settings does only what is missing.
+A study is a folder: `study.json` says what is studied, `trials.jsonl` holds the trials done so far. A killed
+study goes on: running it again with the same settings does only what is missing.
 """
 
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -21,6 +22,9 @@ from dvf_ig.io import plain, read_json, write_json
 
 Settings = dict[str, Any]
 Line = dict[str, Any]
+Seeds = Sequence[int]
+"""A group of trials that one process works through, one after the other."""
+
 Work = Callable[[Settings, int], Line]
 """One trial: settings and seed to what came out. A top-level function, so that processes can be given it."""
 
@@ -44,58 +48,93 @@ class Study:
 
 def run_trials(
     study: Study,
-    seeds: Sequence[int],
+    seeds: Seeds,
     folder: Path,
     *,
     workers: int = 1,
+    together: int = 1,
+    scheduler: str | None = None,
     report: Callable[[float], None] = lambda _: None,
 ) -> list[Line]:
     """The lines of all seeds, in their order; those already in the folder are not worked out again.
+
+    Lines are written as soon as their group is done, each with workers=1.
 
     Args:
         study: what to do.
         seeds: one a trial, none twice.
         folder: exists; gets study.json and trials.jsonl.
-        workers: processes; 1 works in this one.
+        workers: processes; 1 works in this one. Not used with a scheduler.
+        together: so many consecutive seeds, counted from the first, form a group; for trials that share
+            costly preparation, which then stays in the process. What is done already is left out of a group.
+        scheduler: address of a dask.distributed scheduler ("tcp://HOST:8786") whose workers do the groups.
         report: told the share of the trials that is done.
     Raises:
-        InvalidInputError: a seed twice, no worker, or a folder that holds trials of another study.
+        InvalidInputError: a seed twice, no worker, an empty group, a folder that holds trials of another
+            study, or no scheduler at the address.
+        MissingDependencyError: a scheduler is given and the extra `cluster` is absent.
+        DvfIgError: a worker process or the scheduler was lost; the lines done so far are kept.
         OutputError: the folder cannot be written.
     """
-    if len(set(seeds)) < len(seeds) or workers < 1:
+    if len(set(seeds)) < len(seeds) or workers < 1 or together < 1:
         raise InvalidInputError(
-            f"{len(seeds)} trials with {len(set(seeds))} different seeds on {workers} workers; needed "
-            "different seeds and at least 1 worker"
+            f"{len(seeds)} trials with {len(set(seeds))} different seeds, {together} together on {workers} "
+            "workers; needed different seeds, and at least 1 worker and 1 together"
         )
     _claim(study, folder)
     path = folder / "trials.jsonl"
     done = {line["seed"]: line for line in _kept_lines(path)}
-    missing = [seed for seed in seeds if seed not in done]
-    report(1 - len(missing) / max(1, len(seeds)))
-    try:
-        with path.open("ab") as stream:
-            for count, line in enumerate(_results(study, missing, workers), start=1):
-                stream.write(json.dumps(line, allow_nan=False, ensure_ascii=False).encode() + b"\n")
-                stream.flush()
-                done[line["seed"]] = line
-                report(1 - (len(missing) - count) / len(seeds))
-    except OSError as exc:
-        raise OutputError(f"cannot write {path}: {exc.strerror or exc}") from exc
+    _append(path, [])  # a file that cannot be written is found before the work
+    slices = [seeds[first : first + together] for first in range(0, len(seeds), together)]
+    rests = [[seed for seed in group if seed not in done] for group in slices]
+    groups = [group for group in rests if group]
+    missing = sum(map(len, groups))
+    report(1 - missing / max(1, len(seeds)))
+    for lines in _results(study, groups, workers, scheduler):
+        _append(path, lines)
+        done |= {line["seed"]: line for line in lines}
+        missing -= len(lines)
+        report(1 - missing / len(seeds))
     return [done[seed] for seed in seeds]
 
 
-def _results(study: Study, seeds: Sequence[int], workers: int) -> Iterator[Line]:
+def _append(path: Path, lines: Sequence[Line]) -> None:
+    rows = [json.dumps(line, allow_nan=False, ensure_ascii=False) + "\n" for line in lines]
+    try:
+        with path.open("ab") as stream:
+            stream.write("".join(rows).encode())
+    except OSError as exc:
+        raise OutputError(f"cannot write {path}: {exc.strerror or exc}") from exc
+
+
+def _results(
+    study: Study, groups: Sequence[Seeds], workers: int, scheduler: str | None
+) -> Iterator[list[Line]]:
     """Lines as they are done."""
-    one = partial(_trial, study)
-    if workers == 1 or len(seeds) < 2:
-        yield from map(one, seeds)
+    if scheduler is None:
+        return _local_results(study, groups, workers)
+    from .cluster import cluster_results
+
+    identity = [study.name, study.settings, study.work.__module__, study.work.__qualname__]
+    return cluster_results(partial(_trials, study), groups, scheduler, identity=plain(identity))
+
+
+def _local_results(study: Study, groups: Sequence[Seeds], workers: int) -> Iterator[list[Line]]:
+    """Lines of each group as it is done, or of each trial where this process does them all."""
+    if workers == 1 or len(groups) < 2:
+        yield from ([_trial(study, seed)] for group in groups for seed in group)
         return
-    context = get_context("spawn")
+    one, context = partial(_trials, study), get_context("spawn")
     with _one_thread_each(), ProcessPoolExecutor(workers, context, _end_with_parent) as pool:
-        waiting = [pool.submit(one, seed) for seed in seeds]
+        waiting = [pool.submit(one, group) for group in groups]
         try:
             for future in as_completed(waiting):
                 yield future.result()
+        except BrokenProcessPool as exc:
+            raise DvfIgError(
+                "a worker process of the study ended unexpectedly (killed, or out of memory); the trials "
+                "done so far are kept, run the study again to go on"
+            ) from exc
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
@@ -111,6 +150,10 @@ def _end_with_parent() -> None:
         os._exit(1)
 
     Thread(target=watch, daemon=True).start()
+
+
+def _trials(study: Study, group: Seeds) -> list[Line]:
+    return [_trial(study, seed) for seed in group]
 
 
 def _trial(study: Study, seed: int) -> Line:

@@ -1,7 +1,5 @@
 """N-wire calibration: a phantom imaged by a few lines of geometry here, and PLUS's real recording."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -25,7 +23,6 @@ from dvf_ig.core import (
     Rigid,
     Wire,
 )
-from dvf_ig.io import read_nwire_recording
 
 SCALE = np.array([0.081, 0.074])
 TRUE_MAP = ImageMap(Rigid.from_rotation_vector([0.4, -0.9, 1.1], [11.0, 48.0, -2.0], "probe", "image"), SCALE)
@@ -165,13 +162,10 @@ def test_wires_that_form_no_n_are_refused() -> None:
         diagonal_crossings((good[0], lifted, good[2]))
 
 
-def test_real_recording_against_its_validation_set(data_dir: Path) -> None:
-    folder = data_dir / "plus-fcal20-nwire"
-    device = folder / "PlusDeviceSet_fCal_Sim_SpatialCalibration_2.0.xml"
-    points = folder / "FreehandCalibration3NWires_fCal2.0.results.xml"
-    name = "fCal_Test_{}_3NWires_fCal2.0.igs.mha"
-    first = read_nwire_recording(folder / name.format("Calibration"), device, points, "CalibrationData")
-    second = read_nwire_recording(folder / name.format("Validation"), device, points, "ValidationData")
+def test_real_recording_against_its_validation_set(
+    real_sweeps: tuple[NWireRecording, NWireRecording],
+) -> None:
+    first, second = real_sweeps
     found = calibrate_probe(first, rng=np.random.default_rng(0))
     held_out = validate_probe(found.probe_from_image, second)
     assert held_out.frames_used == held_out.frames == 103

@@ -1,7 +1,5 @@
 """Methods side by side: chosen on calibration frames alone; intervals that hold a planted truth."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -20,7 +18,6 @@ from dvf_ig.calibration import (
 from dvf_ig.calibration.nwire import usable_frames
 from dvf_ig.calibration.probe_fit import AllWires, MiddleWires
 from dvf_ig.core import ImageMap, InvalidInputError, NWireRecording, Rigid
-from dvf_ig.io import read_nwire_recording
 
 PROBE = SectorProbe()
 MOUNT = Rigid.from_rotation_vector([1.5, 0.3, -0.4], [10.0, 40.0, -5.0], "probe", "plane")
@@ -90,13 +87,8 @@ def test_one_failing_method_does_not_stop_the_others() -> None:
     assert found.chosen in found.results
 
 
-def test_real_sweeps_agree_within_their_intervals(data_dir: Path) -> None:
-    folder = data_dir / "plus-fcal20-nwire"
-    device = folder / "PlusDeviceSet_fCal_Sim_SpatialCalibration_2.0.xml"
-    points = folder / "FreehandCalibration3NWires_fCal2.0.results.xml"
-    name = "fCal_Test_{}_3NWires_fCal2.0.igs.mha"
-    first = read_nwire_recording(folder / name.format("Calibration"), device, points, "CalibrationData")
-    second = read_nwire_recording(folder / name.format("Validation"), device, points, "ValidationData")
+def test_real_sweeps_agree_within_their_intervals(real_sweeps: tuple[NWireRecording, NWireRecording]) -> None:
+    first, second = real_sweeps
     found = compare_methods(first, rng=np.random.default_rng(0))
     held_out = validate_probe(found.best.probe_from_image, second)
     assert found.chosen == "orthogonal"

@@ -1,6 +1,7 @@
 """Bad input ends with its exit code and one clear sentence, and leaves nothing half-written."""
 
 import dataclasses
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +11,14 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import Scenario
-from dvf_ig.io import write_ecg_csv, write_model, write_poses, write_scenario
+from dvf_ig.io import write_ecg_csv, write_model, write_poses
 from dvf_ig.replay import Replay
 
 
 @pytest.fixture
-def folder(scenario: Scenario, tmp_path: Path) -> Path:
+def folder(written: Path, tmp_path: Path) -> Path:
     """A fresh copy of the scenario on disk, for a test to damage."""
-    write_scenario(scenario, tmp_path / "scenario")
-    return tmp_path / "scenario"
+    return Path(shutil.copytree(written, tmp_path / "scenario"))
 
 
 def fails(arguments: list[str], code: int, *words: str) -> None:

@@ -5,8 +5,7 @@ import pytest
 
 import data_synth.scenario as scenario_module
 from data_synth import ScenarioSpec, phantom_scenario, replayed_path, surface_scenario
-from data_synth.anatomy import BeatingAnatomy, PhantomAnatomy, phantom_anatomy
-from data_synth.seeds import child_seed
+from data_synth.anatomy import BeatingAnatomy, PhantomAnatomy
 from data_synth.tissue import Tissue
 from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Scenario, Signal
 
@@ -135,12 +134,9 @@ def test_impossible_specifications_are_refused(changes: dict[str, object], words
 
 
 def test_images_show_the_heart_where_and_when_the_truth_says(
-    monkeypatch: pytest.MonkeyPatch, ball: BeatingAnatomy
+    monkeypatch: pytest.MonkeyPatch, ball: BeatingAnatomy, anatomy: PhantomAnatomy
 ) -> None:
     spec = ScenarioSpec(motion="physiological", seconds=6.0, seed=2, us_rate_hz=6.0)
-    anatomy = phantom_anatomy(
-        motion=spec.motion, mismatch_mm=spec.mismatch, seed=child_seed(spec.seed, "anatomy")
-    )
     monkeypatch.setattr(scenario_module, "phantom_anatomy", lambda **_: anatomy)
     monkeypatch.setattr(PhantomAnatomy, "preop", lambda *_: ball.preop(np.random.default_rng(0)))
     made = phantom_scenario(spec)

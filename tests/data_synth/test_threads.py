@@ -43,19 +43,28 @@ sys.stdout.write(total.hexdigest())
 """
 
 
-def digest_with(threads: int) -> str:
-    """SHA-256 over every array and value of a short scenario, made in a process of its own."""
+def start_with(threads: int) -> subprocess.Popen[str]:
+    """A process that prints the SHA-256 over every array and value of a short scenario."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
     paths = os.pathsep.join([str(Path(__file__).parents[2]), *sys.path])
     environment = {**os.environ, "PYTHONPATH": paths, **dict.fromkeys(names, str(threads))}
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(threads)], env=environment, capture_output=True, text=True
+    return subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, str(threads)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+
+
+def digest_from(process: subprocess.Popen[str]) -> str:
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    return out
 
 
 def test_one_thread_or_two_make_the_same_scenario() -> None:
-    first = digest_with(1)
-    assert len(first) == 64
-    assert digest_with(2) == first
+    with start_with(1) as one, start_with(2) as two:
+        first = digest_from(one)
+        assert len(first) == 64
+        assert digest_from(two) == first

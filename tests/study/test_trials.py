@@ -4,23 +4,16 @@ import json
 from pathlib import Path
 
 import pytest
+from multiples import deadly, mistaken, multiple, whereabouts
 
-from dvf_ig.core import InvalidInputError
+from dvf_ig.core import DvfIgError, InvalidInputError
 from dvf_ig.study.trials import Line, Settings, Study, run_trials
 
-
-def work(settings: Settings, seed: int) -> Line:
-    """Refuses multiples of 5."""
-    if seed % 5 == 0:
-        raise InvalidInputError(f"seed {seed} is refused")
-    return {"value": settings["factor"] * seed}
+STUDY = Study("multiples", {"factor": 3}, multiple)
 
 
 def forbidden(settings: Settings, seed: int) -> Line:
     raise AssertionError(f"seed {seed} is done already")
-
-
-STUDY = Study("multiples", {"factor": 3}, work)
 
 
 def test_lines_come_in_the_order_of_the_seeds_and_refusals_are_lines(tmp_path: Path) -> None:
@@ -46,16 +39,46 @@ def test_a_killed_study_goes_on_where_it_was(tmp_path: Path) -> None:
     assert run_trials(done, [4, 1], tmp_path) == [{"seed": 4, "value": 12}, {"seed": 1, "value": 3}]
 
 
+def test_a_group_stays_in_one_process_also_after_a_kill(tmp_path: Path) -> None:
+    study = Study("whereabouts", {"seconds": 0.01}, whereabouts)
+    run_trials(study, [1, 4], tmp_path)
+    shares: list[float] = []
+    lines = run_trials(study, range(8), tmp_path, workers=2, together=4, report=shares.append)
+    assert [line["seed"] for line in lines] == list(range(8))
+    processes = [line["process"] for line in lines]
+    assert processes[1] == processes[4]
+    assert processes[0] == processes[2] == processes[3] != processes[1]
+    assert processes[5] == processes[6] == processes[7] != processes[4]
+    assert shares == pytest.approx([2 / 8, 5 / 8, 1])
+    assert len((tmp_path / "trials.jsonl").read_text().splitlines()) == 8
+
+
+def test_a_worker_that_ends_is_a_sentence_and_what_was_done_is_kept(tmp_path: Path) -> None:
+    run_trials(Study("deadly", {"deadly": 3}, deadly), [1, 2], tmp_path)
+    with pytest.raises(DvfIgError, match="run the study again to go on"):
+        run_trials(Study("deadly", {"deadly": 3}, deadly), [1, 2, 3, 4], tmp_path, workers=2)
+    seeds = [json.loads(line)["seed"] for line in (tmp_path / "trials.jsonl").read_text().splitlines()]
+    assert seeds in ([1, 2], [1, 2, 4])
+
+
+def test_a_mistake_in_a_trial_is_no_line(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError, match="seed 1"):
+        run_trials(Study("mistaken", {}, mistaken), [1], tmp_path)
+    assert (tmp_path / "trials.jsonl").read_text() == ""
+
+
 def test_a_folder_holds_one_study(tmp_path: Path) -> None:
     run_trials(STUDY, [1], tmp_path)
     with pytest.raises(InvalidInputError, match="other settings"):
-        run_trials(Study("multiples", {"factor": 4}, work), [1], tmp_path)
+        run_trials(Study("multiples", {"factor": 4}, multiple), [1], tmp_path)
     assert json.loads((tmp_path / "study.json").read_text())["settings"] == {"factor": 3}
 
 
 def test_misuse_and_damage_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="different seeds"):
         run_trials(STUDY, [1, 1], tmp_path)
+    with pytest.raises(InvalidInputError, match="0 together"):
+        run_trials(STUDY, [1], tmp_path, together=0)
     (tmp_path / "trials.jsonl").write_text("{broken\n")
     with pytest.raises(InvalidInputError, match="damaged"):
         run_trials(STUDY, [1], tmp_path)

@@ -1,0 +1,286 @@
+"""What registration trials say together: accuracy, capture range, and whether a failure was known as one.
+
+A line of `trials.jsonl` has `seed pair motion quality arm method condition start_mm tre_mm rotation_deg
+translation_mm stop usable success_probability seconds`; a refused one only what was known of it. `tre_mm` is
+the mean target registration error of one run, `start_mm` that of its start.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest, rankdata
+
+Line = dict[str, Any]
+
+STRICT_MM, SUCCESS_MM, FAILURE_MM = 1.0, 2.0, 3.0
+"""A run below the second is a success, below the first a strict one, above the third a failure."""
+
+BIN_MM = 2.0
+"""Width of the bins of start error."""
+
+CAPTURE_PERCENT = 95
+"""A start is captured where at least so many of the runs succeed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """`count` of `of`, with its Wilson 95 % interval; share and interval are None of nothing."""
+
+    count: int
+    of: int
+    share: float | None
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Of `n` values; None where there is none, or where lost runs reach down to that percentile."""
+
+    n: int
+    median: float | None
+    p95: float | None
+    max: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Bin:
+    """Successes of the starts above `low_mm` (from it, if 0) up to `high_mm`."""
+
+    low_mm: float
+    high_mm: float
+    success: Share
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """Capture range.
+
+    Attributes:
+        range_mm: lower edge of the first bin with less than 95 % success. If none has less, the upper edge
+            of the last bin before a gap; None without starts.
+        at_least: no bin had less; the range may be longer.
+        bins: those with starts, by start.
+    """
+
+    range_mm: float | None
+    at_least: bool
+    bins: tuple[Bin, ...]
+
+    def __str__(self) -> str:
+        if self.range_mm is None:
+            return "–"
+        return f"{'≥ ' if self.at_least else ''}{self.range_mm:.0f} mm"
+
+
+@dataclass(frozen=True, slots=True)
+class SelfCheck:
+    """Whether the method knew; None where it does not say. Runs of 2 to 3 mm are neither success nor failure.
+
+    Attributes:
+        failures_flagged: failures that were not usable.
+        successes_flagged: successes that were not usable.
+        released_failures: usable runs that were failures: what would have reached the patient.
+        auc: chance that a success has a higher success probability than a failure.
+    """
+
+    failures_flagged: Share | None
+    successes_flagged: Share | None
+    released_failures: Share | None
+    auc: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """The runs of one arm, motion, quality, method and condition.
+
+    Shares are of all `n` runs; a refused run, or one without a finite error, is no success. A run without a
+    finite error is a failure larger than any other; refused ones have no error at all.
+
+    Attributes:
+        arm, motion, quality, method, condition: empty where the lines do not say, as refused ones may not.
+        pairs: image pairs seen.
+        n: runs, with the `refused` ones among them.
+        tre_mm: of all runs that were not refused, failures included.
+        success_tre_mm: of the successes alone.
+        success, strict, between, failure: below 2 mm; below 1 mm; 2 to 3 mm; above 3 mm.
+        translation_mm: median size along each axis; None without.
+    """
+
+    arm: str
+    motion: str
+    quality: str
+    method: str
+    condition: str
+    pairs: int
+    n: int
+    refused: int
+    tre_mm: Spread
+    success_tre_mm: Spread
+    rotation_deg: Spread
+    translation_mm: tuple[float, float, float] | None
+    success: Share
+    strict: Share
+    between: Share
+    failure: Share
+    capture: Capture
+    seconds: Spread
+    check: SelfCheck
+
+
+def summarise_capture(lines: Iterable[Line], *, up_to_mm: float | None = None) -> list[Group]:
+    """One group for every arm, motion, quality, method and condition, in the order of their first seeds.
+
+    Args:
+        lines: of trials.
+        up_to_mm: only runs that start so near; a refused line without a start counts at every bound.
+    Source: Wilson 1927 (intervals); the area under the ROC is Mann and Whitney's U, ties count half.
+    """
+    groups: dict[tuple[str, ...], list[Line]] = {}
+    for line in sorted(lines, key=lambda line: line["seed"]):
+        start = number(line, "start_mm")
+        if up_to_mm is None or math.isnan(start) or start <= up_to_mm + 1e-6:
+            groups.setdefault(group_key(line), []).append(line)
+    return [_group(key, runs) for key, runs in groups.items()]
+
+
+def group_key(line: Line) -> tuple[str, ...]:
+    """Arm, motion, quality, method and condition; empty where the line does not say."""
+    names = ("arm", "motion", "quality", "method", "condition")
+    return tuple("" if line.get(name) is None else str(line[name]) for name in names)
+
+
+def number(line: Line, name: str) -> float:
+    """The line's value as a number; NaN where it has none."""
+    value = line.get(name)
+    return math.nan if value is None else float(value)
+
+
+def error_of(line: Line) -> float:
+    """Target registration error, mm: infinite where a run ended without a finite one, NaN where refused."""
+    if "refused" in line:
+        return math.nan
+    error = number(line, "tre_mm")
+    return error if math.isfinite(error) else math.inf
+
+
+def _group(key: tuple[str, ...], lines: Sequence[Line]) -> Group:
+    arm, motion, quality, method, condition = key
+    errors = [error_of(line) for line in lines]
+
+    def share(accepted: Callable[[float], bool]) -> Share:
+        return share_of(sum(map(accepted, errors)), len(errors))
+
+    return Group(
+        arm=arm,
+        motion=motion,
+        quality=quality,
+        method=method,
+        condition=condition,
+        pairs=len({line["pair"] for line in lines if line.get("pair") is not None}),
+        n=len(lines),
+        refused=sum("refused" in line for line in lines),
+        tre_mm=_spread(errors),
+        success_tre_mm=_spread([error for error in errors if error < SUCCESS_MM]),
+        rotation_deg=_spread([number(line, "rotation_deg") for line in lines]),
+        translation_mm=_translation(lines),
+        success=share(lambda error: error < SUCCESS_MM),
+        strict=share(lambda error: error < STRICT_MM),
+        between=share(lambda error: SUCCESS_MM <= error <= FAILURE_MM),
+        failure=share(lambda error: error > FAILURE_MM),
+        capture=capture_of(lines),
+        seconds=_spread([number(line, "seconds") for line in lines]),
+        check=_self_check(lines),
+    )
+
+
+def share_of(count: int, of: int) -> Share:
+    """A share and its Wilson 95 % interval."""
+    if of == 0:
+        return Share(0, 0, None, None, None)
+    interval = binomtest(count, of).proportion_ci(0.95, method="wilson")
+    return Share(count, of, count / of, float(interval.low), float(interval.high))
+
+
+def capture_of(lines: Iterable[Line]) -> Capture:
+    """Success by start error, and how far it reaches. Refused runs are no successes."""
+    counts: dict[int, list[bool]] = {}
+    for line in lines:
+        start = number(line, "start_mm")
+        if math.isfinite(start):
+            # starts are scaled to their error, which may miss a bin's edge by a rounding
+            place = max(0, math.ceil(round(start, 6) / BIN_MM) - 1)
+            counts.setdefault(place, []).append(error_of(line) < SUCCESS_MM)
+    bins = tuple(
+        Bin(BIN_MM * place, BIN_MM * (place + 1), share_of(sum(counts[place]), len(counts[place])))
+        for place in sorted(counts)
+    )
+    reached = None
+    for entry in bins:
+        if reached is not None and entry.low_mm > reached:
+            break
+        if 100 * entry.success.count < CAPTURE_PERCENT * entry.success.of:
+            return Capture(entry.low_mm, at_least=False, bins=bins)
+        reached = entry.high_mm
+    return Capture(reached, at_least=reached is not None, bins=bins)
+
+
+def _self_check(lines: Sequence[Line]) -> SelfCheck:
+    failures = [line for line in lines if error_of(line) > FAILURE_MM]
+    successes = [line for line in lines if error_of(line) < SUCCESS_MM]
+    released = [line for line in lines if line.get("usable")]
+    lost = sum(error_of(line) > FAILURE_MM for line in released)
+    return SelfCheck(
+        failures_flagged=_flagged(failures),
+        successes_flagged=_flagged(successes),
+        released_failures=share_of(lost, len(released)) if released else None,
+        auc=auc_of(
+            [number(line, "success_probability") for line in failures],
+            [number(line, "success_probability") for line in successes],
+        ),
+    )
+
+
+def _flagged(lines: Sequence[Line]) -> Share | None:
+    said = [bool(line["usable"]) for line in lines if line.get("usable") is not None]
+    return share_of(len(said) - sum(said), len(said)) if said else None
+
+
+def auc_of(failures: Sequence[float], successes: Sequence[float]) -> float | None:
+    """Chance that a success has the higher value, ties half; NaN values are left out."""
+    bad = np.array([p for p in failures if math.isfinite(p)])
+    good = np.array([p for p in successes if math.isfinite(p)])
+    if len(bad) == 0 or len(good) == 0:
+        return None
+    ranks = rankdata(np.concatenate([good, bad]))[: len(good)]
+    return float((ranks.sum() - len(good) * (len(good) + 1) / 2) / (len(good) * len(bad)))
+
+
+def _translation(lines: Sequence[Line]) -> tuple[float, float, float] | None:
+    shifts = [line["translation_mm"] for line in lines if line.get("translation_mm") is not None]
+    whole = np.array([shift for shift in shifts if None not in shift], dtype=np.float64)
+    if len(whole) == 0:
+        return None
+    x, y, z = np.median(np.abs(whole), axis=0)
+    return float(x), float(y), float(z)
+
+
+def _spread(values: Iterable[float]) -> Spread:
+    """NaN values are left out; infinite ones count, but are reported as None."""
+    known = sorted(value for value in values if not math.isnan(value))
+    return Spread(len(known), _percentile(known, 50), _percentile(known, 95), _percentile(known, 100))
+
+
+def _percentile(ordered: Sequence[float], percent: float) -> float | None:
+    """As np.percentile, which makes NaN of infinite values even where it needs none of them."""
+    if not ordered:
+        return None
+    place = (len(ordered) - 1) * percent / 100
+    low = math.floor(place)
+    value = ordered[low]
+    if place > low:
+        value += (place - low) * (ordered[low + 1] - ordered[low])
+    return value if math.isfinite(value) else None
