@@ -2,11 +2,16 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .shell import JsonFlag, command, emit
+from .shell import JsonFlag, command, emit, warn
+
+if TYPE_CHECKING:
+    from dvf_ig.core import Landmarks, Points, Rigid
+
+FEWEST_PAIRS = 3
 
 
 def evaluate(
@@ -16,15 +21,18 @@ def evaluate(
     ],
     moving: Annotated[Path | None, typer.Argument(help="The same points on the moving side.")] = None,
     truth: Annotated[Path | None, typer.Option("--truth", help="True transform (.tfm).")] = None,
+    moving_first: Annotated[
+        bool, typer.Option("--moving-first", help="The .tag pair lists the moving side first.")
+    ] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Target registration error of a transform at landmarks that registration did not use.
 
     Either against the same points on the moving side, or against the true transform. For a scenario the fixed
-    side is the tracker, the moving side the MR.
+    side is the tracker, the moving side the MR; for a pair of images they are the fixed and the moving image.
     """
     with command():
-        result = _result(transform, landmarks, moving, truth)
+        result = _result(transform, landmarks, moving, truth, moving_first)
         tre = result["tre_mm"]
         rows = [
             ("TRE", f"{tre['mean']:.2f} mm mean, {tre['median']:.2f} median, {tre['p95']:.2f} p95"),
@@ -37,32 +45,26 @@ def evaluate(
         emit(result, rows, as_json=as_json)
 
 
-def _result(transform: Path, landmarks: Path, moving: Path | None, truth: Path | None) -> dict[str, Any]:
+def _result(
+    transform: Path, landmarks: Path, moving: Path | None, truth: Path | None, moving_first: bool
+) -> dict[str, Any]:
     import numpy as np
 
-    from dvf_ig.core import InvalidInputError, Landmarks
-    from dvf_ig.io import read_landmarks, read_tag_pair, read_transform
+    from dvf_ig.core import InvalidInputError
+    from dvf_ig.io import read_transform
     from dvf_ig.registration import pose_difference, summarise
 
     estimate = read_transform(_transform_file(transform))
-    moving_points: Landmarks | None
-    if landmarks.suffix == ".tag":
-        fixed, moving_points = read_tag_pair(landmarks, estimate.source, estimate.target)
-    else:
-        fixed = read_landmarks(landmarks, estimate.source)
-        moving_points = read_landmarks(moving, estimate.target) if moving is not None else None
-    true = read_transform(truth, target=estimate.target, source=estimate.source) if truth else None
-    if true is not None:
-        wanted = true.apply(fixed.points).xyz_mm
-        got = estimate.apply(fixed.points).xyz_mm
+    fixed, theirs = _sides(landmarks, moving, estimate, moving_first)
+    difference: tuple[float | None, list[float] | None] = (None, None)
+    if truth is not None:
+        true = read_transform(truth, target=estimate.target, source=estimate.source)
+        wanted, got = true.apply(fixed.points).xyz_mm, estimate.apply(fixed.points).xyz_mm
         turn, shift = pose_difference(estimate, true, wanted.mean(axis=0))
-        difference: tuple[float | None, list[float] | None] = (turn, shift.tolist())
-    elif moving_points is not None:
-        _, points, targets = fixed.paired_with(moving_points)
-        if len(points) == 0:
-            raise InvalidInputError("fixed and moving landmarks share no name; name the same points alike")
+        difference = (turn, shift.tolist())
+    elif theirs is not None:
+        points, targets = _pairs(fixed, theirs)
         wanted, got = targets.xyz_mm, estimate.apply(points).xyz_mm
-        difference = (None, None)
     else:
         raise InvalidInputError("one landmark file says nothing alone; add the moving side, or --truth FILE")
     errors = np.linalg.norm(got - wanted, axis=1)
@@ -71,6 +73,45 @@ def _result(transform: Path, landmarks: Path, moving: Path | None, truth: Path |
         "rotation_deg": difference[0],
         "translation_mm": difference[1],
     }
+
+
+def _sides(
+    landmarks: Path, moving: Path | None, estimate: "Rigid", moving_first: bool
+) -> tuple["Landmarks", "Landmarks | None"]:
+    """Landmarks in the fixed frame and, where they are given, in the moving frame."""
+    from dvf_ig.core import InvalidInputError
+    from dvf_ig.io import read_landmarks, read_tag_pair
+
+    pair = landmarks.suffix.lower() == ".tag" and moving is None
+    if moving_first and not pair:
+        raise InvalidInputError("--moving-first is about one .tag file of two volumes; leave it out here")
+    if pair and moving_first:
+        theirs, fixed = read_tag_pair(landmarks, estimate.target, estimate.source)
+        return fixed, theirs
+    if pair:
+        return read_tag_pair(landmarks, estimate.source, estimate.target)
+    fixed = read_landmarks(landmarks, estimate.source)
+    return fixed, read_landmarks(moving, estimate.target) if moving is not None else None
+
+
+def _pairs(fixed: "Landmarks", moving: "Landmarks") -> tuple["Points", "Points"]:
+    """The points that both sides name; those that one side lacks are said."""
+    from dvf_ig.core import InvalidInputError
+
+    names, points, targets = fixed.paired_with(moving)
+    alone = sorted(set(fixed.names) ^ set(moving.names))
+    if len(names) < FEWEST_PAIRS:
+        raise InvalidInputError(
+            f"fixed and moving landmarks share {len(names)} names, needed at least {FEWEST_PAIRS}; name the "
+            f"same points alike (on one side only: {_some(alone)})"
+        )
+    if alone:
+        warn(f"{len(alone)} landmarks are on one side only and are left out: {_some(alone)}")
+    return points, targets
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:6]) + (", …" if len(names) > 6 else "") if names else "none"
 
 
 def _transform_file(given: Path) -> Path:

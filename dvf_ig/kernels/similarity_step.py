@@ -15,8 +15,6 @@ from .similarity import RIDGE, Bools, Floats, Ints, integrate_products, window_m
 
 HELD = 7
 """Sums over the patches of a pixel: cα², cαβ, cβ², cα, cβ, cαγ, cβγ with c = w/(n·Var u)."""
-SAMPLED = 8
-"""a, b, ∇a, ∇b (per voxel)."""
 NORMAL = 27
 """21 of the lower triangle of JᵀJ by rows, then 6 of Jᵀr."""
 
@@ -34,7 +32,7 @@ def sample_gradients(
         matrix: (3, 3) voxel index from (column, row, 1).
         mask: (rows, columns).
         values: (rows, columns, 2) out, as `sample_channels`.
-        slopes: (rows, columns, 6) out: ∇a then ∇b per voxel; 0 outside mask and volume.
+        slopes: (rows, columns, 6) out: ∇a then ∇b per voxel; 0 outside the mask.
     """
     volume = channels[phase]
     top_x, top_y, top_z = volume.shape[0] - 1.0, volume.shape[1] - 1.0, volume.shape[2] - 1.0
@@ -49,7 +47,8 @@ def sample_gradients(
             x = matrix[0, 0] * c + matrix[0, 1] * r + matrix[0, 2]
             y = matrix[1, 0] * c + matrix[1, 1] * r + matrix[1, 2]
             z = matrix[2, 0] * c + matrix[2, 1] * r + matrix[2, 2]
-            inside = 0.0 <= x <= top_x and 0.0 <= y <= top_y and 0.0 <= z <= top_z
+            # beyond the volume its border value goes on, so nothing changes along that axis
+            move_x, move_y, move_z = 0.0 <= x <= top_x, 0.0 <= y <= top_y, 0.0 <= z <= top_z
             x = min(max(x, 0.0), top_x)
             y = min(max(y, 0.0), top_y)
             z = min(max(z, 0.0), top_z)
@@ -65,9 +64,11 @@ def sample_gradients(
                 e00, e01, e10, e11 = v00 + fz * s00, v01 + fz * s01, v10 + fz * s10, v11 + fz * s11
                 near, far = e00 + fy * (e01 - e00), e10 + fy * (e11 - e10)
                 values[r, c, ch] = near + fx * (far - near)
-                if inside:
+                if move_x:
                     slopes[r, c, 3 * ch] = far - near
+                if move_y:
                     slopes[r, c, 3 * ch + 1] = (1 - fx) * (e01 - e00) + fx * (e11 - e10)
+                if move_z:
                     slopes[r, c, 3 * ch + 2] = (1 - fx) * ((1 - fy) * s00 + fy * s01) + fx * (
                         (1 - fy) * s10 + fy * s11
                     )

@@ -11,7 +11,9 @@ from .channels import channels_from_labels as channels_from_labels
 from .channels import channels_from_mr as channels_from_mr
 from .channels import channels_from_still as channels_from_still
 from .chart import HEART_RADIUS_MM as HEART_RADIUS_MM
+from .chart import PoseChart as PoseChart
 from .chart import distance_between as distance_between
+from .gating import PHASE_WINDOW as PHASE_WINDOW
 from .gating import Gated as Gated
 from .gating import gate_frames as gate_frames
 from .landmarks import LandmarkPrior as LandmarkPrior
@@ -30,4 +32,7 @@ from .slices import prepare_slices as prepare_slices
 from .slices import root_amplitude as root_amplitude
 from .slices import slices_of_volume as slices_of_volume
 from .slices import spread as spread
+from .track import BeatLook as BeatLook
+from .track import Belief as Belief
+from .track import look_at_beat as look_at_beat
 from .volumes import prepare_volumes as prepare_volumes

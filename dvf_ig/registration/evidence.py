@@ -1,39 +1,34 @@
-"""Whether a registration may be believed: covariance, agreement, success probability."""
+"""Whether a registration may be believed: what it is measured by, and the success probability from that."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray
+from dvf_ig.core import BoolArray, FloatArray
 
-from .chart import HEART_RADIUS_MM, PoseChart, hessian
-from .climb import cost_of
-from .landmarks import LandmarkPrior
+from .chart import PoseChart
+from .curvature import Curvature
 from .similarity import Lc2
 
 WRONG_POSES = 24
 WRONG_MM = 20.0
-LOGISTIC = (-8.0, 2.0, -2.0)
-"""Bias, per unit of contrast, per mm of disagreement. On tuning seeds 101–104, registrations from starts 4 to
-60 mm off separate cleanly (gross failures have contrast 2.4–3.2, the others above 8), so the slope is a
-choice, not a fit: even odds at contrast 4, less where the halves disagree."""
+PHASE_GROUPS = 3
 
 
-def covariance_of(metric: Lc2, chart: PoseChart, prior: LandmarkPrior | None) -> FloatArray:
-    """Covariance of the pose: inverse curvature of −log posterior; NaN where that has no minimum.
-
-    Returns:
-        (6, 6): rotation vector (rad) then translation (mm), left perturbation about the chart's centre.
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Attributes:
+    contrast: standard deviations by which LC2 stands above wrong poses WRONG_MM away.
+    halves_mm: mean distance over the heart between what two halves of the slices would have.
+    phases_mm: the largest such distance between one part of the cycle and the rest.
+    similarity: LC2, the share of the ultrasound's local variance that the model explains.
     """
 
-    def cost(xi_mm: FloatArray) -> float:
-        return cost_of(metric, chart.pose(xi_mm), prior)
-
-    curvature = metric.information * hessian(cost, np.zeros(6), 0.5)
-    if not np.isfinite(curvature).all() or np.linalg.eigvalsh(curvature).min() <= 0:
-        return np.full((6, 6), np.nan)
-    unit = np.diag([1 / HEART_RADIUS_MM] * 3 + [1.0] * 3)
-    return np.asarray(unit @ np.linalg.inv(curvature) @ unit)
+    contrast: float
+    halves_mm: float
+    phases_mm: float
+    similarity: float
 
 
 def contrast_of(metric: Lc2, chart: PoseChart, rng: np.random.Generator) -> float:
@@ -48,11 +43,41 @@ def contrast_of(metric: Lc2, chart: PoseChart, rng: np.random.Generator) -> floa
     return float((metric.score(chart.base).similarity - wrong.mean()) / max(float(wrong.std()), 1e-12))
 
 
-def success_probability(contrast: float, disagreement_mm: float) -> float:
-    """Chance that the mean error over the heart is below 2 mm, from the evidence of one registration.
+def halves_of(count: int) -> tuple[BoolArray, BoolArray]:
+    """(s,) twice: every second slice, and the rest."""
+    even = np.arange(count) % 2 == 0
+    return even, ~even
 
-    A logistic in contrast and disagreement of the halves; coefficients from tuning seeds (see `LOGISTIC`).
-    """
+
+def phase_groups(model_phase: FloatArray) -> tuple[BoolArray, ...]:
+    """(s,) masks of parts of the cycle with about equally many slices; none where all are of one phase."""
+    order = np.unique(model_phase)
+    if len(order) < PHASE_GROUPS:
+        return ()
+    rank = np.searchsorted(np.sort(model_phase), model_phase, side="left")
+    group = rank * PHASE_GROUPS // len(model_phase)
+    return tuple(group == g for g in range(PHASE_GROUPS) if (group == g).any())
+
+
+def evidence_of(
+    curvature: Curvature, model_phase: FloatArray, contrast: float, similarity: float
+) -> Evidence:
+    """Evidence of the pose about which `curvature` was taken."""
+    halves = halves_of(len(model_phase))
+    groups = phase_groups(model_phase)
+    return Evidence(
+        contrast=contrast,
+        halves_mm=curvature.disagreement_mm(*halves),
+        phases_mm=max((curvature.disagreement_mm(g, ~g) for g in groups), default=0.0),
+        similarity=similarity,
+    )
+
+
+LOGISTIC = (-8.0, 2.0, -2.0)
+
+
+def success_probability(evidence: Evidence) -> float:
+    """Chance that the mean error over the heart is below 2 mm, from the evidence of one registration."""
     bias, by_contrast, by_mm = LOGISTIC
-    score = bias + by_contrast * min(contrast, 10.0) + by_mm * disagreement_mm
+    score = bias + by_contrast * min(evidence.contrast, 10.0) + by_mm * min(evidence.halves_mm, 1e3)
     return 1.0 / (1.0 + math.exp(-min(max(score, -30.0), 30.0)))

@@ -1,8 +1,8 @@
 """Rigid US/MR registration: many coarse starts, LC2 refinement, and evidence that it worked.
 
-1. coarse: from the start pose and displaced copies of it, a short climb on 3 mm slices each; the best go on;
-2. fine: the best distinct candidates are refined on 1.5 mm slices and ranked by LC2;
-3. evidence: covariance from the Hessian, the two halves of the slices registered apart, overlap.
+1. coarse: from the start pose and displaced copies of it, short climbs on coarse slices; the best go on;
+2. fine: the best distinct candidates are refined on fine slices and ranked by LC2;
+3. evidence: curvature about the result, what parts of the slices would rather have, contrast, overlap.
 """
 
 from collections.abc import Callable
@@ -14,9 +14,10 @@ import numpy as np
 from dvf_ig.core import FloatArray, Rigid, Stop
 
 from .channels import ModelChannels
-from .chart import HEART_RADIUS_MM, PoseChart, distance_between
+from .chart import PoseChart, distance_between
 from .climb import Climb, ClimbOptions, climb
-from .evidence import contrast_of, covariance_of, success_probability
+from .curvature import curvature_about
+from .evidence import Evidence, contrast_of, evidence_of, success_probability
 from .landmarks import LandmarkPrior
 from .similarity import Lc2
 from .slices import SliceSet
@@ -75,7 +76,8 @@ class RegistrationResult:
         similarity, start_similarity: LC2 at the result and at the start pose.
         contrast: standard deviations by which LC2 stands above wrong poses 20 mm away.
         overlap: share of the slices inside the model's volume.
-        disagreement_mm: mean distance over the heart between the poses of the two halves of the slices.
+        disagreement_mm: mean distance over the heart between what the two halves of the slices would have.
+        phase_disagreement_mm: the same, at most, between one third of the cycle and the others.
         second_best: LC2 of the best candidate more than 4 mm away; 0 if there was none.
         moved_mm: mean distance over the heart between start and result.
         evaluations, seconds, slices: effort.
@@ -91,6 +93,7 @@ class RegistrationResult:
     contrast: float
     overlap: float
     disagreement_mm: float
+    phase_disagreement_mm: float
     second_best: float
     moved_mm: float
     evaluations: int
@@ -123,7 +126,8 @@ def register_rigid(
     opts = options or RegistrationOptions()
     tell = progress or (lambda _: None)
     began = perf_counter()
-    basins, evaluations = _coarse_basins(coarse, start, center_mm, prior, rng, opts, tell)
+    coarse_metric = _metric(coarse, opts)
+    basins, evaluations = _coarse_basins(coarse_metric, start, center_mm, prior, rng, opts, tell)
     metric = _metric(fine, opts)
     refined = []
     for k, basin in enumerate(basins):
@@ -131,36 +135,36 @@ def register_rigid(
         tell(0.6 + 0.2 * (k + 1) / len(basins))
     refined.sort(key=lambda c: c.cost)
     best = refined[0]
-    pose = best.pose
-    halves = [climb(_metric(half, opts), pose, center_mm, prior, FINE) for half in _halves(fine)]
-    disagreement = _apart(halves[0].pose, halves[1].pose, center_mm)
-    tell(0.95)
-    found = PoseChart(pose, center_mm)
-    covariance, contrast = covariance_of(metric, found, prior), contrast_of(metric, found, rng)
+    pose, found = best.pose, PoseChart(best.pose, center_mm)
     score = metric.score(pose)
+    curvature = curvature_about(metric, found)
+    tell(0.95)
+    contrast = contrast_of(coarse_metric, found, rng)
+    evidence = evidence_of(curvature, fine.slices.model_phase, contrast, score.similarity)
+    covariance = curvature.covariance(metric.information, prior)
     others = [
         metric.score(other.pose).similarity
         for other in refined[1:]
-        if _apart(other.pose, pose, center_mm) > APART_MM
+        if distance_between(other.pose, pose, center_mm) > APART_MM
     ]
-    second = max(others, default=0.0)
-    moved = _apart(start, pose, center_mm)
-    stop = _verdict(best, moved, contrast, score.overlap, disagreement, covariance, opts)
+    moved = distance_between(start, pose, center_mm)
+    stop = _verdict(best, moved, evidence, score.overlap, covariance, opts)
     tell(1.0)
     return RegistrationResult(
         mr_from_tracker=pose,
         stop=stop,
-        success_probability=success_probability(contrast, disagreement),
+        success_probability=success_probability(evidence),
         covariance=covariance,
         center_mm=center_mm,
         similarity=score.similarity,
         start_similarity=metric.score(start).similarity,
         contrast=contrast,
         overlap=score.overlap,
-        disagreement_mm=disagreement,
-        second_best=second,
+        disagreement_mm=evidence.halves_mm,
+        phase_disagreement_mm=evidence.phases_mm,
+        second_best=max(others, default=0.0),
         moved_mm=moved,
-        evaluations=evaluations + sum(c.evaluations for c in (*refined, *halves)),
+        evaluations=evaluations + sum(c.evaluations for c in refined),
         seconds=perf_counter() - began,
         slices=len(fine.slices),
     )
@@ -170,12 +174,8 @@ def _metric(level: Level, opts: RegistrationOptions) -> Lc2:
     return Lc2(level.slices, level.model, patch_mm=opts.patch_mm, pitch_mm=level.pitch_mm)
 
 
-def _apart(first: Rigid, second: Rigid, center_mm: FloatArray) -> float:
-    return distance_between(first, second, center_mm, HEART_RADIUS_MM)
-
-
 def _coarse_basins(
-    level: Level,
+    metric: Lc2,
     start: Rigid,
     center_mm: FloatArray,
     prior: LandmarkPrior | None,
@@ -184,7 +184,6 @@ def _coarse_basins(
     tell: Callable[[float], None],
 ) -> tuple[list[Rigid], int]:
     """Short climbs from the start and its displaced copies; the best distinct ends, best first."""
-    metric = _metric(level, opts)
     directions = rng.normal(size=(opts.starts, 6))
     directions *= opts.spread_mm / np.linalg.norm(directions, axis=1, keepdims=True)
     looks: list[Climb] = []
@@ -203,37 +202,27 @@ def _distinct(climbs: list[Climb], center_mm: FloatArray, count: int) -> list[Ri
     """Poses of the best climbs that are not one another's neighbours, best first."""
     chosen: list[Rigid] = []
     for end in sorted(climbs, key=lambda c: c.cost):
-        if all(_apart(end.pose, known, center_mm) > APART_MM for known in chosen):
+        if all(distance_between(end.pose, known, center_mm) > APART_MM for known in chosen):
             chosen.append(end.pose)
     return chosen[:count]
-
-
-def _halves(level: Level) -> tuple[Level, Level]:
-    """Every second slice, and the rest."""
-    index = np.arange(len(level.slices))
-    return (
-        Level(level.slices.subset(index[::2]), level.model, level.pitch_mm),
-        Level(level.slices.subset(index[1::2]), level.model, level.pitch_mm),
-    )
 
 
 def _verdict(
     best: Climb,
     moved_mm: float,
-    contrast: float,
+    evidence: Evidence,
     overlap: float,
-    disagreement_mm: float,
     covariance: FloatArray,
     opts: RegistrationOptions,
 ) -> Stop:
     if overlap < opts.min_overlap:
         return Stop.LOW_OVERLAP
-    if contrast < opts.min_contrast:
+    if evidence.contrast < opts.min_contrast:
         return Stop.POOR_MATCH
     if not best.converged or moved_mm > opts.bound_mm:
         return Stop.MAX_ITERATIONS
     if not np.isfinite(covariance).all():
         return Stop.WEAK_GEOMETRY
-    if disagreement_mm > opts.max_disagreement_mm:
+    if evidence.halves_mm > opts.max_disagreement_mm:
         return Stop.DISAGREEMENT
     return Stop.CONVERGED

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from dvf_ig.core import FloatArray, IntArray, Rigid, require_same_frame
 from dvf_ig.kernels.compiled import thread_count
@@ -53,6 +52,17 @@ class NormalEquations:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Slopes:
+    """Attributes:
+    misfit: (s,) Σ w(1 − S) of each slice.
+    gradient: (s, 6) of the misfit, exact.
+    """
+
+    misfit: FloatArray
+    gradient: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Patches:
     """Square patches of all slices, and what of them depends on the ultrasound alone.
 
@@ -79,29 +89,28 @@ def patches_of(slices: SliceSet, radius: int) -> Patches:
             np.minimum(col + radius + 1, cols),
         ]
     ).astype(np.int64)
-    first, kept, moments = [0], [], []
-    for image, mask in zip(slices.images.astype(np.float64), slices.masks, strict=True):
-        count, total, squares = (
-            _window_sums(plane, radius)[::CENTER_STEP, ::CENTER_STEP].ravel()
-            for plane in (mask.astype(np.float64), image, image * image)
-        )
-        full = mask[row, col] & (count >= MIN_FILL * (2 * radius + 1) ** 2)
-        inverse = 1.0 / np.maximum(count, 1.0)
-        mean = total * inverse
-        variance = squares * inverse - mean * mean
-        use = full & (variance > FLAT)
-        kept.append(boxes[use])
-        moments.append(np.column_stack([inverse, mean, variance])[use])
-        first.append(first[-1] + int(use.sum()))
-    return Patches(np.array(first, dtype=np.int64), np.vstack(kept), np.vstack(moments))
+    images, masks = slices.images.astype(np.float64), slices.masks
+    count, total, squares = (
+        _window_sums(stack, radius) for stack in (masks.astype(np.float64), images, images * images)
+    )
+    full = masks[:, row, col] & (count >= MIN_FILL * (2 * radius + 1) ** 2)
+    inverse = 1.0 / np.maximum(count, 1.0)
+    mean = total * inverse
+    variance = squares * inverse - mean * mean
+    use = full & (variance > FLAT)
+    first = np.concatenate([[0], np.cumsum(use.sum(axis=1))])
+    moments = np.column_stack([inverse[use], mean[use], variance[use]])
+    return Patches(first.astype(np.int64), boxes[np.nonzero(use)[1]], moments)
 
 
-def _window_sums(plane: FloatArray, radius: int) -> FloatArray:
-    """(rows, columns) sum over the square window about each pixel, zeros beyond the border."""
-    size = 2 * radius + 1
-    padded = np.pad(plane, radius)
-    across = sliding_window_view(padded, size, axis=1).sum(axis=-1)
-    return np.asarray(sliding_window_view(across, size, axis=0).sum(axis=-1))
+def _window_sums(stack: FloatArray, radius: int) -> FloatArray:
+    """(s, patches) sum over the square window about every patch centre, zeros beyond the border."""
+    rows, cols = stack.shape[1:]
+    padded = np.pad(stack, ((0, 0), (radius, radius), (radius, radius)))
+    shifts = range(2 * radius + 1)
+    across = np.sum([padded[:, :, k : k + cols : CENTER_STEP] for k in shifts], axis=0)
+    down = np.sum([across[:, k : k + rows : CENTER_STEP] for k in shifts], axis=0)
+    return np.asarray(down.reshape(len(stack), -1))
 
 
 class Lc2:
@@ -151,6 +160,20 @@ class Lc2:
 
     def normal_equations(self, mr_from_tracker: Rigid, center_mm: FloatArray) -> NormalEquations:
         """How the score changes with small motions about `center_mm` (3,), fixed frame."""
+        sums = self._normal_sums(mr_from_tracker, center_mm).sum(axis=0)
+        lower = np.zeros((6, 6))
+        lower[np.tril_indices(6)] = sums[:21]
+        matrix = lower + lower.T - np.diag(np.diag(lower))
+        weight = max(float(sums[NORMAL + 1]), 1e-300)
+        return NormalEquations(matrix, sums[21:NORMAL], float(sums[NORMAL]) / weight, weight)
+
+    def slopes(self, mr_from_tracker: Rigid, center_mm: FloatArray) -> Slopes:
+        """Misfit of each slice and its gradient in the coordinates of `chart`."""
+        sums = self._normal_sums(mr_from_tracker, center_mm)
+        return Slopes(sums[:, NORMAL + 1] - sums[:, NORMAL], -2.0 * sums[:, 21:NORMAL])
+
+    def _normal_sums(self, mr_from_tracker: Rigid, center_mm: FloatArray) -> FloatArray:
+        """(s, NORMAL + 2) of `lc2_normal_slices`."""
         mr_from_pixel = self._placed(mr_from_tracker)
         s, rows, cols = self._slices.images.shape
         if self._slopes is None:
@@ -173,12 +196,7 @@ class Lc2:
             out,
         )
         self._shared(lc2_normal_slices, arguments)
-        sums = out.sum(axis=0)
-        lower = np.zeros((6, 6))
-        lower[np.tril_indices(6)] = sums[:21]
-        matrix = lower + lower.T - np.diag(np.diag(lower))
-        weight = max(float(sums[NORMAL + 1]), 1e-300)
-        return NormalEquations(matrix, sums[21:NORMAL], float(sums[NORMAL]) / weight, weight)
+        return out
 
     def _placed(self, mr_from_tracker: Rigid) -> FloatArray:
         """(s, 3, 3) mm from the model grid's origin, from (column, row, 1)."""

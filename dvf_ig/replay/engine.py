@@ -2,22 +2,24 @@
 
     pre-op   build the distance model and the registration channels           Sections III, VI
     before   calibrate tool tip, probe image and latency                      calibration
-    live     R peaks → phase, T_d → gate → register → pose and phase → force  Sections VI, VII
+    live     R peaks → phase, T_d → gate → register, track → pose and phase → force  Sections VI, VII
 
 The planted truth is not read here; `score` does that with what this returns.
 """
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
-from dvf_ig.cardiac import FEWEST_BEATS, PhaseTracking, track_phase
+from dvf_ig.cardiac import FEWEST_BEATS, PhaseTracking, RPeak, track_phase
 from dvf_ig.core import (
     BoolArray,
     DvfModel,
     FloatArray,
+    IntArray,
     InvalidInputError,
     NoOverlapError,
     Rigid,
@@ -27,40 +29,16 @@ from dvf_ig.core import (
 from dvf_ig.guidance import Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Status
 from dvf_ig.registration import RegistrationResult
 
+from .follow import Attempt, Course, Eyes, follow
 from .heart import Heart, build_heart
 from .locate import Sight, landmark_pose, locate, look, retimed, start_pose
 from .rulers import Rulers, calibrate
-from .schedule import pose_schedule
+from .schedule import pose_schedule, withheld
 from .ticks import TipTrack, predict_tip
-from .trust import Trust
+from .trust import Trust, disagreeing_landmarks
+from .watch import BEAT_COMPUTE_S, BeatSlices, beat_slices
 
 RATE_HZ = 1000.0
-FIRST_ATTEMPT_S = 8.0
-RETRY_S = 4.0
-REFRESH_S = 12.0
-MEMORY_S = 12.0
-"""How far back a registration looks: one refresh, so that a patient who moved is seen unmixed by the next."""
-COMPUTE_S = 3.0
-"""A pose enters guidance this long after its last frame: a fixed allowance for computing it."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Attempt:
-    """One registration: when it was asked for, from when it could be used, what it saw and what it gave.
-
-    `result` is None where too few frames passed the gate. `refusal` says why an attempt must not guide though
-    its own evidence does not: too few frames, or see `trust`.
-    """
-
-    asked_s: float
-    ready_s: float
-    sight: Sight
-    result: RegistrationResult | None
-    refusal: str = ""
-
-    @property
-    def usable(self) -> bool:
-        return self.result is not None and self.result.stop.usable and not self.refusal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +47,7 @@ class Replay:
 
     Attributes:
         start: coarse mr_from_tracker that registration started from.
-        attempts: registrations in time order.
+        course: registrations, beats and what they did to the pose.
         poses: (time from which it was in use, mr_from_tracker), with the bounded motion between updates.
         tip: predicted tool tip.
         model_phase: (n,) retimed phase; valid where `tracking.track.valid`.
@@ -82,13 +60,17 @@ class Replay:
     rulers: Rulers
     tracking: PhaseTracking
     start: Rigid
-    attempts: tuple[Attempt, ...]
+    course: Course
     poses: tuple[tuple[float, Rigid], ...]
     tip: TipTrack
     model_phase: FloatArray
     samples: ForceSamples
     valid: BoolArray
     seconds: float
+
+    @property
+    def attempts(self) -> tuple[Attempt, ...]:
+        return self.course.attempts
 
 
 def run_replay(
@@ -117,14 +99,14 @@ def run_replay(
     tracking = track_phase(scenario.ecg, t_s)
     _refuse_beatless(tracking, scenario)
     heart = build_heart(scenario.preop, model, progress=lambda f: tell(0.05 + 0.35 * f))
-    attempts = _registrations(
-        scenario, heart, rulers, tracking, start, float(t_s[-1]), seed, lambda f: tell(0.4 + 0.5 * f)
+    course = _followed(
+        scenario, heart, rulers, tracking.peaks, start, float(t_s[-1]), seed, lambda f: tell(0.4 + 0.5 * f)
     )
     track = tracking.track
     model_phase = retimed(heart.model, track.phi, track.rr_s)
     tip = predict_tip(scenario.tool, rulers.pivot.tip.xyz_mm[0], t_s)
-    poses = pose_schedule(_usable(attempts), heart.center_mm)
-    samples, valid = _forces(heart, poses, _withheld(attempts, t_s), tip, model_phase, track.valid)
+    poses = pose_schedule(course.updates, heart.center_mm)
+    samples, valid = _forces(heart, poses, withheld(course.updates, t_s), tip, model_phase, track.valid)
     tell(1.0)
     return Replay(
         scenario=scenario,
@@ -132,7 +114,7 @@ def run_replay(
         rulers=rulers,
         tracking=tracking,
         start=start,
-        attempts=attempts,
+        course=course,
         poses=poses,
         tip=tip,
         model_phase=model_phase,
@@ -175,85 +157,75 @@ def _refuse_beatless(tracking: PhaseTracking, scenario: Scenario) -> None:
         )
 
 
-def _registrations(
+def _followed(
     scenario: Scenario,
     heart: Heart,
     rulers: Rulers,
-    tracking: PhaseTracking,
+    peaks: tuple[RPeak, ...],
     start: Rigid,
     end_s: float,
     seed: int,
     tell: Callable[[float], None],
-) -> tuple[Attempt, ...]:
-    """Attempts on a fixed timetable: retry until one is usable, then refresh from the pose in use."""
-    begin_s = float(scenario.ultrasound.t_s[0]) + rulers.latency.lag_s
-    attempts: list[Attempt] = []
-    now, pose, trust = begin_s + FIRST_ATTEMPT_S, start, Trust(heart.center_mm, landmark_pose(scenario))
-    while now + COMPUTE_S < end_s:
-        sight = look(
-            scenario,
-            heart,
-            tracking.peaks,
-            rulers.latency.lag_s,
-            from_s=now - MEMORY_S,
-            until_s=now,
-        )
+) -> Course:
+    lag_s, probe_from_image = rulers.latency.lag_s, rulers.probe.probe_from_image
+
+    def register(
+        from_s: float, until_s: float, pose: Rigid, warm: bool
+    ) -> tuple[Sight, RegistrationResult | None, str]:
+        sight = look(scenario, heart, peaks, lag_s, from_s=from_s, until_s=until_s)
         try:
-            result = locate(
-                scenario, heart, sight, rulers.probe.probe_from_image, pose, seed=seed, warm=pose is not start
+            return (
+                sight,
+                locate(scenario, heart, sight, probe_from_image, pose, seed=seed, warm=warm),
+                "",
             )
-            doubt = ""
-            if result.stop.usable:
-                trust, doubt = trust.judged(result.mr_from_tracker)
-            attempts.append(Attempt(now, now + COMPUTE_S, sight, result, doubt))
         except NoOverlapError as error:
-            attempts.append(Attempt(now, now + COMPUTE_S, sight, None, str(error)))
-        pose = trust.in_use or trust.unconfirmed or start
-        now += REFRESH_S if attempts[-1].usable else RETRY_S
-        tell(min(1.0, (now - begin_s) / (end_s - begin_s)))
-    return tuple(attempts)
+            return sight, None, str(error)
 
+    def beat(last: int) -> BeatSlices | None:
+        return beat_slices(scenario, heart, peaks, last, lag_s, probe_from_image)
 
-def _usable(attempts: tuple[Attempt, ...]) -> list[tuple[float, Rigid]]:
-    return [(a.ready_s, a.result.mr_from_tracker) for a in attempts if a.result and a.usable]
-
-
-def _withheld(attempts: tuple[Attempt, ...], t_s: FloatArray) -> BoolArray:
-    """(n,) ticks at which a later registration had put the pose in use in doubt and none had confirmed it."""
-    out = np.zeros(len(t_s), dtype=np.bool_)
-    for attempt in attempts:
-        if attempt.usable:
-            out[t_s >= attempt.ready_s] = False
-        elif attempt.result is not None and attempt.result.stop.usable:
-            out[t_s >= attempt.ready_s] = True
-    return out
+    return follow(
+        Eyes(register, beat),
+        peaks,
+        Trust(heart.center_mm, landmark_pose(scenario)),
+        start,
+        begin_s=float(scenario.ultrasound.t_s[0]) + lag_s,
+        end_s=end_s,
+        decide_s=BEAT_COMPUTE_S,
+        tell=tell,
+    )
 
 
 def _forces(
     heart: Heart,
     poses: tuple[tuple[float, Rigid], ...],
-    withheld: BoolArray,
+    doubtful: BoolArray,
     tip: TipTrack,
     model_phase: FloatArray,
     phase_valid: BoolArray,
 ) -> tuple[ForceSamples, BoolArray]:
     """Force at every tick through the pose then in use, in frame "tracker", and which ticks were valid."""
     evaluator = Evaluator(heart.model, Sigmoid())
-    which = np.searchsorted([start_s for start_s, _ in poses], tip.t_s, side="right") - 1
-    posed = (which >= 0) & ~withheld
+    begins = np.searchsorted(tip.t_s, [start_s for start_s, _ in poses], side="left")
+    posed = ~doubtful
     refusal = np.where(~posed, Status.NO_POSE, np.where(phase_valid, Status.STALE_TOOL, Status.NO_PHASE))
     valid = posed & phase_valid & tip.valid
     n = len(tip.t_s)
     force, gradient = np.zeros((n, 3)), np.full((n, 3), np.nan)
     distance, status = np.full(n, np.nan), refusal.astype(np.int64)
-    for k, (_, mr_from_tracker) in enumerate(poses):
-        here = which == k
+    for (_, mr_from_tracker), here in zip(poses, _pieces(begins, n), strict=True):
         part = PoseAndPhase(mr_from_tracker).evaluate(
             evaluator, tip.tip_tracker_mm[here], model_phase[here], valid[here], refusal=refusal[here]
         )
         force[here], gradient[here] = part.force_n, part.gradient
         distance[here], status[here] = part.distance_mm, part.status
     return ForceSamples(force, distance, gradient, status), status == Status.OK
+
+
+def _pieces(begins: IntArray, n: int) -> list[slice]:
+    """From each beginning to the next, the last to `n`."""
+    return [slice(int(a), int(b)) for a, b in itertools.pairwise([*begins, n])]
 
 
 def register_scenario(
@@ -288,5 +260,5 @@ def register_scenario(
         seed=seed,
         progress=lambda f: tell(0.6 + 0.4 * f),
     )
-    _, doubt = Trust(heart.center_mm, landmark_pose(scenario)).judged(result.mr_from_tracker)
+    doubt = disagreeing_landmarks(result.mr_from_tracker, landmark_pose(scenario), heart.center_mm)
     return replace(result, stop=Stop.DISAGREEMENT) if doubt and result.stop.usable else result

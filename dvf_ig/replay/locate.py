@@ -4,9 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvf_ig.cardiac import RPeak, beat_phase, retime
 from dvf_ig.core import (
+    BoolArray,
     DvfModel,
     FloatArray,
     ImageMap,
@@ -17,11 +19,13 @@ from dvf_ig.core import (
     Scenario,
 )
 from dvf_ig.registration import (
+    PHASE_WINDOW,
     Gated,
     LandmarkPrior,
     Level,
     RegistrationOptions,
     RegistrationResult,
+    SliceSet,
     fan_mask_from_images,
     gate_frames,
     prepare_slices,
@@ -41,14 +45,18 @@ MIN_SLICES = 16
 class Sight:
     """Ultrasound frames that can be compared with the model at one moment.
 
+    Indices count from `first`, the first frame of the time that was looked at.
+
     Attributes:
-        gated: which frames were kept and why others were not.
+        first: index in the recording of the first of the n frames in time.
+        gated: which of them were kept and why others were not.
         used: (k,) the kept frames that registration looks at.
-        event_s: (n,) event time of every frame on the tracker clock.
-        model_phase: (n,) place of every frame in the model's cycle.
+        event_s: (n,) event times on the tracker clock.
+        model_phase: (n,) places in the model's cycle.
         rotations, translations_mm: (n, 3, 3), (n, 3) tracker_from_probe at the event times.
     """
 
+    first: int
     gated: Gated
     used: IntArray
     event_s: FloatArray
@@ -65,24 +73,32 @@ def look(
     *,
     from_s: float,
     until_s: float,
+    known_s: float | None = None,
+    window: float = PHASE_WINDOW,
 ) -> Sight:
-    """Gate the frames whose event lies in [from_s, until_s), by R peaks known at `until_s`."""
+    """Gate the frames whose event lies in [from_s, until_s).
+
+    Args:
+        known_s: R peaks that had been detected by then place them; `until_s` unless given.
+        window: see `gate_frames`.
+    """
     event_s = scenario.ultrasound.t_s + lag_s
-    stream = scenario.ultrasound.stream("tracker", "probe")
-    rotations, translations, tracked = stream.at_many(event_s)
-    known = np.array([p.t_s for p in peaks if p.detected_at_s <= until_s])
-    beat = beat_phase(known, event_s)
+    first, last = (int(i) for i in np.searchsorted(event_s, [from_s, until_s]))
+    here = slice(first, last)
+    rotations, translations, tracked = scenario.ultrasound.stream("tracker", "probe").at_many(event_s[here])
+    known = np.array([p.t_s for p in peaks if p.detected_at_s <= (until_s if known_s is None else known_s)])
+    beat = beat_phase(known, event_s[here])
     model_phase = retimed(heart.model, beat.phi, beat.rr_s)
-    in_time = (event_s >= from_s) & (event_s < until_s)
     gated = gate_frames(
         model_phase,
         heart.fine.fractions,
-        image_valid=scenario.ultrasound.image_valid & in_time,
+        image_valid=scenario.ultrasound.image_valid[here],
         pose_valid=tracked,
         beat_valid=beat.regular,
+        window=window,
     )
     used = gated.index[spread(len(gated.index), SLICES)]
-    return Sight(gated, used, event_s, model_phase, rotations, translations)
+    return Sight(first, gated, used, event_s[here], model_phase, rotations, translations)
 
 
 def retimed(model: DvfModel, phi: FloatArray, rr_s: FloatArray) -> FloatArray:
@@ -122,6 +138,41 @@ def _prior(scenario: Scenario) -> LandmarkPrior | None:
     return prior_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker)
 
 
+def ultrasound_mask(scenario: Scenario, frames: IntArray) -> BoolArray:
+    """(rows, columns) sector, from the scanner's geometry, else from what `frames` show.
+
+    Raises:
+        InvalidInputError: the recording has no images.
+    """
+    images = _images(scenario)
+    if scenario.fan is not None:
+        return scenario.fan.mask(*images.shape[1:])
+    return fan_mask_from_images(images[frames])
+
+
+def _images(scenario: Scenario) -> NDArray[np.uint8]:
+    if scenario.ultrasound.images is None:
+        raise InvalidInputError("the ultrasound recording has no images; registration needs them")
+    return scenario.ultrasound.images
+
+
+def slices_at(
+    scenario: Scenario, mask: BoolArray, probe_from_image: ImageMap, sight: Sight, *, pitch_mm: float
+) -> SliceSet:
+    """The used frames of `sight` in the tracker's frame."""
+    used = sight.used
+    return prepare_slices(
+        _images(scenario)[sight.first + used],
+        mask,
+        probe_from_image,
+        sight.rotations[used],
+        sight.translations_mm[used],
+        sight.model_phase[used],
+        sight.event_s[used],
+        pitch_mm=pitch_mm,
+    )
+
+
 def locate(
     scenario: Scenario,
     heart: Heart,
@@ -139,33 +190,15 @@ def locate(
         InvalidInputError: the recording has no images.
         NoOverlapError: too few frames passed the gate; says why.
     """
-    images = scenario.ultrasound.images
-    if images is None:
-        raise InvalidInputError("the ultrasound recording has no images; registration needs them")
     if len(sight.used) < MIN_SLICES:
         reasons = ", ".join(f"{count} {reason}" for reason, count in sight.gated.rejected.items() if count)
         raise NoOverlapError(
             f"{len(sight.used)} ultrasound frames can be compared with the model ({reasons}); "
             f"needed at least {MIN_SLICES}: check probe tracking and ECG"
         )
-    rows, columns = images.shape[1:]
-    fan = scenario.fan
-    mask = fan.mask(rows, columns) if fan is not None else fan_mask_from_images(images[sight.used])
+    mask = ultrasound_mask(scenario, sight.first + sight.used)
     levels = [
-        Level(
-            prepare_slices(
-                images[sight.used],
-                mask,
-                probe_from_image,
-                sight.rotations[sight.used],
-                sight.translations_mm[sight.used],
-                sight.model_phase[sight.used],
-                sight.event_s[sight.used],
-                pitch_mm=pitch,
-            ),
-            channels,
-            pitch,
-        )
+        Level(slices_at(scenario, mask, probe_from_image, sight, pitch_mm=pitch), channels, pitch)
         for pitch, channels in ((COARSE_PITCH_MM, heart.coarse), (FINE_PITCH_MM, heart.fine))
     ]
     return register_rigid(

@@ -11,16 +11,19 @@ from scipy import ndimage
 
 from dvf_ig.core import FloatArray, PhaseState, Rigid
 from dvf_ig.guidance import Evaluator, Sigmoid
+from dvf_ig.registration import target_errors_mm
 
+from .drift import doubts
 from .result import true_contact, true_phases
-from .score import score_poses
+from .trust import SURPRISE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from .engine import Attempt, Replay
+    from .engine import Replay
+    from .follow import Attempt
 
-ESTIMATE, START, TRUTH, REFUSED = "#1f6fb4", "#e07b00", "#222222", "#d9d9d9"
+ESTIMATE, START, TRUTH, REFUSED, DOUBT = "#1f6fb4", "#e07b00", "#222222", "#d9d9d9", "#f6d5d2"
 WIDE = (10.5, 2.6)
 
 
@@ -57,7 +60,8 @@ def _overlay_column(
     frame: int,
     axes: NDArray[np.object_],
 ) -> None:
-    image, sight, step = images[frame], attempt.sight, 2
+    sight, step = attempt.sight, 2
+    image = images[sight.first + frame]
     rows, columns = image.shape
     row, col = np.mgrid[:rows:step, :columns:step]
     pixels = np.column_stack([col.ravel(), row.ravel()]).astype(np.float64)
@@ -90,28 +94,57 @@ def _model_plane(replay: Replay, pose: Rigid, tracker_mm: FloatArray, phase: flo
     return np.asarray(ndimage.map_coordinates(values, index.T, order=1, cval=float(values.min())))
 
 
-def errors_over_time(replay: Replay) -> Figure | None:
-    """TRE and phase error against time; None without truth."""
-    truth = replay.scenario.truth
-    if truth is None:
+def pose_over_time(replay: Replay) -> Figure | None:
+    """Every beat's answer about the pose, and its error where the truth is known; None without beats."""
+    beats, truth, t_s = replay.course.beats, replay.scenario.truth, replay.tracking.track.t_s
+    if not beats:
         return None
-    t_s = replay.tracking.track.t_s
-    figure = Figure(figsize=(WIDE[0], 3.6), layout="constrained")
+    figure = Figure(figsize=(WIDE[0], 3.8), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
-    poses = score_poses(replay.poses, t_s, replay.valid, truth)
-    if poses is not None:
-        upper.plot(t_s, poses[1], color=ESTIMATE, lw=1.5)
-    upper.axhline(2.0, color=TRUTH, lw=0.8, ls=":")
+    times = np.array([beat.decided_s for beat in beats])
+    guided = np.array([beat.guided for beat in beats])
+    surprise = np.array([beat.look.surprise for beat in beats])
+    if truth is not None:
+        targets = truth.targets.points
+        error = np.array(
+            [target_errors_mm(b.look.pose, truth.mr_from_tracker_at(b.end_s), targets).mean() for b in beats]
+        )
+        _by_guidance(upper, times, error, guided)
+        upper.axhline(2.0, color=TRUTH, lw=0.8, ls=":")
     upper.set_ylabel("mean TRE, mm")
+    upper.margins(y=0.1)
     upper.set_ylim(bottom=0)
-    phi, _ = true_phases(replay)
-    track = replay.tracking.track
-    error = 100 * ((track.phi - phi + 0.5) % 1.0 - 0.5)
-    lower.plot(t_s, np.where(track.valid, error, np.nan), color=ESTIMATE, lw=0.8)
-    lower.axhline(0, color=TRUTH, lw=0.6)
-    lower.set(ylabel="phase error, % RR", xlabel="time, s")
+    _by_guidance(lower, times, surprise, guided)
+    lower.axhline(SURPRISE, color=TRUTH, lw=0.8, ls=":")
+    lower.set(ylabel="surprise", xlabel="time, s", xlim=(float(t_s[0]), float(t_s[-1])))
     for axis in (upper, lower):
-        _shade_refused(axis, t_s, replay.valid)
+        for begin_s, end_s in doubts(replay.course.updates, float(t_s[-1])):
+            axis.axvspan(begin_s, end_s, color=DOUBT, lw=0, zorder=0)
+        for attempt in replay.attempts:
+            axis.axvline(attempt.ready_s, color=TRUTH, lw=0.6, ls="-" if attempt.usable else ":")
+    figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+def _by_guidance(axis: Axes, times: FloatArray, values: FloatArray, guided: NDArray[np.bool_]) -> None:
+    axis.plot(times[guided], values[guided], "o", ms=3, color=ESTIMATE, label="pose that guides")
+    axis.plot(
+        times[~guided], values[~guided], "o", ms=3, mfc="none", color=START, label="pose on trial, no force"
+    )
+
+
+def phase_error(replay: Replay) -> Figure | None:
+    """Phase error against time; None without truth."""
+    if replay.scenario.truth is None:
+        return None
+    track = replay.tracking.track
+    figure = Figure(figsize=WIDE, layout="constrained")
+    axis = figure.subplots()
+    error = 100 * ((track.phi - true_phases(replay)[0] + 0.5) % 1.0 - 0.5)
+    axis.plot(track.t_s, np.where(track.valid, error, np.nan), color=ESTIMATE, lw=0.8)
+    axis.axhline(0, color=TRUTH, lw=0.6)
+    axis.set(ylabel="phase error, % RR", xlabel="time, s")
+    _shade_refused(axis, track.t_s, replay.valid)
     return figure
 
 

@@ -13,7 +13,9 @@ from dvf_ig.guidance import Sigmoid, Status
 from dvf_ig.guidance.blend import static_force
 from dvf_ig.registration import RegistrationResult, summarise, target_errors_mm
 
-from .engine import Attempt, Replay
+from .drift import summarise_following
+from .engine import Replay
+from .follow import Attempt
 from .score import (
     CONTACT_MM,
     far_corner_error_mm,
@@ -63,6 +65,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
         },
         "seconds": round(replay.seconds, 3),
         "estimates": _estimates(replay),
+        **_following(replay),
         "registrations": [_attempt(a) for a in replay.attempts],
         **dict.fromkeys(
             (
@@ -112,6 +115,21 @@ def _estimates(replay: Replay) -> dict[str, Any]:
         "model_megabytes": model.megabytes,
         "start_mr_from_tracker": replay.start.matrix.tolist(),
         "mr_from_tracker": poses[-1][1].matrix.tolist() if poses else None,
+    }
+
+
+def _following(replay: Replay) -> dict[str, Any]:
+    """How the pose was watched and tracked from beat to beat."""
+    course, t_s = replay.course, replay.tracking.track.t_s
+    done = summarise_following(course.beats, course.updates, replay.heart.center_mm, float(t_s[-1]))
+    return {
+        "tracked_beats": done.tracked_beats,
+        "drift_mm_per_min": done.drift_mm_per_min,
+        "update_seconds": None
+        if done.update_s_median is None
+        else {"median": done.update_s_median, "p95": done.update_s_p95},
+        "withheld_s": done.withheld_s,
+        "doubts_s": [list(span) for span in done.doubts_s],
     }
 
 

@@ -1,12 +1,13 @@
-"""Which pose is in use when: a new registration enters guidance by bounded motion, never by a jump."""
+"""Which pose is in use when: an update enters guidance by bounded motion, never by a jump."""
 
 import math
 from collections.abc import Sequence
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import FloatArray, Rigid
-from dvf_ig.registration import HEART_RADIUS_MM, distance_between
+from dvf_ig.core import BoolArray, FloatArray, Rigid
+from dvf_ig.registration import distance_between
 
 UPDATE_MM_PER_S = 10.0
 """Fastest motion of the model by a registration update (theory: safety)."""
@@ -14,22 +15,26 @@ STEP_S = 0.005
 
 
 def pose_schedule(
-    registered: Sequence[tuple[float, Rigid]], center_mm: FloatArray
+    updates: Sequence[tuple[float, Rigid | None]], center_mm: FloatArray
 ) -> tuple[tuple[float, Rigid], ...]:
     """Poses with the times from which each is in use.
 
     Args:
-        registered: (time from which it may be used, mr_from_tracker), in time order.
+        updates: (time from which it may be used, mr_from_tracker), in time order; None where the pose in use
+            was put in doubt. The first pose after that is in use at once: no force depends on the one before.
         center_mm: (3,) centre of the heart box; the speed bound holds over the heart about it.
     """
     schedule: list[tuple[float, Rigid]] = []
-    for ready_s, target in registered:
-        if not schedule:
-            schedule.append((ready_s, target))
+    doubtful = True
+    for ready_s, target in updates:
+        before = doubtful
+        doubtful = target is None
+        held = next((pose for from_s, pose in reversed(schedule) if from_s <= ready_s), target)
+        while schedule and schedule[-1][0] >= ready_s:
+            schedule.pop()
+        if target is None or held is None:
             continue
-        held = [pose for start_s, pose in schedule if start_s <= ready_s][-1]
-        schedule = [entry for entry in schedule if entry[0] < ready_s]
-        way_mm = distance_between(held, target, center_mm, HEART_RADIUS_MM)
+        way_mm = 0.0 if before else distance_between(held, target, center_mm)
         steps = max(1, math.ceil(way_mm / UPDATE_MM_PER_S / STEP_S))
         schedule += [
             (ready_s + (i - 1) * STEP_S, _between(held, target, center_mm, i / steps))
@@ -37,6 +42,12 @@ def pose_schedule(
         ]
         schedule.append((ready_s + (steps - 1) * STEP_S, target))
     return tuple(schedule)
+
+
+def withheld(updates: Sequence[tuple[float, Rigid | None]], t_s: FloatArray) -> BoolArray:
+    """(n,) ticks before the first pose, and those at which the pose in use was in doubt."""
+    which = np.searchsorted([from_s for from_s, _ in updates], t_s, side="right")
+    return np.array([True, *(pose is None for _, pose in updates)])[which]
 
 
 def _between(first: Rigid, second: Rigid, center_mm: FloatArray, weight: float) -> Rigid:

@@ -23,6 +23,7 @@ def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         ),
         *_clock_rows(result),
         *_pose_rows(result),
+        *_following_rows(result),
         *_force_rows(result),
         ("time", f"{result['seconds']:.1f} s", ""),
     ]
@@ -74,6 +75,18 @@ def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         else f"TRE {tre['median']:.2f} mm median, {tre['p95']:.2f} p95, {tre['max']:.2f} max"
     )
     return [*rows, ("registration", text, error)]
+
+
+def _following_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
+    seconds, drift = result["update_seconds"], result["drift_mm_per_min"]
+    if seconds is None:
+        return []
+    text = f"{result['tracked_beats']} beats, {1000 * seconds['median']:.0f} ms an update"
+    if drift is not None:
+        text += f", drift {drift:.1f} mm/min"
+    for begin_s, end_s in result["doubts_s"]:
+        text += f"; in doubt from {begin_s:.1f} to {end_s:.1f} s"
+    return [("tracking", text, "")]
 
 
 def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
