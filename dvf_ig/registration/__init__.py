@@ -35,4 +35,6 @@ from .slices import spread as spread
 from .track import BeatLook as BeatLook
 from .track import Belief as Belief
 from .track import look_at_beat as look_at_beat
+from .volumes import VOLUME_SMOOTHING_MM as VOLUME_SMOOTHING_MM
 from .volumes import prepare_volumes as prepare_volumes
+from .volumes import register_volumes as register_volumes

@@ -1,5 +1,6 @@
 """The two model channels that ultrasound is explained by, one pair of volumes a cardiac phase."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,9 +31,16 @@ class ModelChannels:
         return np.asarray(np.minimum(away, 1 - away).argmin(axis=1), dtype=np.int64)
 
 
-def channels_from_mr(mr: VolumeSeries, *, smoothing_mm: float) -> ModelChannels:
-    """MR intensity and its gradient magnitude, smoothed to what the slices resolve."""
-    return _intensity_channels(mr.grid, mr.values, mr.timing.fractions, smoothing_mm)
+def channels_from_mr(
+    mr: VolumeSeries, *, smoothing_mm: float, phases: Sequence[int] | None = None
+) -> ModelChannels:
+    """MR intensity and its gradient magnitude, smoothed to what the slices resolve.
+
+    Args:
+        phases: numbers of the phases that will be asked for; all without.
+    """
+    chosen = list(range(len(mr.timing))) if phases is None else list(phases)
+    return _intensity_channels(mr.grid, mr.values[chosen], mr.timing.fractions[chosen], smoothing_mm)
 
 
 def channels_from_still(image: Volume, *, smoothing_mm: float) -> ModelChannels:

@@ -1,12 +1,13 @@
 """Rigid US/MR registration: many coarse starts, LC2 refinement, and evidence that it worked.
 
 1. coarse: from the start pose and displaced copies of it, short climbs on coarse slices; the best go on;
-2. fine: the best distinct candidates are refined on fine slices and ranked by LC2;
+2. fine: the best distinct candidates are refined on fine slices and ranked by LC2; the best once more on what
+   lies within the model alone;
 3. evidence: curvature about the result, what parts of the slices would rather have, contrast, overlap.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -20,7 +21,7 @@ from .curvature import curvature_about
 from .evidence import Evidence, contrast_of, evidence_of, success_probability
 from .landmarks import LandmarkPrior
 from .similarity import Lc2
-from .slices import SliceSet
+from .slices import SliceSet, within
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,13 +129,15 @@ def register_rigid(
     began = perf_counter()
     coarse_metric = _metric(coarse, opts)
     basins, evaluations = _coarse_basins(coarse_metric, start, center_mm, prior, rng, opts, tell)
-    metric = _metric(fine, opts)
+    whole = _metric(fine, opts)
     refined = []
     for k, basin in enumerate(basins):
-        refined.append(climb(metric, basin, center_mm, prior, FINE))
+        refined.append(climb(whole, basin, center_mm, prior, FINE))
         tell(0.6 + 0.2 * (k + 1) / len(basins))
     refined.sort(key=lambda c: c.cost)
-    best = refined[0]
+    inside = replace(fine, slices=within(fine.slices, fine.model.grid, refined[0].pose))
+    metric = _metric(inside, opts)
+    best = climb(metric, refined[0].pose, center_mm, prior, FINE)
     pose, found = best.pose, PoseChart(best.pose, center_mm)
     score = metric.score(pose)
     curvature = curvature_about(metric, found)
@@ -142,13 +145,14 @@ def register_rigid(
     contrast = contrast_of(coarse_metric, found, rng)
     evidence = evidence_of(curvature, fine.slices.model_phase, contrast, score.similarity)
     covariance = curvature.covariance(metric.information, prior)
+    overlap = whole.score(pose).overlap
     others = [
-        metric.score(other.pose).similarity
+        whole.score(other.pose).similarity
         for other in refined[1:]
         if distance_between(other.pose, pose, center_mm) > APART_MM
     ]
     moved = distance_between(start, pose, center_mm)
-    stop = _verdict(best, moved, evidence, score.overlap, covariance, opts)
+    stop = _verdict(best, moved, evidence, overlap, covariance, opts)
     tell(1.0)
     return RegistrationResult(
         mr_from_tracker=pose,
@@ -159,12 +163,12 @@ def register_rigid(
         similarity=score.similarity,
         start_similarity=metric.score(start).similarity,
         contrast=contrast,
-        overlap=score.overlap,
+        overlap=overlap,
         disagreement_mm=evidence.halves_mm,
         phase_disagreement_mm=evidence.phases_mm,
         second_best=max(others, default=0.0),
         moved_mm=moved,
-        evaluations=evaluations + sum(c.evaluations for c in refined),
+        evaluations=evaluations + sum(c.evaluations for c in (*refined, best)),
         seconds=perf_counter() - began,
         slices=len(fine.slices),
     )

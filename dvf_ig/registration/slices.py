@@ -1,14 +1,23 @@
 """Tracked ultrasound slices prepared for registration: amplitude, pitch, fan mask, place and phase."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import BoolArray, FloatArray, ImageMap, IntArray, InvalidInputError, require_same_frame
+from dvf_ig.core import (
+    BoolArray,
+    FloatArray,
+    Grid,
+    ImageMap,
+    IntArray,
+    InvalidInputError,
+    Rigid,
+    require_same_frame,
+)
 
 DYNAMIC_RANGE_DB = 60.0
 
@@ -45,6 +54,22 @@ class SliceSet:
             self.model_phase[index],
             self.t_s[index],
         )
+
+
+def within(slices: SliceSet, grid: Grid, pose: Rigid) -> SliceSet:
+    """The slices without the pixels that lie outside an image at a pose: it says nothing of them."""
+    rows, columns = slices.images.shape[1:]
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    pixels = np.stack([column, row, np.ones_like(row)], axis=-1).reshape(-1, 3).astype(np.float64)
+    index_from_frame = np.linalg.inv(grid.axes_mm) @ pose.rotation
+    offset = np.linalg.inv(grid.axes_mm) @ (pose.translation_mm - grid.origin_mm)
+    last = np.array(grid.shape) - 1.0
+    masks = slices.masks.copy()
+    for mask, frame_from_pixel in zip(masks, slices.frame_from_pixel, strict=True):
+        index = pixels @ (index_from_frame @ frame_from_pixel).T + offset
+        mask &= ((index >= 0) & (index <= last)).all(axis=1).reshape(rows, columns)
+    images = np.where(masks, slices.images, np.float32(0))
+    return replace(slices, images=images, masks=masks)
 
 
 def fan_mask_from_images(images: NDArray[np.uint8]) -> BoolArray:

@@ -1,14 +1,54 @@
 """Gated 3-D ultrasound prepared for registration: planes of every volume, with place and phase."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import InvalidInputError, TrackedVolume
+from dvf_ig.core import FloatArray, InvalidInputError, Rigid, TrackedVolume
 from dvf_ig.kernels.pool import pool_blocks
 
+from .channels import ModelChannels
+from .landmarks import LandmarkPrior
+from .rigid import Level, RegistrationOptions, RegistrationResult, register_rigid
 from .slices import SliceSet, grey_to_root_amplitude, joined, slices_of_volume
+
+VOLUME_SMOOTHING_MM = 3.0
+"""Of the model's channels. Tuning seeds 101–106, two views, three phases: median TRE 0.74 mm; 0.83 with 2.5 or
+3.5 mm, and 0.83 on 2 mm voxels."""
+COARSE_PITCH_MM, COARSE_PLANES = 4.0, 6
+FINE_PITCH_MM, FINE_PLANES = 3.0, 13
+SEARCH = RegistrationOptions(starts=8, spread_mm=12.0, candidates=2, bound_mm=60.0)
+
+
+def register_volumes(
+    volumes: Sequence[TrackedVolume],
+    model: ModelChannels,
+    start: Rigid,
+    center_mm: FloatArray,
+    *,
+    rng: np.random.Generator,
+    prior: LandmarkPrior | None = None,
+) -> RegistrationResult:
+    """Register gated 3-D images to the phase-matched model from a coarse pose.
+
+    Args:
+        volumes: any number of views and phases.
+        model: channels smoothed by VOLUME_SMOOTHING_MM.
+        start: fixed_from_moving; center_mm: (3,) centre of the heart box, fixed frame.
+        prior: touched landmarks that the pose must also agree with.
+    Returns:
+        as `register_rigid`; `seconds` counts the preparation of the volumes.
+    """
+    began = perf_counter()
+    coarse, fine = (
+        Level(prepare_volumes(volumes, pitch_mm=pitch, planes=planes), model, pitch)
+        for pitch, planes in ((COARSE_PITCH_MM, COARSE_PLANES), (FINE_PITCH_MM, FINE_PLANES))
+    )
+    result = register_rigid(coarse, fine, start, center_mm, rng=rng, prior=prior, options=SEARCH)
+    return replace(result, seconds=perf_counter() - began)
 
 
 def prepare_volumes(volumes: Sequence[TrackedVolume], *, pitch_mm: float, planes: int) -> SliceSet:
