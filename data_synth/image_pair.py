@@ -115,14 +115,19 @@ class ImagePair:
         return np.asarray(self.before.box_mm.mean(axis=0))
 
     def volumes(
-        self, phases: Sequence[float], *, phase_error: float = 0.0, probe: MatrixProbe | None = None
+        self,
+        phases: Sequence[float],
+        *,
+        phase_error: float | Sequence[float] = 0.0,
+        probe: MatrixProbe | None = None,
     ) -> tuple[TrackedVolume, ...]:
         """Gated 3-D images of the views in VOLUME_VIEWS, every phase of one before the next.
 
         Args:
             phases: model phases that gating aims at, as they are recorded.
-            phase_error: the images are really taken this share of the cycle later.
+            phase_error: the images are really taken this share of the cycle later, all or each phase.
         """
+        late = np.broadcast_to(np.asarray(phase_error, dtype=np.float64), len(phases))
         array = probe or MatrixProbe()
         spoil = PRESETS["poor-image" if self.spec.quality == "poor-image" else "calm"].image
         array = replace(array, sector=replace(array.sector, dynamic_range_db=spoil.dynamic_range_db))
@@ -134,13 +139,13 @@ class ImagePair:
         rows = array.tall // BEATS_PER_VOLUME
         within = PART_SHARE * ((np.arange(array.tall) % rows + 0.5) / rows - 0.5)
         out = []
-        for i, (mr_from_plane, phase) in enumerate(product(poses, phases)):
-            times = np.repeat((phase + phase_error + within)[:, None], array.sector.lines, axis=1)
+        for i, (mr_from_plane, k) in enumerate(product(poses, range(len(phases)))):
+            times = np.repeat((phases[k] + late[k] + within)[:, None], array.sector.lines, axis=1)
             level = simulate_pyramid(self.now, array, mr_from_plane, times, seed=seed, frame=i)
             faults = child_rng(self.spec.seed, f"pair faults {i // len(phases)}")
             shown = shown_volume(spoiled_pyramid(level, array, spoil, faults), array)
             pose = self._read(mr_from_plane, rng, "plane", BEATS_PER_VOLUME)
-            out.append(TrackedVolume(shown.image, shown.mask, pose, phase % 1.0))
+            out.append(TrackedVolume(shown.image, shown.mask, pose, phases[k] % 1.0))
         return tuple(out)
 
     def planes(

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -11,6 +10,8 @@ from .shell import JsonFlag, SeedOption, command, emit, progress, warn, wrote
 from .study_blending import blending
 from .study_distance import distance_maps
 from .study_gating import gating
+from .study_options import FolderOption, SchedulerOption, WorkersOption
+from .study_registration import capture, failures, gating_error, planes, same_image
 from .study_retiming import retiming
 from .study_tracking import tracking
 
@@ -23,19 +24,13 @@ app.command("distance")(distance_maps)
 app.command("blending")(blending)
 app.command("gating")(gating)
 app.command("retiming")(retiming)
+app.command("same-image")(same_image)
+app.command("capture")(capture)
+app.command("gating-error")(gating_error)
+app.command("planes")(planes)
+app.command("failures")(failures)
 
 TrialsOption = Annotated[int, typer.Option("--trials", min=1, help="How many; seeds count up from --seed.")]
-WorkersOption = Annotated[
-    int | None, typer.Option("--workers", min=1, help="Processes (default: one for each core).")
-]
-SchedulerOption = Annotated[
-    str | None,
-    typer.Option("--scheduler", help="Work on this dask.distributed scheduler instead (tcp://HOST:8786)."),
-]
-FolderOption = Annotated[
-    Path,
-    typer.Option("-o", "--out", help="Folder; a study that was stopped goes on where it was."),
-]
 
 
 class Kind(StrEnum):

@@ -7,8 +7,9 @@ import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray
 
-from .chart import PoseChart
+from .chart import PoseChart, distance_between
 from .curvature import Curvature
+from .edge_fit import EdgeFit
 from .similarity import Lc2
 
 WRONG_POSES = 24
@@ -23,12 +24,16 @@ class Evidence:
     halves_mm: mean distance over the heart between what two halves of the slices would have.
     phases_mm: the largest such distance between one part of the cycle and the rest.
     similarity: LC2, the share of the ultrasound's local variance that the model explains.
+    edges_mm: mean distance over the heart between the poses of LC2 and of the borders; None without those.
+    edges_near: share of the borders that lie on the model's surface there.
     """
 
     contrast: float
     halves_mm: float
     phases_mm: float
     similarity: float
+    edges_mm: float | None = None
+    edges_near: float | None = None
 
 
 def contrast_of(metric: Lc2, chart: PoseChart, rng: np.random.Generator) -> float:
@@ -60,9 +65,14 @@ def phase_groups(model_phase: FloatArray) -> tuple[BoolArray, ...]:
 
 
 def evidence_of(
-    curvature: Curvature, model_phase: FloatArray, contrast: float, similarity: float
+    curvature: Curvature,
+    model_phase: FloatArray,
+    contrast: float,
+    similarity: float,
+    borders: EdgeFit | None = None,
 ) -> Evidence:
     """Evidence of the pose about which `curvature` was taken."""
+    chart = curvature.chart
     halves = halves_of(len(model_phase))
     groups = phase_groups(model_phase)
     return Evidence(
@@ -70,6 +80,8 @@ def evidence_of(
         halves_mm=curvature.disagreement_mm(*halves),
         phases_mm=max((curvature.disagreement_mm(g, ~g) for g in groups), default=0.0),
         similarity=similarity,
+        edges_mm=None if borders is None else distance_between(chart.base, borders.pose, chart.center_mm),
+        edges_near=None if borders is None else borders.share_near,
     )
 
 

@@ -65,7 +65,7 @@ def build_heart(
         coarse = channels_from_mr(preop.mr, smoothing_mm=2.0)
         fine = channels_from_mr(preop.mr, smoothing_mm=2.0)
     else:
-        labels = _label_map(preop)
+        labels = label_map(preop)
         coarse = channels_from_labels(labels, smoothing_mm=2.5)
         fine = channels_from_labels(labels, smoothing_mm=1.2)
     return Heart(model, coarse, fine, center)
@@ -79,7 +79,7 @@ def _fixture_surface(preop: Preop) -> SurfaceSeries:
     raise InvalidInputError(f"the pre-operative data have no surface '{preop.surface}'; they have {known}")
 
 
-def _label_map(preop: Preop) -> VolumeSeries:
+def label_map(preop: Preop) -> VolumeSeries:
     """Wall and blood (1, 2) of the heart, from its label image or by rasterising its surfaces."""
     if preop.labels is not None:
         names = dict(preop.label_names)

@@ -107,6 +107,7 @@ class Group:
         tre_mm: of all runs that were not refused, failures included.
         success_tre_mm: of the successes alone.
         success, strict, between, failure: below 2 mm; below 1 mm; 2 to 3 mm; above 3 mm.
+        usable: runs that were released to guide by; None where the method does not judge itself.
         translation_mm: median size along each axis; None without.
     """
 
@@ -128,6 +129,7 @@ class Group:
     failure: Share
     capture: Capture
     seconds: Spread
+    usable: Share | None
     check: SelfCheck
 
 
@@ -193,8 +195,14 @@ def _group(key: tuple[str, ...], lines: Sequence[Line]) -> Group:
         failure=share(lambda error: error > FAILURE_MM),
         capture=capture_of(lines),
         seconds=_spread([number(line, "seconds") for line in lines]),
+        usable=_usable(lines),
         check=_self_check(lines),
     )
+
+
+def _usable(lines: Sequence[Line]) -> Share | None:
+    judged = [line["usable"] for line in lines if line.get("usable") is not None]
+    return share_of(sum(judged), len(lines)) if judged else None
 
 
 def share_of(count: int, of: int) -> Share:
