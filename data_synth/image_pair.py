@@ -34,7 +34,7 @@ from .ultrasound_volume import MatrixProbe, shown_volume, simulate_pyramid
 from .volume_faults import spoiled_pyramid
 
 Quality = Literal["no-mismatch", "calm", "poor-image"]
-Change = Literal["none", "deformation", "motion", "other-heart"]
+Change = Literal["none", "deformation", "motion"]
 
 VOLUME_VIEWS = ("apical four-chamber", "epicardial short-axis")
 """Where the matrix array is held."""
@@ -69,7 +69,7 @@ class PairSpec:
         motion: how far the heart moves.
         quality: mismatch, image faults and tracking noise: those of the preset of that name.
         change: what happened to the heart since the MR: nothing; a DEFORMATION_MM mismatch instead of the
-            quality's; the other motion; or it is another patient's.
+            quality's; or the other motion.
     """
 
     seed: int
@@ -201,16 +201,12 @@ def image_pair(spec: PairSpec) -> ImagePair:
         spec.quality, PRESETS["poor-image"].mismatch_mm
     )
     before = phantom_anatomy(motion=spec.motion, mismatch_mm=0.0, seed=spec.seed)
-    if spec.change == "other-heart":
-        other = phantom_anatomy(motion=spec.motion, mismatch_mm=mismatch, seed=spec.seed + 500_000)
-        now = other
-    else:
-        motion: Motion = spec.motion
-        if spec.change == "motion":
-            motion = "physiological" if spec.motion == "paper5mm" else "paper5mm"
-        if spec.change == "deformation":
-            mismatch = DEFORMATION_MM
-        now = phantom_anatomy(motion=motion, mismatch_mm=mismatch, seed=spec.seed)
+    motion: Motion = spec.motion
+    if spec.change == "motion":
+        motion = "physiological" if spec.motion == "paper5mm" else "paper5mm"
+    if spec.change == "deformation":
+        mismatch = DEFORMATION_MM
+    now = phantom_anatomy(motion=motion, mismatch_mm=mismatch, seed=spec.seed)
     rng = child_rng(spec.seed, "pair tracker")
     rotation = Rotation.random(rng=rng).as_matrix()
     truth = Rigid("mr", "tracker", rotation, rng.uniform(-200.0, 200.0, 3))

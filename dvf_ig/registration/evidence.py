@@ -7,9 +7,8 @@ import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray
 
-from .chart import PoseChart, distance_between
+from .chart import PoseChart
 from .curvature import Curvature
-from .edge_fit import EdgeFit
 from .similarity import Lc2
 
 WRONG_POSES = 24
@@ -21,19 +20,60 @@ PHASE_GROUPS = 3
 class Evidence:
     """Attributes:
     contrast: standard deviations by which LC2 stands above wrong poses WRONG_MM away.
-    halves_mm: mean distance over the heart between what two halves of the slices would have.
+    halves_mm: mean distance over the heart between what two interleaved halves of the slices would have.
     phases_mm: the largest such distance between one part of the cycle and the rest.
-    similarity: LC2, the share of the ultrasound's local variance that the model explains.
+    parts_mm: the same for halves of space, RMS (`parts`); None where it was not asked.
     edges_mm: mean distance over the heart between the poses of LC2 and of the borders; None without those.
-    edges_near: share of the borders that lie on the model's surface there.
     """
 
     contrast: float
     halves_mm: float
     phases_mm: float
-    similarity: float
+    parts_mm: float | None = None
     edges_mm: float | None = None
-    edges_near: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What each check may be at most (contrast: at least) in a registration that may guide.
+
+    A pose in a wrong basin has little contrast and its borders lie elsewhere; a deformed heart is torn apart
+    by halves of space; one that moves otherwise than before, by parts of the cycle.
+    """
+
+    contrast: float = 3.8
+    halves_mm: float = 4.0
+    phases_mm: float = math.inf
+    parts_mm: float = math.inf
+    edges_mm: float = math.inf
+
+
+TRACKED_LIMITS = Limits()
+"""For tracked planes."""
+VOLUME_LIMITS = Limits(contrast=5.5, halves_mm=2.0, phases_mm=1.22, parts_mm=2.25, edges_mm=2.7)
+"""For gated 3-D images. On tuning seeds 101–106 good poses (below 2 mm, calm and poor images) stand against
+wrong basins (contrast above 6.9, below 4.5; borders up to 2.1 mm, above 7), changed motion (phases up to
+1.1 mm, above 1.4), and 5 mm of deformation (parts up to 2.2 mm, above 2.3 where the error exceeds 3 mm)."""
+STEEPNESS = 10.0
+"""Of the logistic in doubt: tuning seeds have 0.3 to 1.0 below 2 mm of error, and above 1 beyond 3 mm."""
+
+
+def doubt_of(evidence: Evidence, limits: Limits) -> float:
+    """The weakest check as a share of its limit: above 1 the pose must not guide."""
+    checks = [
+        limits.contrast / max(evidence.contrast, 1e-9),
+        evidence.halves_mm / limits.halves_mm,
+        evidence.phases_mm / limits.phases_mm,
+    ]
+    for value, limit in ((evidence.parts_mm, limits.parts_mm), (evidence.edges_mm, limits.edges_mm)):
+        if value is not None:
+            checks.append(value / limit)
+    return float(max(check if math.isfinite(check) else math.inf for check in checks))
+
+
+def success_probability(doubt: float) -> float:
+    """Chance that the mean error over the heart is below 2 mm, from `doubt_of` one registration."""
+    return 1.0 / (1.0 + math.exp(min(max(STEEPNESS * (doubt - 1.0), -30.0), 30.0)))
 
 
 def contrast_of(metric: Lc2, chart: PoseChart, rng: np.random.Generator) -> float:
@@ -48,48 +88,22 @@ def contrast_of(metric: Lc2, chart: PoseChart, rng: np.random.Generator) -> floa
     return float((metric.score(chart.base).similarity - wrong.mean()) / max(float(wrong.std()), 1e-12))
 
 
-def halves_of(count: int) -> tuple[BoolArray, BoolArray]:
-    """(s,) twice: every second slice, and the rest."""
-    even = np.arange(count) % 2 == 0
-    return even, ~even
+def halves_mm(curvature: Curvature) -> float:
+    """Disagreement of every second slice with the rest."""
+    even = np.arange(len(curvature.misfit)) % 2 == 0
+    return curvature.disagreement_mm(even, ~even)
+
+
+def phases_mm(curvature: Curvature, model_phase: FloatArray) -> float:
+    """The largest disagreement of one part of the cycle with the rest; 0 where there is one phase only."""
+    groups = phase_groups(model_phase)
+    return max((curvature.disagreement_mm(group, ~group) for group in groups), default=0.0)
 
 
 def phase_groups(model_phase: FloatArray) -> tuple[BoolArray, ...]:
-    """(s,) masks of parts of the cycle with about equally many slices; none where all are of one phase."""
-    order = np.unique(model_phase)
-    if len(order) < PHASE_GROUPS:
+    """(s,) masks of parts of the cycle with about equally many slices; none where there are fewer phases."""
+    if len(np.unique(model_phase)) < PHASE_GROUPS:
         return ()
     rank = np.searchsorted(np.sort(model_phase), model_phase, side="left")
     group = rank * PHASE_GROUPS // len(model_phase)
     return tuple(group == g for g in range(PHASE_GROUPS) if (group == g).any())
-
-
-def evidence_of(
-    curvature: Curvature,
-    model_phase: FloatArray,
-    contrast: float,
-    similarity: float,
-    borders: EdgeFit | None = None,
-) -> Evidence:
-    """Evidence of the pose about which `curvature` was taken."""
-    chart = curvature.chart
-    halves = halves_of(len(model_phase))
-    groups = phase_groups(model_phase)
-    return Evidence(
-        contrast=contrast,
-        halves_mm=curvature.disagreement_mm(*halves),
-        phases_mm=max((curvature.disagreement_mm(g, ~g) for g in groups), default=0.0),
-        similarity=similarity,
-        edges_mm=None if borders is None else distance_between(chart.base, borders.pose, chart.center_mm),
-        edges_near=None if borders is None else borders.share_near,
-    )
-
-
-LOGISTIC = (-8.0, 2.0, -2.0)
-
-
-def success_probability(evidence: Evidence) -> float:
-    """Chance that the mean error over the heart is below 2 mm, from the evidence of one registration."""
-    bias, by_contrast, by_mm = LOGISTIC
-    score = bias + by_contrast * min(evidence.contrast, 10.0) + by_mm * min(evidence.halves_mm, 1e3)
-    return 1.0 / (1.0 + math.exp(-min(max(score, -30.0), 30.0)))

@@ -20,8 +20,18 @@ from .chart import PoseChart, distance_between
 from .climb import Climb, ClimbOptions, climb
 from .curvature import curvature_about
 from .edge_fit import Edges, edge_starts, fit_edges
-from .evidence import Evidence, contrast_of, evidence_of, success_probability
+from .evidence import (
+    TRACKED_LIMITS,
+    Evidence,
+    Limits,
+    contrast_of,
+    doubt_of,
+    halves_mm,
+    phases_mm,
+    success_probability,
+)
 from .landmarks import LandmarkPrior
+from .parts import part_disagreement_mm
 from .similarity import Lc2
 from .slices import SliceSet, within
 
@@ -36,8 +46,8 @@ class RegistrationOptions:
         patch_mm: edge of an LC2 patch.
         bound_mm: how far a pose may move from the start over the heart.
         min_overlap: least share of the slices inside the model's volume.
-        min_contrast: least standard deviations above wrong poses of an acceptable match.
-        max_disagreement_mm: largest mean distance between the poses of the two halves.
+        limits: what the evidence may be.
+        ask_parts: whether halves of space are registered apart.
     """
 
     starts: int = 12
@@ -46,8 +56,8 @@ class RegistrationOptions:
     bound_mm: float = 30.0
     candidates: int = 3
     min_overlap: float = 0.35
-    min_contrast: float = 3.8
-    max_disagreement_mm: float = 4.0
+    limits: Limits = TRACKED_LIMITS
+    ask_parts: bool = False
 
 
 FIRST_LOOK = ClimbOptions(steps=7, cap_mm=8.0, tolerance_mm=0.3)
@@ -86,6 +96,7 @@ class RegistrationResult:
         overlap: share of the slices inside the model's volume.
         disagreement_mm: mean distance over the heart between what the two halves of the slices would have.
         phase_disagreement_mm: the same, at most, between one third of the cycle and the others.
+        part_disagreement_mm: RMS distance of what halves of space would have; None where not asked.
         edge_disagreement_mm: mean distance over the heart between the poses of LC2 and of the borders; None
             where the model's surface was not given.
         second_best: LC2 of the best candidate more than 4 mm away; 0 if there was none.
@@ -104,6 +115,7 @@ class RegistrationResult:
     overlap: float
     disagreement_mm: float
     phase_disagreement_mm: float
+    part_disagreement_mm: float | None
     edge_disagreement_mm: float | None
     second_best: float
     moved_mm: float
@@ -163,7 +175,14 @@ def register_rigid(
     curvature = curvature_about(metric, found)
     tell(0.95)
     contrast = contrast_of(coarse_metric, found, rng)
-    evidence = evidence_of(curvature, fine.slices.model_phase, contrast, score.similarity, borders)
+    evidence = Evidence(
+        contrast=contrast,
+        halves_mm=halves_mm(curvature),
+        phases_mm=phases_mm(curvature, fine.slices.model_phase),
+        parts_mm=_parts_mm(coarse, best.pose, center_mm, opts),
+        edges_mm=None if borders is None else distance_between(best.pose, borders.pose, center_mm),
+    )
+    doubt = doubt_of(evidence, opts.limits)
     covariance = curvature.covariance(metric.information, prior)
     overlap = whole.score(pose).overlap
     others = [
@@ -172,12 +191,12 @@ def register_rigid(
         if distance_between(other.pose, pose, center_mm) > APART_MM
     ]
     moved = distance_between(start, pose, center_mm)
-    stop = _verdict(best, moved, evidence, overlap, covariance, opts)
+    stop = _verdict(best, moved, evidence, doubt, overlap, covariance, opts)
     tell(1.0)
     return RegistrationResult(
         mr_from_tracker=pose,
         stop=stop,
-        success_probability=success_probability(evidence),
+        success_probability=success_probability(doubt),
         covariance=covariance,
         center_mm=center_mm,
         similarity=score.similarity,
@@ -186,6 +205,7 @@ def register_rigid(
         overlap=overlap,
         disagreement_mm=evidence.halves_mm,
         phase_disagreement_mm=evidence.phases_mm,
+        part_disagreement_mm=evidence.parts_mm,
         edge_disagreement_mm=evidence.edges_mm,
         second_best=max(others, default=0.0),
         moved_mm=moved,
@@ -197,6 +217,13 @@ def register_rigid(
 
 def _metric(level: Level, opts: RegistrationOptions) -> Lc2:
     return Lc2(level.slices, level.model, patch_mm=opts.patch_mm, pitch_mm=level.pitch_mm)
+
+
+def _parts_mm(level: Level, pose: Rigid, center_mm: FloatArray, opts: RegistrationOptions) -> float | None:
+    if not opts.ask_parts:
+        return None
+    inside = within(level.slices, level.model.grid, pose)
+    return part_disagreement_mm(inside, level.model, pose, center_mm, opts.patch_mm, level.pitch_mm)
 
 
 def _looks(
@@ -246,18 +273,19 @@ def _verdict(
     best: Climb,
     moved_mm: float,
     evidence: Evidence,
+    doubt: float,
     overlap: float,
     covariance: FloatArray,
     opts: RegistrationOptions,
 ) -> Stop:
     if overlap < opts.min_overlap:
         return Stop.LOW_OVERLAP
-    if evidence.contrast < opts.min_contrast:
+    if evidence.contrast < opts.limits.contrast:
         return Stop.POOR_MATCH
     if not best.converged or moved_mm > opts.bound_mm:
         return Stop.MAX_ITERATIONS
     if not np.isfinite(covariance).all():
         return Stop.WEAK_GEOMETRY
-    if evidence.halves_mm > opts.max_disagreement_mm:
+    if doubt > 1.0:
         return Stop.DISAGREEMENT
     return Stop.CONVERGED

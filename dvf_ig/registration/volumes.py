@@ -14,6 +14,7 @@ from .channels import ModelChannels
 from .edge_fit import Edges
 from .edge_target import EdgeTarget
 from .edges import boundary_points
+from .evidence import VOLUME_LIMITS
 from .landmarks import LandmarkPrior
 from .rigid import Level, RegistrationOptions, RegistrationResult, register_rigid
 from .slices import SliceSet, grey_to_root_amplitude, joined, slices_of_volume
@@ -24,7 +25,9 @@ or 3.5 mm, and 0.83 on 2 mm voxels."""
 COARSE_PITCH_MM, COARSE_PLANES = 4.0, 6
 FINE_PITCH_MM, FINE_PLANES = 3.0, 13
 EDGE_PITCH_MM, EDGE_PLANES = 2.0, 8
-SEARCH = RegistrationOptions(starts=8, spread_mm=12.0, candidates=2, bound_mm=60.0)
+SEARCH = RegistrationOptions(
+    starts=8, spread_mm=12.0, candidates=2, bound_mm=120.0, limits=VOLUME_LIMITS, ask_parts=True
+)
 
 
 def register_volumes(

@@ -2,22 +2,25 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from data_synth.heart_clock import two_segment_phase
 from data_synth.image_pair import ImagePair, PairSpec, image_pair, plane_views
+from data_synth.presets import Motion
 from data_synth.seeds import child_rng
 from data_synth.ultrasound_presets import PROBES
 from data_synth.ultrasound_probe import SectorProbe
 from dvf_ig.cardiac import retime
-from dvf_ig.core import FloatArray, Grid, ImageMap, Points, Preop, Rigid, TrackedVolume, Volume, VolumeSeries
+from dvf_ig.core import FloatArray, Grid, ImageMap, Points, Rigid, TrackedVolume, Volume, VolumeSeries
 from dvf_ig.registration import (
     VOLUME_SMOOTHING_MM,
     Edges,
     EdgeTarget,
     Level,
+    ModelChannels,
     RegistrationResult,
     boundary_points,
     channels_from_mr,
@@ -56,6 +59,32 @@ class Scene:
     moving: Volume | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Before:
+    """The heart before: MR, wall and blood, and both as gated volumes need them."""
+
+    mr: VolumeSeries
+    labels: VolumeSeries
+    gated: ModelChannels
+    surface: EdgeTarget
+
+
+@lru_cache(maxsize=1)
+def _before(seed: int, motion: Motion) -> _Before:
+    preop = image_pair(PairSpec(seed, motion)).preop
+    if preop.mr is None:
+        raise TypeError("the phantom's pre-operative data hold MR")
+    mr, labels = preop.mr, label_map(preop)
+    numbers = [_nearest(mr, phase) for phase in GATED]
+    gated = channels_from_mr(mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=numbers)
+    return _Before(mr, labels, gated, target_from_labels(labels, np.array(GATED)))
+
+
+@lru_cache(maxsize=2)
+def _channels(seed: int, motion: Motion, smoothing_mm: float) -> ModelChannels:
+    return channels_from_mr(_before(seed, motion).mr, smoothing_mm=smoothing_mm)
+
+
 def make_scene(pair_seed: int, condition: dict[str, Any]) -> Scene:
     """The scene of a condition of `registration_arms`."""
     pair = image_pair(
@@ -75,16 +104,14 @@ def _volumes(pair: ImagePair, condition: dict[str, Any]) -> Scene:
     if "rr_s" in condition:
         error = _retiming_error(pair, condition["rr_s"]).tolist()
     volumes = pair.volumes(GATED, phase_error=error)
-    surface = target_from_labels(label_map(pair.preop), np.array(GATED))
-    return _volume_scene(pair, volumes, _mr(pair.preop), surface)
+    before = _before(pair.spec.seed, pair.spec.motion)
+    return _volume_scene(pair, volumes, before, before.surface)
 
 
 def _volume_scene(
-    pair: ImagePair, volumes: tuple[TrackedVolume, ...], mr: VolumeSeries, surface: EdgeTarget | None
+    pair: ImagePair, volumes: tuple[TrackedVolume, ...], before: _Before, surface: EdgeTarget | None
 ) -> Scene:
-    model = channels_from_mr(
-        mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=[_nearest(mr, phase) for phase in GATED]
-    )
+    model, mr = before.gated, before.mr
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
         return register_volumes(volumes, model, start, pair.center_mm, rng=rng, surface=surface)
@@ -115,25 +142,24 @@ def _retiming_error(pair: ImagePair, rr_s: float) -> FloatArray:
 
 def _same_image(pair: ImagePair) -> Scene:
     """The harness itself: "ultrasound" whose root amplitude is the model's own channel, through a tracker."""
-    mr = _mr(pair.preop)
-    tracker_from_mr = pair.mr_from_tracker.inverse()
+    before = _before(pair.spec.seed, pair.spec.motion)
+    tracker_from_mr, grid = pair.mr_from_tracker.inverse(), before.mr.grid
     pose = Rigid("tracker", "mr", tracker_from_mr.rotation, tracker_from_mr.translation_mm)
-    numbers = [_nearest(mr, phase) for phase in GATED]
-    model = channels_from_mr(mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=numbers)
     shown = root_amplitude(np.arange(256, dtype=np.uint8))
     volumes = []
-    for phase, channels in zip(GATED, model.values, strict=True):
+    for phase, channels in zip(GATED, before.gated.values, strict=True):
         level = channels[..., 0] - channels[..., 0].min()
         grey = np.searchsorted(shown, level * (shown[-1] / level.max())).clip(0, 255).astype(np.uint8)
-        mask = Volume(mr.grid, np.ones(mr.grid.shape, dtype=np.uint8))
-        volumes.append(TrackedVolume(Volume(mr.grid, grey), mask, pose, phase))
+        mask = Volume(grid, np.ones(grid.shape, dtype=np.uint8))
+        volumes.append(TrackedVolume(Volume(grid, grey), mask, pose, phase))
     # blood is bright in MR: the borders of ultrasound do not exist here
-    return _volume_scene(pair, tuple(volumes), mr, surface=None)
+    return _volume_scene(pair, tuple(volumes), before, surface=None)
 
 
 def _planes(pair: ImagePair, condition: dict[str, Any]) -> Scene:
     """Cine loops of a few tracked planes; calibration off at the fan's centre, clock late."""
-    mr, probe = _mr(pair.preop), PROBES["apical"]
+    before, probe = _before(pair.spec.seed, pair.spec.motion), PROBES["apical"]
+    mr = before.mr
     if not isinstance(probe, SectorProbe):
         raise TypeError("the apical probe makes planes")
     views = plane_views(pair.now, condition["planes"], child_rng(pair.spec.seed, "pair planes"))
@@ -158,13 +184,13 @@ def _planes(pair: ImagePair, condition: dict[str, Any]) -> Scene:
                 sequence.t_s,
                 pitch_mm=pitch,
             ),
-            channels_from_mr(mr, smoothing_mm=smoothing),
+            _channels(pair.spec.seed, pair.spec.motion, smoothing),
             pitch,
         )
         for pitch, smoothing in PLANE_LEVELS
     ]
 
-    surface = target_from_labels(label_map(pair.preop), model_phase)
+    surface = target_from_labels(before.labels, model_phase)
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
         edges = Edges(boundary_points(levels[1].slices), surface)
@@ -181,12 +207,6 @@ def _miscalibrated(probe: SectorProbe, off_mm: float, seed: int) -> ImageMap:
     true = probe.plane_from_image
     rigid = Rigid("probe", "image", true.rigid.rotation, true.rigid.translation_mm + shift)
     return ImageMap(rigid, true.scale_mm_per_px)
-
-
-def _mr(preop: Preop) -> VolumeSeries:
-    if preop.mr is None:
-        raise TypeError("the phantom's pre-operative data hold MR")
-    return preop.mr
 
 
 def _nearest(mr: VolumeSeries, phase: float) -> int:
