@@ -118,11 +118,22 @@ def _rows(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
         ("success probability", f"{result.success_probability:.2f}"),
         ("moved from start", f"{result.moved_mm:.1f} mm"),
         ("similarity", f"{result.start_similarity:.3f} at the start, {result.similarity:.3f} now"),
-        ("halves disagree by", f"{result.disagreement_mm:.2f} mm"),
+        *_checks(result),
         ("overlap", f"{100 * result.overlap:.0f} % of {result.slices} slices' pixels"),
         ("standard deviation", f"{_triple(rotation)} deg, {_triple(shift)} mm (x, y, z)"),
         ("time", f"{result.seconds:.1f} s, {result.evaluations} evaluations"),
     ]
+
+
+def _checks(result: "RegistrationResult") -> list[tuple[str, str]]:
+    """By how much each part of the evidence would rather have another pose."""
+    asked = (
+        ("interleaved halves disagree by", result.disagreement_mm),
+        ("parts of the cycle disagree by", result.phase_disagreement_mm),
+        ("halves of space disagree by", result.part_disagreement_mm),
+        ("borders disagree by", result.edge_disagreement_mm),
+    )
+    return [(name, f"{value:.2f} mm") for name, value in asked if value is not None]
 
 
 def _triple(values: Any) -> str:

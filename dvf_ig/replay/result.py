@@ -161,7 +161,10 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
         "second_best": result.second_best,
         "contrast": result.contrast,
         "overlap": result.overlap,
-        "disagreement_mm": result.disagreement_mm,
+        "disagreement_mm": _finite(result.disagreement_mm),
+        "phase_disagreement_mm": _finite(result.phase_disagreement_mm),
+        "part_disagreement_mm": _finite(result.part_disagreement_mm),
+        "edge_disagreement_mm": _finite(result.edge_disagreement_mm),
         "moved_mm": result.moved_mm,
         "slices": result.slices,
         "seconds": round(result.seconds, 3),
@@ -237,3 +240,7 @@ def true_contact(replay: Replay) -> tuple[FloatArray, FloatArray]:
 def _nearest(times: FloatArray, wanted: FloatArray) -> np.ndarray[Any, np.dtype[np.intp]]:
     right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
     return right - (wanted - times[right - 1] < times[right] - wanted)
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and np.isfinite(value) else None
