@@ -122,9 +122,11 @@ def window_mean(table: Floats, box: Any, q: int, inverse_count: float) -> float:
     return float(total * inverse_count)
 
 
-@kernel
-def explained_share(table: Floats, box: Any, inverse_count: float, mean_u: float, var_u: float) -> float:
-    """S of one patch: the share of u's variance that the best α·a + β·b + γ explains."""
+@inlined
+def patch_moments(
+    table: Floats, box: Any, inverse_count: float, mean_u: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Of one patch: means of a and b, ridged variances and covariance, and covariances with u."""
     a = window_mean(table, box, 0, inverse_count)
     b = window_mean(table, box, 1, inverse_count)
     aa = window_mean(table, box, 2, inverse_count) - a * a + RIDGE
@@ -132,6 +134,13 @@ def explained_share(table: Floats, box: Any, inverse_count: float, mean_u: float
     ab = window_mean(table, box, 4, inverse_count) - a * b
     ua = window_mean(table, box, 5, inverse_count) - mean_u * a
     ub = window_mean(table, box, 6, inverse_count) - mean_u * b
+    return a, b, aa, bb, ab, ua, ub
+
+
+@kernel
+def explained_share(table: Floats, box: Any, inverse_count: float, mean_u: float, var_u: float) -> float:
+    """S of one patch: the share of u's variance that the best α·a + β·b + γ explains."""
+    _, _, aa, bb, ab, ua, ub = patch_moments(table, box, inverse_count, mean_u)
     explained = (ua * ua * bb - 2.0 * ua * ub * ab + ub * ub * aa) / (aa * bb - ab * ab)
     return min(max(explained / var_u, 0.0), 1.0)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compiled import inlined, kernel
-from .similarity import RIDGE, Bools, Floats, Ints, integrate_products, window_mean
+from .similarity import Bools, Floats, Ints, integrate_products, patch_moments
 
 HELD = 7
 """Sums over the patches of a pixel: cα², cαβ, cβ², cα, cβ, cαγ, cβγ with c = w/(n·Var u)."""
@@ -103,12 +103,7 @@ def hold_fits(
     for p in range(begin, end):
         box = (boxes[p, 0], boxes[p, 1], boxes[p, 2], boxes[p, 3])
         inverse, mean_u, var_u = moments[p, 0], moments[p, 1], moments[p, 2]
-        a, b = window_mean(table, box, 0, inverse), window_mean(table, box, 1, inverse)
-        aa = window_mean(table, box, 2, inverse) - a * a + RIDGE
-        bb = window_mean(table, box, 3, inverse) - b * b + RIDGE
-        ab = window_mean(table, box, 4, inverse) - a * b
-        ua = window_mean(table, box, 5, inverse) - mean_u * a
-        ub = window_mean(table, box, 6, inverse) - mean_u * b
+        a, b, aa, bb, ab, ua, ub = patch_moments(table, box, inverse, mean_u)
         determinant = aa * bb - ab * ab
         alpha, beta = (ua * bb - ub * ab) / determinant, (ub * aa - ua * ab) / determinant
         gamma = mean_u - alpha * a - beta * b

@@ -79,6 +79,26 @@ def test_same_seed_same_bits() -> None:
     np.testing.assert_array_equal(poses[0], poses[1])
 
 
+def test_same_bits_at_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    coarse, fine = _levels(speckle=0.3)
+    results = []
+    for threads in (1, 2):
+        monkeypatch.setattr("dvf_ig.registration.similarity.thread_count", lambda n=threads: n)
+        results.append(
+            register_rigid(
+                coarse,
+                fine,
+                _displaced(6, 4, 3),
+                CENTER_MM,
+                rng=np.random.default_rng(5),
+                options=RegistrationOptions(starts=1, ask_parts=True),
+            )
+        )
+    np.testing.assert_array_equal(results[0].mr_from_tracker.matrix, results[1].mr_from_tracker.matrix)
+    np.testing.assert_array_equal(results[0].covariance, results[1].covariance)
+    assert results[0].part_disagreement_mm == results[1].part_disagreement_mm
+
+
 def test_noise_instead_of_a_heart_is_not_called_a_success() -> None:
     coarse, fine = _levels(speckle=0.0, matching=False)
     result = register_rigid(
