@@ -1,0 +1,206 @@
+"""Gated volumes as planes: averaged as a readable twin says, and placed where the tracker saw them."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dvf_ig.core import (
+    AnyArray,
+    FloatArray,
+    FrameMismatchError,
+    Grid,
+    InvalidInputError,
+    Rigid,
+    TrackedVolume,
+    Volume,
+)
+from dvf_ig.kernels.pool import pool_blocks
+from dvf_ig.registration import SliceSet, prepare_volumes
+from dvf_ig.registration.slices import joined, within
+
+TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
+POSE = Rigid.from_rotation_vector([-0.6, 0.2, 1.1], [40.0, -70.0, 15.0], "tracker", "probe")
+SHAPE = (20, 16, 13)
+
+
+def oblique(spacing_mm: float = 1.5, shape: tuple[int, int, int] = SHAPE) -> Grid:
+    return Grid("probe", shape, np.array([-7.0, 3.0, 11.0]), np.full(3, spacing_mm), TURN)
+
+
+def tracked(
+    grey: AnyArray, *, mask: AnyArray | None = None, grid: Grid | None = None, pose: Rigid = POSE
+) -> TrackedVolume:
+    grid = grid or oblique(shape=(grey.shape[0], grey.shape[1], grey.shape[2]))
+    seen = np.ones(grey.shape, dtype=np.uint8) if mask is None else mask
+    return TrackedVolume(Volume(grid, grey), Volume(grid, seen), pose, 0.35, 2.5)
+
+
+def places(slices: SliceSet) -> FloatArray:
+    """(s, rows, columns, 3) mm of every pixel, in the slices' frame."""
+    row, column = np.mgrid[: slices.images.shape[1], : slices.images.shape[2]]
+    pixels = np.stack([column, row, np.ones_like(row)], axis=-1)
+    return np.asarray(np.einsum("sij,rcj->srci", slices.frame_from_pixel, pixels))
+
+
+def root(grey: int) -> float:
+    """Square root of the echo amplitude of a grey level of 60 dB in 255 steps."""
+    return float(10 ** ((grey / 255 - 1) * 60 / 40)) if grey else 0.0
+
+
+@pytest.mark.parametrize("step", [1, 2, 3])
+def test_blocks_are_averaged_as_the_twin_says(step: int) -> None:
+    rng = np.random.default_rng(step)
+    grey = rng.integers(0, 256, SHAPE).astype(np.uint8)
+    mask = (rng.random(SHAPE) > 0.01).astype(np.uint8) * 7
+    table = rng.random(256).astype(np.float32)
+    small = tuple(n // step for n in SHAPE)
+    cut = tuple(slice(0, n * step) for n in small)
+    blocks = (small[0], step, small[1], step, small[2], step)
+    mean = table[grey][cut].astype(np.float64).reshape(blocks).mean(axis=(1, 3, 5))
+    whole = (mask[cut] > 0).reshape(blocks).all(axis=(1, 3, 5))
+    out = np.full(small, -1.0, dtype=np.float32)
+    pool_blocks(grey, mask, table, step, out)
+    assert 0 < whole.sum() < whole.size
+    np.testing.assert_allclose(out, np.where(whole, mean, np.nan), rtol=2e-6)
+
+
+def test_a_bright_block_is_where_the_tracker_saw_it_on_planes_along_every_axis() -> None:
+    grey = np.zeros(SHAPE, dtype=np.uint8)
+    grey[8:10, 4:6, 6:8] = 200
+    slices = prepare_volumes([tracked(grey)], pitch_mm=3.0, planes=20)
+    lit = slices.images > 0
+    assert lit.sum() == 3, "one pixel of one plane along each axis"
+    middle = POSE.apply_array(oblique().to_mm(np.array([8.5, 4.5, 6.5])))
+    np.testing.assert_allclose(places(slices)[lit], np.tile(middle, (3, 1)), atol=1e-9)
+    np.testing.assert_allclose(slices.images[lit], root(200), rtol=1e-6)
+    normals = [np.cross(m[:, 0], m[:, 1]) for m in slices.frame_from_pixel[lit.any(axis=(1, 2))]]
+    along = np.abs(np.array(normals) @ POSE.rotation @ TURN) / np.linalg.norm(normals, axis=1)[:, None]
+    np.testing.assert_allclose(along[np.argmax(along, axis=1).argsort()], np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(slices.frame_from_pixel[:, :, :2], axis=1), 3.0, rtol=1e-9)
+    assert slices.frame == "tracker"
+    assert set(slices.model_phase) == {0.35}
+    assert set(slices.t_s) == {2.5}
+
+
+def test_brightness_follows_place_on_every_pixel() -> None:
+    """Grey grows along one direction of space: the twin reads it at the place that each pixel claims."""
+    grid = oblique()
+    direction = np.array([0.6, -0.3, 0.74])
+    ramp = grid.centers_mm() @ direction
+    level = (ramp - ramp.min()) / np.ptp(ramp)
+    grey = np.rint(255 + 85 * np.log10(0.2 + 0.8 * level) * 2).clip(0, 255).astype(np.uint8)
+    slices = prepare_volumes([tracked(grey)], pitch_mm=3.0, planes=4)
+    in_probe = POSE.inverse().apply_array(places(slices)[slices.masks])
+    expected = 0.2 + 0.8 * (in_probe @ direction - ramp.min()) / np.ptp(ramp)
+    # 60 dB in 255 levels: half a level of rounding is 1.4 % of the root amplitude
+    np.testing.assert_allclose(slices.images[slices.masks], expected, rtol=0.014)
+
+
+def test_what_was_not_insonified_is_no_pixel() -> None:
+    rng = np.random.default_rng(1)
+    grey = rng.integers(100, 256, SHAPE).astype(np.uint8)
+    first = 7
+    mask = np.zeros(SHAPE, dtype=np.uint8)
+    mask[first:] = 1
+    slices = prepare_volumes([tracked(grey, mask=mask)], pitch_mm=3.0, planes=20)
+    index = oblique().to_index(POSE.inverse().apply_array(places(slices)))
+    # the block of voxels 6 and 7 lies half outside and is left out whole
+    inside = (index[..., 0] > first + 0.9) & (index > 0).all(axis=-1) & (index < np.array(SHAPE) - 1).all(-1)
+    np.testing.assert_array_equal(slices.masks, inside)
+    assert (slices.images[slices.masks] > root(99)).all()
+    assert not slices.images[~slices.masks].any()
+
+
+def test_volumes_keep_their_own_pose_and_phase() -> None:
+    grey = np.zeros(SHAPE, dtype=np.uint8)
+    grey[8:10, 4:6, 6:8] = 255
+    larger = np.zeros((24, 16, 13), dtype=np.uint8)
+    larger[8:10, 4:6, 6:8] = 255
+    other = Rigid.from_rotation_vector([0.1, 0.9, -0.4], [-30.0, 5.0, 80.0], "tracker", "probe")
+    grid = oblique(shape=(24, 16, 13))
+    second = TrackedVolume(Volume(grid, larger), Volume(grid, np.ones_like(larger)), other, 0.7)
+    slices = prepare_volumes([tracked(grey), second], pitch_mm=3.0, planes=20)
+    middle = oblique().to_mm(np.array([8.5, 4.5, 6.5]))
+    for phase, pose in ((0.35, POSE), (0.7, other)):
+        chosen = slices.subset(np.flatnonzero(slices.model_phase == phase))
+        found = places(chosen)[chosen.images > 0.9]
+        np.testing.assert_allclose(found, np.tile(pose.apply_array(middle), (3, 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize("planes", [2, 4, 6])
+def test_about_so_many_planes_are_taken_along_each_axis(planes: int) -> None:
+    grey = np.full((24, 24, 24), 128, dtype=np.uint8)
+    slices = prepare_volumes([tracked(grey)], pitch_mm=1.5, planes=planes)
+    assert len(slices) == 3 * planes
+    center = POSE.apply_array(oblique().to_mm(np.full(3, 11.5)))
+    # to within half a plane's distance they lie about the middle
+    assert np.abs(places(slices).mean(axis=(0, 1, 2)) - center).max() < 0.5 * 1.5 * 24 / planes
+
+
+def test_misuse_is_refused() -> None:
+    grey = np.full(SHAPE, 90, dtype=np.uint8)
+    with pytest.raises(InvalidInputError, match="at least one"):
+        prepare_volumes([], pitch_mm=3.0, planes=6)
+    flat = Grid("probe", SHAPE, np.zeros(3), np.array([1.0, 1.0, 1.2]), np.eye(3))
+    with pytest.raises(InvalidInputError, match="equal edges"):
+        prepare_volumes([tracked(grey, grid=flat)], pitch_mm=3.0, planes=6)
+    with pytest.raises(InvalidInputError, match="insonified"):
+        prepare_volumes([tracked(grey, mask=np.zeros(SHAPE, dtype=np.uint8))], pitch_mm=3.0, planes=6)
+    elsewhere = Rigid.from_rotation_vector([0, 0, 0], [0, 0, 0], "room", "probe")
+    with pytest.raises(FrameMismatchError):
+        prepare_volumes([tracked(grey), tracked(grey, pose=elsewhere)], pitch_mm=3.0, planes=6)
+    with pytest.raises(FrameMismatchError):
+        tracked(grey, pose=Rigid.from_rotation_vector([0, 0, 0], [0, 0, 0], "tracker", "plane"))
+    with pytest.raises(InvalidInputError, match="uint8"):
+        tracked(grey.astype(np.float32))
+    small = Volume(oblique(shape=(3, 3, 3)), np.ones((3, 3, 3), dtype=np.uint8))
+    with pytest.raises(InvalidInputError, match="same grid"):
+        TrackedVolume(Volume(oblique(), grey), small, POSE, 0.0)
+
+
+def test_a_volume_smaller_than_a_block_is_refused() -> None:
+    with pytest.raises(InvalidInputError):
+        prepare_volumes([tracked(np.full((4, 4, 2), 90, dtype=np.uint8))], pitch_mm=4.5, planes=6)
+
+
+def flat_slices(count: int, rows: int, columns: int, frame: str = "tracker", seed: int = 0) -> SliceSet:
+    rng = np.random.default_rng(seed)
+    masks = rng.random((count, rows, columns)) > 0.2
+    maps = np.stack(
+        [
+            np.column_stack([2.0 * r[:, :2], rng.normal(0, 8, 3)])
+            for r in Rotation.random(count, rng=rng).as_matrix()
+        ]
+    )
+    images = np.where(masks, rng.random(masks.shape), 0).astype(np.float32)
+    return SliceSet(frame, images, masks, maps, rng.random(count), np.arange(count) + 10.0 * seed)
+
+
+def test_within_keeps_what_the_image_covers() -> None:
+    slices = flat_slices(5, 14, 11)
+    grid = Grid("mr", (12, 15, 9), np.array([-9.0, -12.0, -6.0]), np.array([2.0, 1.5, 2.5]), TURN.T)
+    pose = Rigid.from_rotation_vector([0.2, 0.1, -0.4], [3.0, -2.0, 1.0], "mr", "tracker")
+    found = within(slices, grid, pose)
+    index = grid.to_index(pose.apply_array(places(slices)))
+    covered = ((index >= 0) & (index <= np.array(grid.shape) - 1)).all(axis=-1)
+    np.testing.assert_array_equal(found.masks, slices.masks & covered)
+    assert 0 < found.masks.sum() < slices.masks.sum()
+    np.testing.assert_array_equal(found.images, np.where(covered, slices.images, 0))
+    for name in ("frame_from_pixel", "model_phase", "t_s"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(slices, name))
+
+
+def test_joined_slices_are_the_same_slices() -> None:
+    first, second = flat_slices(2, 5, 9), flat_slices(3, 8, 6, seed=1)
+    both = joined([first, second])
+    assert both.images.shape == both.masks.shape == (5, 8, 9)
+    for part, kept in ((first, slice(0, 2)), (second, slice(2, 5))):
+        _, rows, columns = part.images.shape
+        np.testing.assert_array_equal(both.images[kept, :rows, :columns], part.images)
+        np.testing.assert_array_equal(both.masks[kept, :rows, :columns], part.masks)
+        for name in ("frame_from_pixel", "model_phase", "t_s"):
+            np.testing.assert_array_equal(getattr(both, name)[kept], getattr(part, name))
+        assert both.masks[kept].sum() == part.masks.sum()
+        assert np.count_nonzero(both.images[kept]) == np.count_nonzero(part.images)
+    with pytest.raises(FrameMismatchError):
+        joined([first, flat_slices(2, 5, 9, frame="room")])
