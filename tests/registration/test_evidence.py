@@ -19,13 +19,17 @@ from dvf_ig.registration import (
 from dvf_ig.registration.climb import ClimbOptions, climb
 from dvf_ig.registration.curvature import Curvature, curvature_about
 from dvf_ig.registration.evidence import (
+    TRACKED_LIMITS,
+    VOLUME_LIMITS,
     Evidence,
     contrast_of,
-    evidence_of,
-    halves_of,
+    doubt_of,
+    halves_mm,
     phase_groups,
+    phases_mm,
     success_probability,
 )
+from dvf_ig.registration.parts import half_space, part_disagreement_mm
 from dvf_ig.registration.slices import joined
 
 MODEL = channels_from_mr(toy_mr(), smoothing_mm=3.0)
@@ -59,7 +63,7 @@ def optimum(slices: SliceSet) -> Curvature:
 
 
 def evidence(curvature: Curvature, phases: FloatArray = PHASES) -> Evidence:
-    return evidence_of(curvature, phases, 6.0, 0.5)
+    return Evidence(6.0, halves_mm(curvature), phases_mm(curvature, phases), 1.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -73,8 +77,8 @@ def evidence(curvature: Curvature, phases: FloatArray = PHASES) -> Evidence:
     ],
 )
 def test_halves_made_with_two_poses_disagree_by_their_distance(xi_mm: tuple[float, ...]) -> None:
-    even, odd = halves_of(len(SLICES))
-    other = displaced(np.array(xi_mm))
+    even = np.arange(len(SLICES)) % 2 == 0
+    odd, other = ~even, displaced(np.array(xi_mm))
     found = optimum(moved(odd, other))
     apart = distance_between(toy_pose(), other, CENTER_MM)
     # one step of Newton's from between the two; what is left without displacement is the 3 mm pixel
@@ -93,13 +97,6 @@ def test_a_displaced_part_of_the_cycle_is_found(group: int) -> None:
     assert still.phases_mm < 0.25 * apart
     assert found.phases_mm == pytest.approx(apart, rel=0.3)
     assert found.phases_mm > found.halves_mm, "the halves hold as much of it each"
-
-
-def test_halves_are_every_second_slice() -> None:
-    for count in (2, 7):
-        even, odd = halves_of(count)
-        assert np.flatnonzero(even).tolist() == list(range(0, count, 2))
-        np.testing.assert_array_equal(odd, ~even)
 
 
 def test_parts_of_the_cycle_are_contiguous_equal_and_complete() -> None:
@@ -126,18 +123,52 @@ def test_contrast_is_of_the_match_and_not_of_the_image() -> None:
         contrast_of(Lc2(s, MODEL, patch_mm=13.0, pitch_mm=3.0), c, np.random.default_rng(8))
         for s, c in ((SLICES, chart), (SLICES, away), (noise, chart))
     )
-    enough = RegistrationOptions().min_contrast
+    enough = RegistrationOptions().limits.contrast
     assert at > enough > off
     assert abs(none) < 3.0, "one draw among wrong ones: three standard deviations"
 
 
-def test_probability_follows_the_evidence() -> None:
-    good = evidence(optimum(SLICES))
-    chances = [
-        [success_probability(replace(good, **{name: value})) for value in values]
-        for name, values in (("contrast", (0.0, 2.0, 4.0, 8.0)), ("halves_mm", (np.inf, 20.0, 3.0, 0.1)))
-    ]
-    for row in chances:
-        assert all(0.0 <= chance <= 1.0 for chance in row)
-        assert row == sorted(row)
-        assert row[-1] > row[0]
+def test_the_weakest_check_decides() -> None:
+    good = Evidence(contrast=11.0, halves_mm=0.2, phases_mm=0.5, parts_mm=0.9, edges_mm=0.8)
+    assert doubt_of(good, VOLUME_LIMITS) == pytest.approx(0.5)
+    for name, bad in (
+        ("contrast", 2.75),
+        ("halves_mm", 4.0),
+        ("phases_mm", 2.44),
+        ("parts_mm", 4.5),
+        ("edges_mm", 5.4),
+    ):
+        assert doubt_of(replace(good, **{name: bad}), VOLUME_LIMITS) == pytest.approx(2.0)
+    assert doubt_of(replace(good, parts_mm=None, edges_mm=None), VOLUME_LIMITS) == pytest.approx(0.5)
+    assert doubt_of(replace(good, parts_mm=float("nan")), VOLUME_LIMITS) == np.inf
+    assert doubt_of(replace(good, phases_mm=100.0), TRACKED_LIMITS) < 1.0
+
+
+def test_probability_falls_with_doubt_and_is_even_at_the_limit() -> None:
+    chances = [success_probability(doubt) for doubt in (0.0, 0.5, 0.9, 1.0, 1.1, 2.0, np.inf)]
+    assert all(0.0 <= chance <= 1.0 for chance in chances)
+    assert chances == sorted(chances, reverse=True)
+    assert chances[3] == 0.5
+    assert chances[0] > 0.999
+    assert chances[-1] < 1e-9
+
+
+def test_halves_of_space_hold_each_pixel_once() -> None:
+    for axis in range(3):
+        sides = [half_space(SLICES, toy_pose(), CENTER_MM, axis, sign) for sign in (1.0, -1.0)]
+        assert sum(int(side.masks.sum()) for side in sides) == int(SLICES.masks.sum())
+        assert all((side.images[~side.masks] == 0).all() for side in sides)
+
+
+def test_halves_of_space_tear_a_bent_heart_apart() -> None:
+    """Slices on one side of the centre were seen with the heart 4 mm along: no one pose fits."""
+    whole = part_disagreement_mm(SLICES, MODEL, toy_pose(), CENTER_MM, 13.0, 3.0)
+    side = half_space(SLICES, toy_pose(), CENTER_MM, 0, 1.0)
+    rest = half_space(SLICES, toy_pose(), CENTER_MM, 0, -1.0)
+    step = displaced(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 4.0])).inverse() @ toy_pose()
+    maps = step.rotation @ side.frame_from_pixel
+    maps[:, :, 2] += step.translation_mm
+    bent = joined([rest, replace(side, frame_from_pixel=maps)])
+    torn = part_disagreement_mm(bent, MODEL, toy_pose(), CENTER_MM, 13.0, 3.0)
+    assert whole < 0.7
+    assert torn > whole + 0.8
