@@ -1,0 +1,156 @@
+"""Boundary points against a spline of signed distance: sums of one robust Gauss–Newton step, in one pass.
+
+A point p with in-plane normal n (unit, from dark to bright) is moved to q = R p + t; the spline of its phase
+gives the distance d there and its gradient g. With s = +1 where d grows towards the bright side, −1 else,
+
+    r = d − o,   m = max(0, s n·g/|g|),   ω = a m / (1 + r²/σ²)²,   J = [(q − c) × g/ρ, g, −1]
+
+so that a point counts only where its normal agrees with the surface's (Geman–McClure; Black and Rangarajan
+1996). The share a m/(1 + r²/σ²), summed, is what the step increases.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core import FloatArray, IntArray
+
+from .compiled import inlined, kernel
+from .lanes import numbers
+from .spline import cell_value_gradient, find_cell, inside_box
+
+UNKNOWNS = 7
+"""Six of the pose (see `registration.chart`), then the uniform offset o."""
+SUMS = UNKNOWNS * UNKNOWNS + UNKNOWNS + 3
+"""JᵀωJ row by row, Jᵀωr, then Σ of the shares, Σ a m, and Σ ωr²."""
+
+
+@inlined
+def _at(
+    coefficients: NDArray[np.float32], phase: int, m: FloatArray, x: float, y: float, z: float
+) -> tuple[bool, float, float, float, float]:
+    """Whether (x, y, z) lies in the spline's box; distance and gradient per mm. `m`: (3, 4) knots from mm."""
+    cells = (coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3)
+    u = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+    v = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+    w = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+    if not inside_box(u, v, w, cells):
+        return False, 0.0, 0.0, 0.0, 0.0
+    d, a, b, c = numbers(cell_value_gradient(coefficients, np.uintp(phase), find_cell(u, v, w, cells)))
+    gx = m[0, 0] * a + m[1, 0] * b + m[2, 0] * c
+    gy = m[0, 1] * a + m[1, 1] * b + m[2, 1] * c
+    gz = m[0, 2] * a + m[1, 2] * b + m[2, 2] * c
+    return True, d, gx, gy, gz
+
+
+@inlined
+def _turned(pose: FloatArray, vectors: FloatArray, i: int) -> tuple[float, float, float]:
+    """R v of one row."""
+    x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
+    return (
+        pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z,
+        pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z,
+        pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z,
+    )
+
+
+@inlined
+def _agreement(pose: FloatArray, normals: FloatArray, i: int, gx: float, gy: float, gz: float) -> float:
+    """Cosine between the moved normal and the gradient; 0 where the gradient vanishes."""
+    length = math.sqrt(gx * gx + gy * gy + gz * gz)
+    if not length > 1e-6:
+        return 0.0
+    nx, ny, nz = _turned(pose, normals, i)
+    return (nx * gx + ny * gy + nz * gz) / length
+
+
+@inlined
+def _add_row(out: FloatArray, row: FloatArray, w: float, r: float) -> None:
+    """One point's part of JᵀωJ (lower half) and Jᵀωr."""
+    for j in range(UNKNOWNS):
+        wj = w * row[j]
+        for k in range(j + 1):
+            out[UNKNOWNS * j + k] += wj * row[k]
+        out[UNKNOWNS * UNKNOWNS + j] += wj * r
+
+
+@kernel
+def edge_step_sums(
+    points: FloatArray,
+    normals: FloatArray,
+    weights: FloatArray,
+    phases: IntArray,
+    coefficients: NDArray[np.float32],
+    knots_from_mm: FloatArray,
+    brighter: float,
+    pose: FloatArray,
+    center_mm: FloatArray,
+    radius_mm: float,
+    offset_mm: float,
+    sigma_mm: float,
+    out: FloatArray,
+) -> None:
+    """Sums of one step; see the module docstring.
+
+    Args:
+        points, normals, weights, phases: (n, 3), (n, 3), (n,) a, (n,) which spline.
+        coefficients: (k, cx, cy, cz) mm.
+        knots_from_mm: (3, 4).
+        brighter: s.
+        pose: (3, 4) R and t.
+        center_mm: (3,) c; radius_mm: ρ; offset_mm: o; sigma_mm: σ.
+        out: (SUMS,).
+    """
+    out[:] = 0.0
+    row = np.empty(UNKNOWNS)
+    share, matched, squares = 0.0, 0.0, 0.0
+    for i in range(len(points)):
+        x, y, z = _turned(pose, points, i)
+        x, y, z = x + pose[0, 3], y + pose[1, 3], z + pose[2, 3]
+        inside, d, gx, gy, gz = _at(coefficients, phases[i], knots_from_mm, x, y, z)
+        if not inside:
+            continue
+        agree = _agreement(pose, normals, i, gx, gy, gz) * brighter
+        if agree <= 0.0:
+            continue
+        r = d - offset_mm
+        near = 1.0 / (1.0 + r * r / (sigma_mm * sigma_mm))
+        a = weights[i] * agree
+        w = a * near * near
+        x -= center_mm[0]
+        y -= center_mm[1]
+        z -= center_mm[2]
+        row[0] = (y * gz - z * gy) / radius_mm
+        row[1] = (z * gx - x * gz) / radius_mm
+        row[2] = (x * gy - y * gx) / radius_mm
+        row[3], row[4], row[5], row[6] = gx, gy, gz, -1.0
+        _add_row(out, row, w, r)
+        share += a * near
+        matched += a
+        squares += w * r * r
+    for j in range(UNKNOWNS):
+        for k in range(j):
+            out[UNKNOWNS * k + j] = out[UNKNOWNS * j + k]
+    out[SUMS - 3], out[SUMS - 2], out[SUMS - 1] = share, matched, squares
+
+
+@kernel
+def edge_residuals(
+    points: FloatArray,
+    normals: FloatArray,
+    phases: IntArray,
+    coefficients: NDArray[np.float32],
+    knots_from_mm: FloatArray,
+    brighter: float,
+    pose: FloatArray,
+    distance_mm: FloatArray,
+    agreement: FloatArray,
+) -> None:
+    """Distance and agreement of the normal at every point, into (n,) each; NaN and 0 outside the spline."""
+    for i in range(len(points)):
+        x, y, z = _turned(pose, points, i)
+        x, y, z = x + pose[0, 3], y + pose[1, 3], z + pose[2, 3]
+        inside, d, gx, gy, gz = _at(coefficients, phases[i], knots_from_mm, x, y, z)
+        distance_mm[i] = d if inside else math.nan
+        agreement[i] = _agreement(pose, normals, i, gx, gy, gz) * brighter if inside else 0.0
