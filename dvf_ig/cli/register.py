@@ -110,6 +110,8 @@ def _files(out: Path, name: str) -> tuple[Path, Path]:
 def _rows(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
     import numpy as np
 
+    from dvf_ig.registration import weak_direction
+
     sd = np.sqrt(np.diag(result.covariance))
     rotation, shift = np.degrees(sd[:3]), sd[3:]
     return [
@@ -121,6 +123,7 @@ def _rows(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
         *_checks(result),
         ("overlap", f"{100 * result.overlap:.0f} % of {result.slices} slices' pixels"),
         ("standard deviation", f"{_triple(rotation)} deg, {_triple(shift)} mm (x, y, z)"),
+        ("weak direction", weak_direction(result.covariance).sentence()),
         ("time", f"{result.seconds:.1f} s, {result.evaluations} evaluations"),
     ]
 

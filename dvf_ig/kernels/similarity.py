@@ -2,14 +2,13 @@
 
 In each square patch of a slice the ultrasound u is fitted by α·a + β·b + γ, where a and b are two channels of
 the model at that place (MR intensity and gradient magnitude, or blood and wall maps). The patch scores
-S = 1 − Var(residual)/Var(u), the slice the mean of S weighted by the patch's standard deviation of u.
+S = 1 − Var(residual)/Var(u), the slice the weighted mean of S.
 
 Window sums come from integral images, so the cost does not depend on the patch size; the seven sums of a
 pixel lie side by side, so a window costs four cache lines. What depends on u alone is computed once per slice
 set. Each slice writes its own results: they are the same at any thread count.
 """
 
-import math
 from typing import Any
 
 import numpy as np
@@ -166,7 +165,7 @@ def lc2_slices(
     Args:
         images: (s, rows, columns) ultrasound, 0 outside the mask; masks: (s, rows, columns).
         first_patch: (s + 1,) where each slice's patches begin.
-        boxes: (p, 4) windows; moments: (p, 3) one over the pixel count, mean and variance of u in each.
+        boxes: (p, 4) windows; moments: (p, 4) one over the pixel count, mean and variance of u, and weight.
         matrices: (s, 3, 3) voxel index from (column, row, 1).
         phases: (s,) which volume each slice is compared with.
         channels: (n, nx, ny, nz, 2).
@@ -180,7 +179,7 @@ def lc2_slices(
         weight = 0.0
         for p in range(first_patch[s], first_patch[s + 1]):
             box = (boxes[p, 0], boxes[p, 1], boxes[p, 2], boxes[p, 3])
-            w = math.sqrt(moments[p, 2])
+            w = moments[p, 3]
             score += w * explained_share(tables[s], box, moments[p, 0], moments[p, 1], moments[p, 2])
             weight += w
         out[s, 0] = score

@@ -5,8 +5,6 @@ u − α·a − β·b − γ, and a and b change with the pose by their gradient
 it needs of them are seven sums, which come from integral images of differences as the window sums do.
 """
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -90,7 +88,7 @@ def hold_fits(
 
     Args:
         table: integral images of `integrate_products`.
-        boxes, moments: (p, 4), (p, 3) as in `lc2_slices`.
+        boxes, moments: (p, 4), (p, 4) as in `lc2_slices`.
         held: (rows + 1, columns + 1, HELD) out: at pixel (r, c) the sums over its patches.
     Returns:
         Σ w·S and Σ w.
@@ -107,7 +105,7 @@ def hold_fits(
         determinant = aa * bb - ab * ab
         alpha, beta = (ua * bb - ub * ab) / determinant, (ub * aa - ua * ab) / determinant
         gamma = mean_u - alpha * a - beta * b
-        w = math.sqrt(var_u)
+        w = moments[p, 3]
         score += w * min(max((alpha * ua + beta * ub) / var_u, 0.0), 1.0)
         total += w
         c = w * inverse / var_u

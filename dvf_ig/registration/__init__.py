@@ -13,6 +13,7 @@ from .channels import channels_from_still as channels_from_still
 from .chart import HEART_RADIUS_MM as HEART_RADIUS_MM
 from .chart import PoseChart as PoseChart
 from .chart import distance_between as distance_between
+from .coverage import even_weights as even_weights
 from .edge_fit import EPICARDIUM_FIT as EPICARDIUM_FIT
 from .edge_fit import EdgeFit as EdgeFit
 from .edge_fit import EdgeFitOptions as EdgeFitOptions
@@ -43,6 +44,7 @@ from .slices import SliceSet as SliceSet
 from .slices import fan_mask_from_images as fan_mask_from_images
 from .slices import prepare_slices as prepare_slices
 from .slices import root_amplitude as root_amplitude
+from .slices import shown_brightness as shown_brightness
 from .slices import slices_of_volume as slices_of_volume
 from .slices import spread as spread
 from .track import BeatLook as BeatLook
@@ -51,3 +53,5 @@ from .track import look_at_beat as look_at_beat
 from .volumes import VOLUME_SMOOTHING_MM as VOLUME_SMOOTHING_MM
 from .volumes import prepare_volumes as prepare_volumes
 from .volumes import register_volumes as register_volumes
+from .weakness import Weakness as Weakness
+from .weakness import weak_direction as weak_direction

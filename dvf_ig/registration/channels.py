@@ -53,22 +53,32 @@ def _intensity_channels(
 ) -> ModelChannels:
     sigma = [0.0, *(smoothing_mm / grid.spacing_mm)]
     smooth = ndimage.gaussian_filter(values.astype(np.float32), sigma, mode="nearest")
-    gradient = np.zeros_like(smooth)
+    return ModelChannels(grid, _stacked(smooth, _steepness(smooth, grid)), fractions)
+
+
+def _steepness(smooth: NDArray[np.float32], grid: Grid) -> NDArray[np.float32]:
+    """Gradient magnitude per mm of each of (n, nx, ny, nz) volumes."""
+    squares = np.zeros_like(smooth)
     for axis, step in enumerate(grid.spacing_mm, start=1):
-        gradient += np.square(np.gradient(smooth, float(step), axis=axis))
-    return ModelChannels(grid, _stacked(smooth, np.sqrt(gradient)), fractions)
+        squares += np.square(np.gradient(smooth, float(step), axis=axis))
+    return np.asarray(np.sqrt(squares), dtype=np.float32)
 
 
 def channels_from_labels(labels: VolumeSeries, *, smoothing_mm: float) -> ModelChannels:
-    """Soft blood and wall maps of a label series (0 outside, 1 wall, 2 blood)."""
+    """Soft blood map and outline of the heart, from a label series (0 outside, 1 wall, 2 blood).
+
+    Ultrasound shows blood dark and the heart's outline bright, where wall and what lies beyond it are alike.
+    """
     if not (labels.values == BLOOD).any() or not (labels.values == WALL).any():
         raise InvalidInputError("the label map has no wall or no blood; needed labels 1 (wall) and 2 (blood)")
     sigma = [0.0, *(smoothing_mm / labels.grid.spacing_mm)]
-    soft = [
-        ndimage.gaussian_filter((labels.values == value).astype(np.float32), sigma, mode="nearest")
-        for value in (BLOOD, WALL)
-    ]
-    return ModelChannels(labels.grid, _stacked(soft[0], soft[1]), labels.timing.fractions)
+    blood, heart = (
+        ndimage.gaussian_filter(part.astype(np.float32), sigma, mode="nearest")
+        for part in (labels.values == BLOOD, labels.values != 0)
+    )
+    return ModelChannels(
+        labels.grid, _stacked(blood, _steepness(heart, labels.grid)), labels.timing.fractions
+    )
 
 
 def _stacked(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -44,6 +44,7 @@ class RegistrationOptions:
         starts: displaced copies of the start pose, besides the start itself.
         spread_mm: how far a displaced copy is from the start at the heart's radius.
         patch_mm: edge of an LC2 patch.
+        even_mm: width over which patches share their weight, see `coverage`; None: they do not.
         bound_mm: how far a pose may move from the start over the heart.
         min_overlap: least share of the slices inside the model's volume.
         limits: what the evidence may be.
@@ -53,6 +54,7 @@ class RegistrationOptions:
     starts: int = 12
     spread_mm: float = 9.0
     patch_mm: float = 13.0
+    even_mm: float | None = None
     bound_mm: float = 30.0
     candidates: int = 3
     min_overlap: float = 0.35
@@ -216,7 +218,9 @@ def register_rigid(
 
 
 def _metric(level: Level, opts: RegistrationOptions) -> Lc2:
-    return Lc2(level.slices, level.model, patch_mm=opts.patch_mm, pitch_mm=level.pitch_mm)
+    return Lc2(
+        level.slices, level.model, patch_mm=opts.patch_mm, pitch_mm=level.pitch_mm, even_mm=opts.even_mm
+    )
 
 
 def _parts_mm(level: Level, pose: Rigid, center_mm: FloatArray, opts: RegistrationOptions) -> float | None:

@@ -15,6 +15,7 @@ from dvf_ig.kernels.similarity_step import HELD, NORMAL, lc2_normal_slices
 
 from .channels import ModelChannels
 from .chart import HEART_RADIUS_MM
+from .coverage import even_weights, patch_centers_mm
 from .slices import SliceSet
 
 MIN_FILL = 0.6
@@ -69,7 +70,8 @@ class Patches:
     Attributes:
         first: (s + 1,) where each slice's patches begin.
         boxes: (p, 4) first row, last row + 1, first column, last column + 1.
-        moments: (p, 3) one over the pixel count, mean and variance of the ultrasound.
+        moments: (p, 4) one over the pixel count, mean and variance of the ultrasound, and weight: its
+            standard deviation, over how often the place was seen where that is asked for.
     """
 
     first: IntArray
@@ -77,8 +79,12 @@ class Patches:
     moments: FloatArray
 
 
-def patches_of(slices: SliceSet, radius: int) -> Patches:
-    """Patches of (2·radius + 1)² pixels, cut at the image border, inside the sector, not flat."""
+def patches_of(slices: SliceSet, radius: int, even_mm: float | None = None) -> Patches:
+    """Patches of (2·radius + 1)² pixels, cut at the image border, inside the sector, not flat.
+
+    Args:
+        even_mm: width over which neighbours share their weight (see `coverage`); None: they do not.
+    """
     rows, cols = slices.images.shape[1:]
     row, col = (a.ravel() for a in np.mgrid[0:rows:CENTER_STEP, 0:cols:CENTER_STEP])
     boxes = np.column_stack(
@@ -98,9 +104,11 @@ def patches_of(slices: SliceSet, radius: int) -> Patches:
     mean = total * inverse
     variance = squares * inverse - mean * mean
     use = full & (variance > FLAT)
-    first = np.concatenate([[0], np.cumsum(use.sum(axis=1))])
-    moments = np.column_stack([inverse[use], mean[use], variance[use]])
-    return Patches(first.astype(np.int64), boxes[np.nonzero(use)[1]], moments)
+    first = np.concatenate([[0], np.cumsum(use.sum(axis=1))]).astype(np.int64)
+    chosen, weight = boxes[np.nonzero(use)[1]], np.sqrt(variance[use])
+    if even_mm is not None:
+        weight *= even_weights(patch_centers_mm(slices, first, chosen), even_mm)
+    return Patches(first, chosen, np.column_stack([inverse[use], mean[use], variance[use], weight]))
 
 
 def _window_sums(stack: FloatArray, radius: int) -> FloatArray:
@@ -119,12 +127,21 @@ class Lc2:
     Source: Wein 2013, eq. 3–5. Differs from source: 2-D patches in the tracked slices, phase-matched volumes.
     """
 
-    def __init__(self, slices: SliceSet, model: ModelChannels, *, patch_mm: float, pitch_mm: float) -> None:
+    def __init__(
+        self,
+        slices: SliceSet,
+        model: ModelChannels,
+        *,
+        patch_mm: float,
+        pitch_mm: float,
+        even_mm: float | None = None,
+    ) -> None:
+        """`even_mm`: see `patches_of`."""
         self._slices = slices
         self._model = model
         self._phases = model.nearest_phase(slices.model_phase)
         radius = max(2, round(patch_mm / pitch_mm / 2))
-        self._patches = patches_of(slices, radius)
+        self._patches = patches_of(slices, radius, even_mm)
         self._patch_pixels = (2 * radius + 1) ** 2
         s, rows, cols = slices.images.shape
         self._values = np.empty((s, rows, cols, 2))

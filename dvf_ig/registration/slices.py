@@ -1,6 +1,6 @@
 """Tracked ultrasound slices prepared for registration: amplitude, pitch, fan mask, place and phase."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -28,7 +28,8 @@ class SliceSet:
 
     Attributes:
         frame: frame in which the slices lie, e.g. "tracker".
-        images: (s, rows, columns) float32, square root of the echo amplitude, 0 outside the mask.
+        images: (s, rows, columns) float32 brightness, as a rule the square root of the echo amplitude; 0
+            outside the mask.
         masks: (s, rows, columns), the insonified sector, eroded.
         frame_from_pixel: (s, 3, 3) mm from (column, row, 1) of this pitch.
         model_phase: (s,) where in the model's cycle each slice was seen, [0, 1).
@@ -82,6 +83,11 @@ def root_amplitude(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(grey_to_root_amplitude()[grey])
 
 
+def shown_brightness(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Grey levels as shown, 0 to 1."""
+    return np.asarray(grey / np.float32(255.0))
+
+
 @lru_cache(maxsize=1)
 def grey_to_root_amplitude() -> NDArray[np.float32]:
     """(256,) table of `root_amplitude`."""
@@ -102,6 +108,7 @@ def prepare_slices(
     *,
     pitch_mm: float,
     frame: str = "tracker",
+    brightness: Callable[[NDArray[np.uint8]], NDArray[np.float32]] = root_amplitude,
 ) -> SliceSet:
     """Average log-compressed frames down to `pitch_mm` and place them in the tracker's frame.
 
@@ -111,6 +118,7 @@ def prepare_slices(
         probe_from_image: calibration of the probe.
         rotations, translations_mm: (s, 3, 3), (s, 3) tracker_from_probe at each frame's event time.
         model_phase, t_s: (s,).
+        brightness: of grey levels, before they are averaged: `root_amplitude` or `shown_brightness`.
     Raises:
         InvalidInputError: nothing of the sector is left at this pitch.
     """
@@ -119,7 +127,7 @@ def prepare_slices(
     small_mask = shares > 0.999
     if not small_mask.any():
         raise InvalidInputError(f"no pixel of the ultrasound sector is left at a pitch of {pitch_mm:g} mm")
-    small = np.stack([_block_mean(root_amplitude(f)[None], step_r, step_c)[0] for f in images])
+    small = np.stack([_block_mean(brightness(f)[None], step_r, step_c)[0] for f in images])
     small[:, ~small_mask] = 0
     pixel = np.array(
         [[step_c, 0, (step_c - 1) / 2], [0, step_r, (step_r - 1) / 2], [0, 0, 0], [0, 0, 1]], dtype=np.float64

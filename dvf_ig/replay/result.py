@@ -11,7 +11,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.guidance import Sigmoid, Status
 from dvf_ig.guidance.blend import static_force
-from dvf_ig.registration import RegistrationResult, summarise, target_errors_mm
+from dvf_ig.registration import RegistrationResult, summarise, target_errors_mm, weak_direction
 
 from .drift import summarise_following
 from .engine import Replay
@@ -156,6 +156,7 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
         "success_probability": result.success_probability,
         "covariance": result.covariance.tolist() if finite else None,
         "covariance_about_mm": result.center_mm.tolist(),
+        "weakness": weak_direction(result.covariance).sentence(),
         "similarity": result.similarity,
         "start_similarity": result.start_similarity,
         "second_best": result.second_best,

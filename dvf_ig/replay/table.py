@@ -74,7 +74,10 @@ def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         if tre is None
         else f"TRE {tre['median']:.2f} mm median, {tre['p95']:.2f} p95, {tre['max']:.2f} max"
     )
-    return [*rows, ("registration", text, error)]
+    rows.append(("registration", text, error))
+    if usable:
+        rows.append(("weak direction", usable[-1]["weakness"], ""))
+    return rows
 
 
 def _following_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:

@@ -12,7 +12,7 @@ from dvf_ig.core import FloatArray, ImageMap, Rigid, Scenario
 from dvf_ig.registration import BeatLook, Lc2, look_at_beat
 
 from .heart import Heart
-from .locate import look, slices_at, ultrasound_mask
+from .locate import EVEN_MM, look, slices_at, ultrasound_mask
 
 TRACK_PITCH_MM = 2.0
 PATCH_MM = 13.0
@@ -102,8 +102,8 @@ def beat_slices(
     if len(sight.used) < FEWEST_SLICES:
         return None
     mask = ultrasound_mask(scenario, sight.first + sight.used)
-    slices = slices_at(scenario, mask, probe_from_image, sight, pitch_mm=TRACK_PITCH_MM)
-    metric = Lc2(slices, heart.fine, patch_mm=PATCH_MM, pitch_mm=TRACK_PITCH_MM)
+    slices = slices_at(scenario, heart, mask, probe_from_image, sight, pitch_mm=TRACK_PITCH_MM)
+    metric = Lc2(slices, heart.fine, patch_mm=PATCH_MM, pitch_mm=TRACK_PITCH_MM, even_mm=EVEN_MM)
     return BeatSlices(
         peaks[last - 1].t_s,
         peaks[last].t_s,
