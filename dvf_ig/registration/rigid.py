@@ -35,6 +35,12 @@ from .parts import part_disagreement_mm
 from .similarity import Lc2
 from .slices import SliceSet, within
 
+EDGE_STARTS, EDGE_SPREAD_MM, EDGE_KEPT = 24, 12.0, 3
+EDGE_SHARE = 0.35
+"""How far the result goes from LC2's pose to that of the borders. Both err by what pre-operative and patient
+differ, but not alike: on tuning seeds 101–106 the largest error falls from 2.1 to 1.7 mm in poor images and
+stays at 0.8 mm in calm ones; half-way, calm ones rise to 0.95 mm."""
+
 
 @dataclass(frozen=True, slots=True)
 class RegistrationOptions:
@@ -44,6 +50,7 @@ class RegistrationOptions:
         starts: displaced copies of the start pose, besides the start itself.
         spread_mm: how far a displaced copy is from the start at the heart's radius.
         patch_mm: edge of an LC2 patch.
+        edge_share: how far the result goes from LC2's pose to that of the borders.
         even_mm: width over which patches share their weight, see `coverage`; None: they do not.
         bound_mm: how far a pose may move from the start over the heart.
         min_overlap: least share of the slices inside the model's volume.
@@ -55,6 +62,7 @@ class RegistrationOptions:
     spread_mm: float = 9.0
     patch_mm: float = 13.0
     even_mm: float | None = None
+    edge_share: float = EDGE_SHARE
     bound_mm: float = 30.0
     candidates: int = 3
     min_overlap: float = 0.35
@@ -65,11 +73,6 @@ class RegistrationOptions:
 FIRST_LOOK = ClimbOptions(steps=7, cap_mm=8.0, tolerance_mm=0.3)
 COARSE = ClimbOptions(steps=16, cap_mm=6.0, tolerance_mm=0.2)
 FINE = ClimbOptions(steps=30, cap_mm=2.0, tolerance_mm=0.01)
-EDGE_STARTS, EDGE_SPREAD_MM, EDGE_KEPT = 24, 12.0, 3
-EDGE_SHARE = 0.35
-"""How far the result goes from LC2's pose to that of the borders. Both err by what pre-operative and patient
-differ, but not alike: on tuning seeds 101–106 the largest error falls from 2.1 to 1.7 mm in poor images and
-stays at 0.8 mm in calm ones; half-way, calm ones rise to 0.95 mm."""
 APART_MM = 4.0
 """Candidates nearer to each other than this over the heart are one."""
 
@@ -157,7 +160,7 @@ def register_rigid(
     if edges is None:
         poses, evaluations = _looks(coarse_metric, start, center_mm, prior, rng, opts, tell)
     else:
-        poses, evaluations = _edge_poses(edges, start, center_mm, rng), 0
+        poses, evaluations = _edge_poses(edges, start, center_mm, rng, opts), 0
     ends = [climb(coarse_metric, pose, center_mm, prior, COARSE) for pose in poses]
     basins = _distinct(ends, center_mm, opts.candidates)
     tell(0.5)
@@ -172,7 +175,7 @@ def register_rigid(
     best = climb(metric, refined[0].pose, center_mm, prior, FINE)
     found = PoseChart(best.pose, center_mm)
     borders = None if edges is None else fit_edges(edges.points, edges.target, best.pose, center_mm)
-    pose = best.pose if borders is None else found.pose(EDGE_SHARE * found.coordinates(borders.pose))
+    pose = best.pose if borders is None else found.pose(opts.edge_share * found.coordinates(borders.pose))
     score = metric.score(pose)
     curvature = curvature_about(metric, found)
     tell(0.95)
@@ -186,6 +189,9 @@ def register_rigid(
     )
     doubt = doubt_of(evidence, opts.limits)
     covariance = curvature.covariance(metric.information, prior)
+    if borders is not None:
+        # as good as both together would be if they erred alike
+        covariance = (1.0 - opts.edge_share) * covariance + opts.edge_share * borders.covariance
     overlap = whole.score(pose).overlap
     others = [
         whole.score(other.pose).similarity
@@ -249,7 +255,9 @@ def _looks(
     return _distinct(looks, center_mm, 2 * opts.candidates), sum(c.evaluations for c in looks)
 
 
-def _edge_poses(edges: Edges, start: Rigid, center_mm: FloatArray, rng: np.random.Generator) -> list[Rigid]:
+def _edge_poses(
+    edges: Edges, start: Rigid, center_mm: FloatArray, rng: np.random.Generator, opts: RegistrationOptions
+) -> list[Rigid]:
     """The start, and the best distinct fits of the borders from it and displaced copies of it."""
     fits = edge_starts(
         edges.points,
@@ -257,7 +265,7 @@ def _edge_poses(edges: Edges, start: Rigid, center_mm: FloatArray, rng: np.rando
         start,
         center_mm,
         rng=rng,
-        count=EDGE_STARTS,
+        count=EDGE_STARTS if opts.starts else 0,
         spread_mm=EDGE_SPREAD_MM,
         keep=EDGE_KEPT,
     )

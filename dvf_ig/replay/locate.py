@@ -1,7 +1,7 @@
 """ECG-gated registration on the ultrasound that has arrived by some moment."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +20,20 @@ from dvf_ig.core import (
 )
 from dvf_ig.registration import (
     PHASE_WINDOW,
+    Edges,
     Gated,
     LandmarkPrior,
     Level,
     RegistrationOptions,
     RegistrationResult,
     SliceSet,
+    boundary_points,
     fan_mask_from_images,
     gate_frames,
     prepare_slices,
     prior_from_landmarks,
     register_rigid,
+    root_amplitude,
     spread,
     start_from_landmarks,
 )
@@ -212,6 +215,11 @@ def locate(
         Level(slices_at(scenario, heart, mask, probe_from_image, sight, pitch_mm=pitch), channels, pitch)
         for pitch, channels in ((COARSE_PITCH_MM, heart.coarse), (FINE_PITCH_MM, heart.fine))
     ]
+    edges = None
+    if heart.surface is not None:
+        shown = replace(heart, brightness=root_amplitude)
+        borders = slices_at(scenario, shown, mask, probe_from_image, sight, pitch_mm=FINE_PITCH_MM)
+        edges = Edges(boundary_points(borders), heart.surface)
     return register_rigid(
         levels[0],
         levels[1],
@@ -219,6 +227,9 @@ def locate(
         heart.center_mm,
         rng=np.random.default_rng(seed),
         prior=_prior(scenario),
-        options=RegistrationOptions(starts=0 if warm else STARTS, even_mm=EVEN_MM),
+        edges=edges,
+        options=RegistrationOptions(
+            starts=0 if warm else STARTS, even_mm=EVEN_MM, edge_share=heart.edge_share
+        ),
         progress=progress,
     )

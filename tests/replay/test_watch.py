@@ -74,6 +74,8 @@ def registration(pose: Rigid) -> RegistrationResult:
         contrast=10.0,
         overlap=1.0,
         disagreement_mm=0.2,
+        part_disagreement_mm=None,
+        edge_disagreement_mm=None,
         phase_disagreement_mm=0.5,
         second_best=0.0,
         moved_mm=1.0,
