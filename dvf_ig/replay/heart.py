@@ -53,6 +53,7 @@ class Heart:
     center_mm: (3,) centre of the heart box.
     surface: where blood meets wall, for the borders that ultrasound shows; None without a cavity.
     edge_share: how far a registration goes from LC2's pose to that of the borders.
+    beats_steer: whether LC2 on these channels is good enough for a single beat to move the pose.
     brightness: of ultrasound that is compared with these channels.
     """
 
@@ -62,6 +63,7 @@ class Heart:
     center_mm: FloatArray
     surface: EdgeTarget | None
     edge_share: float
+    beats_steer: bool = True
     brightness: Callable[[NDArray[np.uint8]], NDArray[np.float32]] = root_amplitude
 
 
@@ -95,7 +97,7 @@ def build_heart(
         channels = channels_from_mr(preop.mr, smoothing_mm=MR_SMOOTHING_MM)
         return Heart(model, channels, channels, center, surface, MR_EDGE_SHARE)
     channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
-    return Heart(model, channels, channels, center, surface, LABEL_EDGE_SHARE, shown_brightness)
+    return Heart(model, channels, channels, center, surface, LABEL_EDGE_SHARE, False, shown_brightness)
 
 
 def _fixture_surface(preop: Preop) -> SurfaceSeries:

@@ -4,8 +4,10 @@ A beat is over when its second R peak has been detected, some 0.12 s after it. I
 at the one pitch of TRACK_PITCH_MM, and may be asked about more than one pose.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
+
+import numpy as np
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, ImageMap, Rigid, Scenario
@@ -51,12 +53,16 @@ class Beat:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeatSlices:
-    """A beat's slices, ready to be asked; `seconds` is what their preparation took."""
+    """A beat's slices, ready to be asked; `seconds` is what their preparation took.
+
+    A beat that does not steer only watches: it can put a pose in doubt, and not move it.
+    """
 
     begin_s: float
     end_s: float
     detected_s: float
     metric: Lc2
+    steers: bool
     frames: int
     seconds: float
 
@@ -66,6 +72,8 @@ class BeatSlices:
         seen = look_at_beat(self.metric, pose, center_mm)
         if seen.overlap < LEAST_OVERLAP:
             return None
+        if not self.steers:
+            seen = replace(seen, offset_information_mm=np.zeros(6), information=np.zeros((6, 6)))
         seconds = self.seconds + perf_counter() - began
         return Beat(
             self.begin_s,
@@ -109,6 +117,7 @@ def beat_slices(
         peaks[last].t_s,
         peaks[last].detected_at_s,
         metric,
+        heart.beats_steer,
         len(slices),
         perf_counter() - began,
     )
