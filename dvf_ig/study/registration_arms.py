@@ -30,38 +30,40 @@ FAR_MM = (2.0, 5.0, 8.0, 11.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0)
 
 
 def conditions_of(arm: str, qualities: tuple[str, ...]) -> list[Condition]:
-    """What an arm goes through for each image pair; `condition` names what is varied."""
+    """What an arm goes through for each image pair, one motion after the other."""
     if arm == "A":
         return [_condition(m, "no-mismatch", "same") for m in MOTIONS]
     if arm == "B":
-        return [_condition(m, q, "volumes") for q, m in product(qualities, MOTIONS)]
+        return [_condition(m, q, "volumes") for m, q in product(MOTIONS, qualities)]
     if arm == "D":
-        gated = [
-            _condition(m, "calm", "volumes", f"gate {e:+.0%}", phase_error=e)
-            for m, e in product(MOTIONS, (0.0, -0.02, 0.02, -0.05, 0.05, -0.1, 0.1))
-        ]
-        paced = [
-            _condition(m, "calm", "volumes", f"RR {1000 * rr:.0f} ms", rr_s=rr)
-            for m, rr in product(MOTIONS, (0.6, 0.8, 1.0, 1.2))
-        ]
-        return gated + paced
+        return [c for motion in MOTIONS for c in _gating_conditions(motion)]
     if arm == "E":
-        return list(_plane_conditions())
-    changes = ("deformation", "motion", "other-heart")
-    return [_condition(m, q, "volumes") for q, m in product(("calm", "poor-image"), MOTIONS)] + [
-        _condition(m, "calm", "volumes", change, change=change) for change, m in product(changes, MOTIONS)
-    ]
+        return [c for motion in MOTIONS for c in _plane_conditions(motion)]
+    return [c for motion in MOTIONS for c in _failure_conditions(motion)]
 
 
-def _plane_conditions() -> Iterator[Condition]:
-    for motion in MOTIONS:
-        for planes in ("one", "shared axis", "off axis", "five"):
-            for off_mm in (0.0, 1.0, 2.0) if planes in ("shared axis", "off axis") else (0.0,):
-                label = f"{planes}, {off_mm:.0f} mm"
-                yield _condition(motion, "calm", "planes", label, planes=planes, calibration_mm=off_mm)
-        for lag_s in (0.02, 0.05):
-            label = f"off axis, {1000 * lag_s:.0f} ms late"
-            yield _condition(motion, "calm", "planes", label, planes="off axis", lag_s=lag_s)
+def _gating_conditions(motion: str) -> Iterator[Condition]:
+    for error in (0.0, -0.02, 0.02, -0.05, 0.05, -0.1, 0.1):
+        yield _condition(motion, "calm", "volumes", f"gate {error:+.0%}", phase_error=error)
+    for rr_s in (0.6, 0.8, 1.0, 1.2):
+        yield _condition(motion, "calm", "volumes", f"RR {1000 * rr_s:.0f} ms", rr_s=rr_s)
+
+
+def _failure_conditions(motion: str) -> Iterator[Condition]:
+    for quality in ("calm", "poor-image"):
+        yield _condition(motion, quality, "volumes")
+    for change in ("deformation", "motion"):
+        yield _condition(motion, "calm", "volumes", change, change=change)
+
+
+def _plane_conditions(motion: str) -> Iterator[Condition]:
+    for planes in ("one", "shared axis", "off axis", "five"):
+        for off_mm in (0.0, 1.0, 2.0) if planes in ("shared axis", "off axis") else (0.0,):
+            label = f"{planes}, {off_mm:.0f} mm"
+            yield _condition(motion, "calm", "planes", label, planes=planes, calibration_mm=off_mm)
+    for lag_s in (0.02, 0.05):
+        label = f"off axis, {1000 * lag_s:.0f} ms late"
+        yield _condition(motion, "calm", "planes", label, planes="off axis", lag_s=lag_s)
 
 
 def _condition(motion: str, quality: str, images: str, label: str = "", **more: Any) -> Condition:
@@ -89,20 +91,24 @@ def settings_of(arm: str, qualities: tuple[str, ...], per_bin: int, to_mm: float
 
 
 def trials_together(settings: Settings) -> int:
-    """Trials that share an image pair."""
+    """Trials that share the heart before: all conditions of a motion."""
+    return len(settings["conditions"]) // len(MOTIONS) * _starts(settings)
+
+
+def _starts(settings: Settings) -> int:
+    """Trials of an image pair under one condition."""
     return len(settings["starts_mm"]) + len(settings["baseline_starts_mm"])
 
 
 def trial_numbers(settings: Settings, first_pair: int, pairs: int) -> range:
     """Numbers of the trials of pairs `first_pair`, … under all conditions."""
-    block = len(settings["conditions"]) * trials_together(settings)
+    block = len(settings["conditions"]) * _starts(settings)
     return range(first_pair * block, (first_pair + pairs) * block)
 
 
 def registration_trial(settings: Settings, number: int) -> Line:
     """One registration from a known start; a refusal keeps the line's labels (`trials.Work`)."""
-    together = trials_together(settings)
-    group, k = divmod(number, together)
+    group, k = divmod(number, _starts(settings))
     pair, which = divmod(group, len(settings["conditions"]))
     condition = settings["conditions"][which]
     starts = settings["starts_mm"]
@@ -145,6 +151,7 @@ def _ours(scene: Scene, start: Rigid, number: int) -> Line:
         "contrast": result.contrast,
         "halves_mm": _finite(result.disagreement_mm),
         "phases_mm": _finite(result.phase_disagreement_mm),
+        "parts_mm": result.part_disagreement_mm,
         "edges_mm": result.edge_disagreement_mm,
         "sigma_mm": _finite(_sigma_mm(result.covariance)),
         "evaluations": result.evaluations,
