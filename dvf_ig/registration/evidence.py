@@ -50,7 +50,7 @@ class Limits:
 
 TRACKED_LIMITS = Limits()
 """For tracked planes."""
-VOLUME_LIMITS = Limits(contrast=5.5, halves_mm=2.0, phases_mm=1.22, parts_mm=2.25, edges_mm=2.7)
+VOLUME_LIMITS = Limits(contrast=5.5, halves_mm=2.0, phases_mm=1.22, parts_mm=2.25, edges_mm=2.4)
 """For gated 3-D images. On tuning seeds 101–106 good poses (below 2 mm, calm and poor images) stand against
 wrong basins (contrast above 6.9, below 4.5; borders up to 2.1 mm, above 7), changed motion (phases up to
 1.1 mm, above 1.4), and 5 mm of deformation (parts up to 2.2 mm, above 2.3 where the error exceeds 3 mm)."""

@@ -136,7 +136,7 @@ def test_the_weakest_check_decides() -> None:
         ("halves_mm", 4.0),
         ("phases_mm", 2.44),
         ("parts_mm", 4.5),
-        ("edges_mm", 5.4),
+        ("edges_mm", 4.8),
     ):
         assert doubt_of(replace(good, **{name: bad}), VOLUME_LIMITS) == pytest.approx(2.0)
     assert doubt_of(replace(good, parts_mm=None, edges_mm=None), VOLUME_LIMITS) == pytest.approx(0.5)

@@ -101,12 +101,14 @@ def test_every_pair_condition_and_start_is_one_trial(
     conditions = [json.dumps(c) for c in settings["conditions"]]
     assert len(set(conditions)) == len(conditions)
     assert asked == list(product((3, 4), conditions)), "each scene once, its trials one after the other"
-    together = trials_together(settings)
-    assert len(numbers) == 2 * len(conditions) * together
-    bounds = settings["starts_mm"]
-    assert together == len(bounds)
+    bounds, together = settings["starts_mm"], trials_together(settings)
+    assert len(numbers) == 2 * len(conditions) * len(bounds)
+    assert together == len(conditions) // len(MOTIONS) * len(bounds)
     for first in range(0, len(numbers), together):
         group = starts[first : first + together]
+        assert len({(pair, json.loads(said)["motion"]) for pair, said, _ in group}) == 1
+    for first in range(0, len(numbers), len(bounds)):
+        group = starts[first : first + len(bounds)]
         assert len({(pair, condition) for pair, condition, _ in group}) == 1
         for (low, high), (_, _, start_mm) in zip(bounds, group, strict=True):
             assert low <= start_mm <= high
