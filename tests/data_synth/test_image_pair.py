@@ -244,8 +244,7 @@ def test_changes_do_what_they_say(pair: ImagePair) -> None:
     still = image_pair(spec)
     deformed = image_pair(replace(spec, change="deformation"))
     motion = image_pair(replace(spec, quality="calm", change="motion"))
-    other = image_pair(replace(spec, change="other-heart"))
-    for changed in (deformed, motion, other):
+    for changed in (deformed, motion):
         assert changed.before.mismatch.rms_mm == 0
         np.testing.assert_array_equal(changed.before.ed_vertices_mm, pair.before.ed_vertices_mm)
         np.testing.assert_array_equal(changed.mr_from_tracker.matrix, pair.mr_from_tracker.matrix)
@@ -263,10 +262,6 @@ def test_changes_do_what_they_say(pair: ImagePair) -> None:
     starts = [np.asarray(a.surface_vertices(0.0)) for a in (pair.before, motion.now)]
     stroke = [float(np.linalg.norm(e - s, axis=1).max()) for s, e in zip(starts, ends, strict=True)]
     assert stroke == pytest.approx([13.9, 5.0], rel=0.15), "what the two motions are named for"
-    mean = [a.surface_vertices(0.0) - a.box_mm.mean(axis=0) for a in (still.now, other.now)]
-    reach = [np.sort(np.linalg.norm(m, axis=1)) for m in mean]
-    assert abs(reach[0][-1] - reach[1][-1]) > 0.1, "another shape, not the same one elsewhere"
-    assert other.now.scale == still.now.scale
 
 
 def test_views_of_plane_sets(pair: ImagePair) -> None:
