@@ -1,13 +1,13 @@
 """The synthetic world with its truth."""
 
-from .faults import describe_faults as describe_faults
-from .presets import MOTIONS as MOTIONS
-from .presets import PRESETS as PRESETS
-from .presets import Motion as Motion
-from .presets import Preset as Preset
-from .presets import ScenarioSpec as ScenarioSpec
-from .presets import preset_name as preset_name
-from .probe_path import ReplayedPath as ReplayedPath
-from .probe_path import replayed_path as replayed_path
-from .scenario import phantom_scenario as phantom_scenario
-from .scenario import surface_scenario as surface_scenario
+from .operator.probe_path import ReplayedPath as ReplayedPath
+from .operator.probe_path import replayed_path as replayed_path
+from .scenario.faults import describe_faults as describe_faults
+from .scenario.presets import MOTIONS as MOTIONS
+from .scenario.presets import PRESETS as PRESETS
+from .scenario.presets import Motion as Motion
+from .scenario.presets import Preset as Preset
+from .scenario.presets import ScenarioSpec as ScenarioSpec
+from .scenario.presets import preset_name as preset_name
+from .scenario.recording import phantom_scenario as phantom_scenario
+from .scenario.recording import surface_scenario as surface_scenario

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from data_synth.anatomy import PhantomAnatomy, phantom_anatomy
-from data_synth.motion_report import motion_report
-from data_synth.realism import (
+from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
+from data_synth.heart.motion_report import motion_report
+from data_synth.realism.gates import (
     STANDARD,
     Gate,
     anisotropy_gate,
@@ -24,13 +24,13 @@ from data_synth.realism import (
     speckle_gates,
     texture_gates,
 )
-from data_synth.realism_heart import heart_gates
-from data_synth.realism_motion import EARLY_SYSTOLE, beating_gates, block_matching_gates
-from data_synth.realism_page import bounds, realism_figure, realism_html
-from data_synth.realism_scan import real_pair_gates
-from data_synth.ultrasound import simulate_sequence
-from data_synth.ultrasound_views import standard_view
-from data_synth.ultrasound_volume import MatrixProbe, simulate_volume
+from data_synth.realism.heart import heart_gates
+from data_synth.realism.motion import EARLY_SYSTOLE, beating_gates, block_matching_gates
+from data_synth.realism.page import bounds, realism_figure, realism_html
+from data_synth.realism.scan import real_pair_gates
+from data_synth.ultrasound.sequence import simulate_sequence
+from data_synth.ultrasound.views import standard_view
+from data_synth.ultrasound.volume import MatrixProbe, simulate_volume
 from dvf_ig.io import read_sequence, write_text
 from dvf_ig.io.atomic import write_bytes
 

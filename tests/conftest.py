@@ -1,14 +1,18 @@
 """Shared by all tests: where the real recordings are, one short synthetic intervention, and its replay."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import settings
+from toy_ball import ball_model
+from toy_sphere import beating_sphere_series, sphere
 
-from data_synth.presets import ScenarioSpec
-from data_synth.scenario import phantom_scenario
-from dvf_ig.core import Scenario
+from data_synth.scenario.presets import ScenarioSpec
+from data_synth.scenario.recording import phantom_scenario
+from dvf_ig.core import DvfModel, Scenario, SurfaceSeries
 from dvf_ig.replay import Replay, run_replay
 
 settings.register_profile("dvf_ig", deadline=None, derandomize=True)
@@ -35,3 +39,19 @@ def scenario() -> Scenario:
 @pytest.fixture(scope="session")
 def replay(scenario: Scenario) -> Replay:
     return run_replay(scenario, seed=0)
+
+
+@pytest.fixture(scope="session")
+def ball() -> DvfModel:
+    """A beating, drifting ball whose distance field is known in closed form."""
+    return ball_model()
+
+
+@pytest.fixture(scope="session")
+def sphere_of() -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+    return sphere
+
+
+@pytest.fixture(scope="session")
+def beating_sphere() -> SurfaceSeries:
+    return beating_sphere_series()

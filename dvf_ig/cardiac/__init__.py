@@ -8,11 +8,15 @@ from .beat_pattern import BeatKind as BeatKind
 from .beat_pattern import PatternOptions as PatternOptions
 from .beats import BeatPhase as BeatPhase
 from .beats import beat_phase as beat_phase
-from .lead_watch import LeadChange as LeadChange
-from .lead_watch import LeadWatch as LeadWatch
+from .lead_off import LeadChange as LeadChange
+from .lead_off import LeadWatch as LeadWatch
 from .phase_clock import PhaseClock as PhaseClock
 from .phase_clock import PhaseClockOptions as PhaseClockOptions
 from .phase_clock import PhaseReading as PhaseReading
+from .phase_tracking import PhaseTracking as PhaseTracking
+from .phase_tracking import phase_from_peaks as phase_from_peaks
+from .phase_tracking import stream_recording as stream_recording
+from .phase_tracking import track_phase as track_phase
 from .retime import SYSTOLE_SLOPE_S_PER_BPM as SYSTOLE_SLOPE_S_PER_BPM
 from .retime import RetimeMode as RetimeMode
 from .retime import frame_period_s as frame_period_s
@@ -29,8 +33,4 @@ from .summary import FEWEST_BEATS as FEWEST_BEATS
 from .summary import GateSummary as GateSummary
 from .summary import state_segments as state_segments
 from .summary import summarise_gating as summarise_gating
-from .tracking import PhaseTracking as PhaseTracking
-from .tracking import phase_from_peaks as phase_from_peaks
-from .tracking import stream_recording as stream_recording
-from .tracking import track_phase as track_phase
 from .trigger import trigger_peaks as trigger_peaks

@@ -7,7 +7,7 @@ import numpy as np
 from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, Signal
 
 from .beat_finder import BeatFinder, Complex, RPeakOptions
-from .lead_watch import LeadChange, LeadWatch
+from .lead_off import LeadChange, LeadWatch
 from .qrs_feature import QrsFeature
 from .r_locator import RLocator
 

@@ -9,7 +9,7 @@ from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress,
 
 if TYPE_CHECKING:
     from dvf_ig.guidance import Continuity
-    from dvf_ig.study.bench import Bench
+    from dvf_ig.study.bench.rows import Bench
 
 
 def bench(
@@ -36,8 +36,8 @@ def bench(
     with command(threads):
         from dvf_ig.io import output_folder, read_model, write_json
         from dvf_ig.io.json_file import plain
-        from dvf_ig.study.bench import BenchOptions, continuity_checks, run_bench
-        from dvf_ig.study.bench_heart import bench_model
+        from dvf_ig.study.bench.heart import bench_model
+        from dvf_ig.study.bench.rows import BenchOptions, continuity_checks, run_bench
 
         options = BenchOptions(calls=calls, repeats=repeats, batch=min(calls, 5000), peers=peers, seed=seed)
         if model_file is not None:

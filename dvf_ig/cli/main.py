@@ -5,20 +5,12 @@ from typing import Annotated
 import typer
 
 import dvf_ig
-from dvf_ig.cli import (
-    bench,
-    calibrate,
-    doctor,
-    evaluate,
-    force,
-    gate,
-    inspect,
-    model,
-    register,
-    replay,
-    study,
-    synth,
-)
+from dvf_ig.cli import bench, doctor, evaluate, force, gate, register, replay
+from dvf_ig.cli.calibrate import commands as calibrate
+from dvf_ig.cli.inspect import command as inspect
+from dvf_ig.cli.model import commands as model
+from dvf_ig.cli.study import commands as study
+from dvf_ig.cli.synth import commands as synth
 
 app = typer.Typer(
     name="dvf-ig",

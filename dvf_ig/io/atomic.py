@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ..core.errors import OutputError
+from dvf_ig.core.errors import OutputError
 
 
 @contextmanager

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import OutputError, UnreadableFileError
+from dvf_ig.core.errors import OutputError, UnreadableFileError
+
 from .atomic import write_text
 from .reading import read_text
 

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ..core.arrays import FloatArray
-from ..core.errors import OutputError, UnreadableFileError
-from ..core.points import Landmarks, Points
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import OutputError, UnreadableFileError
+from dvf_ig.core.points import Landmarks, Points
+
 from .json_file import read_json, write_json
 from .reading import read_text, reading
 

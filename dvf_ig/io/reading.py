@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 
 
 @contextmanager

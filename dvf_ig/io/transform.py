@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from ..core.arrays import FloatArray
-from ..core.errors import FrameMismatchError, InvalidInputError, OutputError, UnreadableFileError
-from ..core.rigid import Rigid, rigidity_defect
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import FrameMismatchError, InvalidInputError, OutputError, UnreadableFileError
+from dvf_ig.core.rigid import Rigid, rigidity_defect
+
 from .atomic import write_text
 from .json_file import read_json, write_json
 from .reading import read_bytes, reading

@@ -1,7 +1,7 @@
 """Distance from points to triangles through a tree of boxes (exact; Ericson 2005, Section 5.1.5).
 
 The tree is complete and implicit: node n has children 2n+1 and 2n+2, its last level are the leaves, and leaf
-l holds triangles `leaf_start[l]` to `leaf_start[l+1]` of the reordered list (see dvf_ig.preop.triangle_tree).
+l holds triangles `leaf_start[l]` to `leaf_start[l+1]` of the reordered list (`triangle_tree`).
 """
 
 import numpy as np

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import BoolArray, DvfModel, FloatArray, IntArray, InvalidInputError, Mesh
-
-from .closing import triangle_areas_mm2
-from .spline_field import SplineField
-from .surface_normals import angle_deg, facet_normals, smooth_normals, vertex_normals
-from .triangle_tree import build_triangle_tree
+from dvf_ig.preop.distance.triangle_tree import build_triangle_tree
+from dvf_ig.preop.spline.field import SplineField
+from dvf_ig.preop.surface.closing import triangle_areas_mm2
+from dvf_ig.preop.surface.normals import angle_deg, facet_normals, smooth_normals, vertex_normals
 
 CAP_RIM_MM = 5.0
 NORMAL_BAND_MM = 2.0

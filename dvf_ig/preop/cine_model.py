@@ -14,14 +14,14 @@ from dvf_ig.core import (
     Volume,
     VolumeSeries,
 )
+from dvf_ig.preop.motion.cavity import cavity_volumes_mm3
+from dvf_ig.preop.motion.cycle import CycleMotion, MotionOptions, carry_surface, track_cycle
+from dvf_ig.preop.motion.quality import MotionQuality, assess_motion
+from dvf_ig.preop.segment.seeded import solid_piece
+from dvf_ig.preop.surface.budget import SurfaceBudget, surface_budget
+from dvf_ig.preop.surface.from_labels import border_caps, surface_of_mask
 
-from .budget import SurfaceBudget, surface_budget
 from .build import ModelOptions, build_model
-from .cavity import cavity_volumes_mm3
-from .labels import border_caps, surface_of_mask
-from .motion import CycleMotion, MotionOptions, carry_surface, track_cycle
-from .motion_quality import MotionQuality, assess_motion
-from .segment import solid_piece
 
 Progress = Callable[[float], None]
 

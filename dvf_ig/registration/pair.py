@@ -10,11 +10,11 @@ from time import perf_counter
 import numpy as np
 
 from dvf_ig.core import FloatArray, NoOverlapError, Rigid, Volume
+from dvf_ig.registration.evidence.pair_check import doubt_about, judged
+from dvf_ig.registration.lc2.channels import channels_from_still
 
-from .channels import channels_from_still
-from .chart import HEART_RADIUS_MM
-from .pair_check import doubt_about, judged
 from .pair_images import FanVolume, anatomy_around, extent_mm, fan_volume, share_inside, usable_voxels
+from .pose_chart import HEART_RADIUS_MM
 from .rigid import Level, RegistrationOptions, RegistrationResult, register_rigid
 
 PITCHES = 80.0

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dvf_ig.core import AnyArray, BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Rigid, Volume
-
-from .slices import SliceSet, slices_of_volume
+from dvf_ig.registration.lc2.slices import SliceSet, slices_of_volume
 
 PLANES = 14
 """About this many planes are kept along each axis of the fixed volume."""

@@ -14,13 +14,8 @@ from time import perf_counter
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, Stop
-
-from .channels import ModelChannels
-from .chart import PoseChart, distance_between
-from .climb import Climb, ClimbOptions, climb
-from .curvature import curvature_about
-from .edge_fit import Edges, edge_starts, fit_edges
-from .evidence import (
+from dvf_ig.registration.boundary.fit import Edges, edge_starts, fit_edges
+from dvf_ig.registration.evidence.checks import (
     TRACKED_LIMITS,
     Evidence,
     Limits,
@@ -30,10 +25,15 @@ from .evidence import (
     phases_mm,
     success_probability,
 )
-from .landmarks import LandmarkPrior
-from .parts import part_disagreement_mm
-from .similarity import Lc2
-from .slices import SliceSet, within
+from dvf_ig.registration.evidence.half_volumes import part_disagreement_mm
+from dvf_ig.registration.lc2.channels import ModelChannels
+from dvf_ig.registration.lc2.curvature import curvature_about
+from dvf_ig.registration.lc2.lc2 import Lc2
+from dvf_ig.registration.lc2.optimise import Climb, ClimbOptions, climb
+from dvf_ig.registration.lc2.slices import SliceSet, within
+
+from .pose_chart import PoseChart, distance_between
+from .start import LandmarkPrior
 
 EDGE_STARTS, EDGE_SPREAD_MM, EDGE_KEPT = 24, 12.0, 3
 EDGE_SHARE = 0.35

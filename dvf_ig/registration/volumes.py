@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid, TrackedVolume
 from dvf_ig.kernels.pool import pool_blocks
+from dvf_ig.registration.boundary.fit import Edges
+from dvf_ig.registration.boundary.points import boundary_points
+from dvf_ig.registration.boundary.target import EdgeTarget
+from dvf_ig.registration.evidence.checks import VOLUME_LIMITS
+from dvf_ig.registration.lc2.channels import ModelChannels
+from dvf_ig.registration.lc2.slices import SliceSet, grey_to_root_amplitude, joined, slices_of_volume
 
-from .channels import ModelChannels
-from .edge_fit import Edges
-from .edge_target import EdgeTarget
-from .edges import boundary_points
-from .evidence import VOLUME_LIMITS
-from .landmarks import LandmarkPrior
 from .rigid import Level, RegistrationOptions, RegistrationResult, register_rigid
-from .slices import SliceSet, grey_to_root_amplitude, joined, slices_of_volume
+from .start import LandmarkPrior
 
 VOLUME_SMOOTHING_MM = 3.0
 """Of the model's channels. Tuning seeds 101–106, two views, three phases: median TRE 0.74 mm; 0.83 with 2.5

@@ -1,13 +1,13 @@
 """A recorded intervention, replayed from raw streams to force in time order, scored where truth exists."""
 
+from .beat_evaluation import Beat as Beat
 from .engine import Replay as Replay
 from .engine import register_scenario as register_scenario
 from .engine import run_replay as run_replay
-from .follow import Attempt as Attempt
-from .follow import Course as Course
+from .pose_tracker import Attempt as Attempt
+from .pose_tracker import Course as Course
 from .result import evidence_of as evidence_of
 from .result import result_of as result_of
 from .result import schema as schema
 from .result import validate as validate
 from .table import table as table
-from .watch import Beat as Beat

@@ -8,7 +8,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.registration import PoseChart
 
-from .watch import Beat
+from .beat_evaluation import Beat
 
 LEAST_SPAN_S = 10.0
 """Drift over less than this is within what a beat's update wanders."""

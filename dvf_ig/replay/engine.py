@@ -29,14 +29,14 @@ from dvf_ig.core import (
 from dvf_ig.guidance import Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Status
 from dvf_ig.registration import RegistrationResult
 
-from .follow import Attempt, Course, Eyes, follow
+from .beat_evaluation import BEAT_COMPUTE_S, BeatSlices, beat_slices
+from .calibrations import Rulers, calibrate
+from .gated_frames import Sight, landmark_pose, locate, look, retimed, start_pose
 from .heart import Heart, build_heart
-from .locate import Sight, landmark_pose, locate, look, retimed, start_pose
-from .rulers import Rulers, calibrate
+from .pose_tracker import Attempt, Course, Eyes, follow
+from .registration_monitor import Trust, disagreeing_landmarks
 from .schedule import pose_schedule, withheld
 from .ticks import TipTrack, predict_tip
-from .trust import Trust, disagreeing_landmarks
-from .watch import BEAT_COMPUTE_S, BeatSlices, beat_slices
 
 RATE_HZ = 1000.0
 

@@ -14,14 +14,14 @@ from dvf_ig.guidance import Evaluator, Sigmoid
 from dvf_ig.registration import target_errors_mm
 
 from .drift import doubts
+from .registration_monitor import SURPRISE
 from .result import true_contact, true_phases
-from .trust import SURPRISE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from .engine import Replay
-    from .follow import Attempt
+    from .pose_tracker import Attempt
 
 ESTIMATE, START, TRUTH, REFUSED, DOUBT = "#1f6fb4", "#e07b00", "#222222", "#d9d9d9", "#f6d5d2"
 WIDE = (10.5, 2.6)

@@ -15,14 +15,8 @@ from dvf_ig.registration import RegistrationResult, summarise, target_errors_mm,
 
 from .drift import summarise_following
 from .engine import Replay
-from .follow import Attempt
-from .score import (
-    CONTACT_MM,
-    far_corner_error_mm,
-    score_force,
-    score_phase,
-    score_poses,
-)
+from .pose_tracker import Attempt
+from .score import CONTACT_MM, far_corner_error_mm, score_force, score_phase, score_poses
 
 SCHEMA = "dvf_ig.replay/1"
 

@@ -13,12 +13,7 @@ from typer.testing import CliRunner
 import dvf_ig
 from dvf_ig.cli.main import app
 from dvf_ig.core import Landmarks, Points, Preop, Rigid, Scenario
-from dvf_ig.io import (
-    read_coordinate_definitions,
-    read_transform,
-    write_landmarks,
-    write_transform,
-)
+from dvf_ig.io import read_coordinate_definitions, read_transform, write_landmarks, write_transform
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay import Replay
 from dvf_ig.replay.heart import Heart

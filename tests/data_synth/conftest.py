@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-import data_synth.live as live_module
-import data_synth.scenario as scenario_module
-from data_synth.anatomy import PhantomAnatomy, phantom_anatomy
-from data_synth.tissue import Tissue
+import data_synth.scenario.live as live_module
+import data_synth.scenario.recording as scenario_module
+from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
+from data_synth.heart.tissue import Tissue
 from dvf_ig.core import CycleTiming, FloatArray, Landmarks, Points, Preop, SurfaceSeries
 
 BALL_CENTER_MM = np.array([40.0, -25.0, 60.0])

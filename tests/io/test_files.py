@@ -15,7 +15,7 @@ import typer
 from typer.testing import CliRunner
 
 import dvf_ig.io
-from dvf_ig.cli.inspect import inspect
+from dvf_ig.cli.inspect.command import inspect
 from dvf_ig.core import DvfIgError, OutputError, PoseStream, UnreadableFileError
 from dvf_ig.io import describe, output_folder, read_json, write_json, write_scenario
 from dvf_ig.io.atomic import atomic_file
@@ -99,7 +99,7 @@ def test_exports_are_importable_and_documented() -> None:
 
 def test_importing_io_is_light() -> None:
     heavy = "{'numba', 'SimpleITK', 'open3d', 'cv2', 'matplotlib', 'wfdb', 'pandas'}"
-    code = f"import sys, dvf_ig.io, dvf_ig.cli.inspect; print(sorted({heavy} & set(sys.modules)))"
+    code = f"import sys, dvf_ig.io, dvf_ig.cli.inspect.command; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

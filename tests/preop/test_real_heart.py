@@ -9,7 +9,7 @@ from dvf_ig.core import CycleTiming, Grid, SurfaceSeries
 from dvf_ig.io import read_surface_series
 from dvf_ig.preop import ModelOptions, check_model, close_surface, model_from_surfaces, rasterise
 from dvf_ig.preop.build import border_distance_mm
-from dvf_ig.preop.topology import count_edges
+from dvf_ig.preop.surface.topology import count_edges
 
 PHASES = [0, 9, 17]
 OPENINGS = {"EPICARDIAL": 4, "LV_ENDOCARDIAL": 2, "RV_ENDOCARDIAL": 2}

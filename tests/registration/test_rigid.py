@@ -83,7 +83,7 @@ def test_same_bits_at_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> No
     coarse, fine = _levels(speckle=0.3)
     results = []
     for threads in (1, 2):
-        monkeypatch.setattr("dvf_ig.registration.similarity.thread_count", lambda n=threads: n)
+        monkeypatch.setattr("dvf_ig.registration.lc2.lc2.thread_count", lambda n=threads: n)
         results.append(
             register_rigid(
                 coarse,

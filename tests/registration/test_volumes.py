@@ -16,7 +16,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.kernels.pool import pool_blocks
 from dvf_ig.registration import SliceSet, prepare_volumes
-from dvf_ig.registration.slices import joined, within
+from dvf_ig.registration.lc2.slices import joined, within
 
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
 POSE = Rigid.from_rotation_vector([-0.6, 0.2, 1.1], [40.0, -70.0, 15.0], "tracker", "probe")

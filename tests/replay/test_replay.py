@@ -5,14 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dvf_ig.core import (
-    InvalidInputError,
-    NoOverlapError,
-    PoseStream,
-    Scenario,
-    Signal,
-    TrackedSequence,
-)
+from dvf_ig.core import InvalidInputError, NoOverlapError, PoseStream, Scenario, Signal, TrackedSequence
 from dvf_ig.guidance import Status
 from dvf_ig.replay import Replay, result_of, run_replay, table, validate
 from dvf_ig.replay.report import report_html

@@ -1,0 +1,1 @@
+"""The beating heart: anatomy, motion, breathing, mismatch between MR and patient."""

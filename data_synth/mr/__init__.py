@@ -1,0 +1,1 @@
+"""Pre-operative cine MR of a synthetic heart."""

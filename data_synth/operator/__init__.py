@@ -1,0 +1,1 @@
+"""What the operator's hands do: probe path, tool path, contact with the heart."""

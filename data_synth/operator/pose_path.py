@@ -1,0 +1,40 @@
+"""Rigid motions as functions of time, composed like the transforms they are."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from data_synth.signals.tracker import PosePath
+from dvf_ig.core import FloatArray
+
+
+def composed(left: PosePath, right: PosePath) -> PosePath:
+    """left(t) @ right(t)."""
+
+    def path(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        turn, shift = left(t_s)
+        rotations, translations = right(t_s)
+        return turn @ rotations, np.einsum("nij,nj->ni", turn, translations) + shift
+
+    return path
+
+
+def inverted(path: PosePath) -> PosePath:
+    """source_from_target of a target_from_source."""
+
+    def inverse(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        rotations, translations = path(t_s)
+        back = np.swapaxes(rotations, 1, 2)
+        return back, -np.einsum("nij,nj->ni", back, translations)
+
+    return inverse
+
+
+def moved(path: PosePath, shift_mm: Callable[[FloatArray], FloatArray]) -> PosePath:
+    """`path` with its translations moved by `shift_mm`: times (n,) to (n, 3) mm in the target frame."""
+
+    def result(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        rotations, translations = path(t_s)
+        return rotations, translations + shift_mm(t_s)
+
+    return result

@@ -1,0 +1,1 @@
+"""How real the synthetic world is, measured."""

@@ -1,0 +1,1 @@
+"""A whole synthetic intervention and its ground truth."""

@@ -1,0 +1,107 @@
+"""A rigid pose that changes once, by a stated amount: a patient who moves, a marker that slips."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from data_synth.operator.hand import minimum_jerk
+from dvf_ig.core import FloatArray, InvalidInputError, Rigid
+
+STEP_S = 0.02
+"""Longest step of the truth while a pose is changing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Displacement:
+    """One change of a pose.
+
+    Attributes:
+        at_share: when it begins, as a share of the live part.
+        shift_mm: how far the centre moves, exactly; the direction is random.
+        turn_deg: how far it turns about the centre, exactly; the axis is random.
+        over_s: how long the change takes; 0 is a jump.
+    """
+
+    at_share: float = 0.5
+    shift_mm: float = 0.0
+    turn_deg: float = 0.0
+    over_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.at_share <= 1.0 or not 0.0 <= self.over_s <= 60.0:
+            raise InvalidInputError(
+                f"a displacement begins at {self.at_share:g} of the recording and takes {self.over_s:g} s; "
+                "needed 0 to 1 and 0 to 60 s"
+            )
+        if not 0.0 <= self.shift_mm <= 100.0 or not 0.0 <= self.turn_deg <= 90.0:
+            raise InvalidInputError(
+                f"a displacement is {self.shift_mm:g} mm and {self.turn_deg:g}°; needed 0 to 100 mm, 0 to 90°"
+            )
+
+    @property
+    def happens(self) -> bool:
+        return self.shift_mm > 0 or self.turn_deg > 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DisplacedPose:
+    """target_from_source over time: `before`, then turned and moved on the target's side.
+
+    Attributes:
+        start_s, over_s: when the change begins, and how long it takes.
+        turn_rad, shift_mm: (3,) rotation vector about `center_mm`, and translation, in the target frame.
+    """
+
+    before: Rigid
+    start_s: float
+    over_s: float
+    turn_rad: FloatArray
+    shift_mm: FloatArray
+    center_mm: FloatArray
+
+    def __call__(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rotations (n, 3, 3) and translations (n, 3) at any times."""
+        share = self._share(np.asarray(t_s, dtype=np.float64))[:, None]
+        turn = Rotation.from_rotvec(share * self.turn_rad).as_matrix()
+        arm = self.before.translation_mm - self.center_mm
+        return turn @ self.before.rotation, turn @ arm + self.center_mm + share * self.shift_mm
+
+    def steps(self) -> tuple[tuple[float, Rigid], ...]:
+        """Poses with the time from which each holds; in a gradual change, the one half-way through a step."""
+        if not (self.turn_rad.any() or self.shift_mm.any()):
+            return ((0.0, self.before),)
+        count = int(np.ceil(self.over_s / STEP_S))
+        edges = self.start_s + self.over_s * np.arange(count + 1) / max(count, 1)
+        middles = [0.5 * (a + b) for a, b in pairwise(edges.tolist())]
+        after_s = float(edges[-1])
+        rotations, translations = self(np.array([*middles, after_s + 1.0]))
+        target, source = self.before.target, self.before.source
+        poses = [Rigid(target, source, r, t) for r, t in zip(rotations, translations, strict=True)]
+        return ((0.0, self.before), *zip(edges.tolist(), poses, strict=True))
+
+    def _share(self, t_s: FloatArray) -> FloatArray:
+        if self.over_s == 0:
+            return np.asarray(t_s >= self.start_s, dtype=np.float64)
+        return minimum_jerk((t_s - self.start_s) / self.over_s)
+
+
+def displaced(
+    before: Rigid, change: Displacement, center_mm: FloatArray, seconds: float, rng: np.random.Generator
+) -> DisplacedPose:
+    """`before`, changed as stated in a random direction and about a random axis.
+
+    Args:
+        center_mm: (3,) point of the target frame that moves by exactly `change.shift_mm`.
+        seconds: length of the live part.
+    """
+    axis, direction = rng.standard_normal((2, 3))
+    return DisplacedPose(
+        before,
+        change.at_share * seconds,
+        change.over_s,
+        np.deg2rad(change.turn_deg) * axis / np.linalg.norm(axis),
+        change.shift_mm * direction / np.linalg.norm(direction),
+        np.asarray(center_mm, dtype=np.float64),
+    )

@@ -1,0 +1,255 @@
+"""Gated ultrasound of a heart, and the MR acquired of it before: a pair whose registration is known.
+
+Two kinds: 3-D images of a matrix array, one a cardiac phase, and cine loops of tracked planes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
+from data_synth.seeds import child_rng, child_seed
+from data_synth.ultrasound.presets import PROBES
+from data_synth.ultrasound.probe import SectorProbe
+from data_synth.ultrasound.sequence import simulate_sequence
+from data_synth.ultrasound.views import COUPLING_MM, standard_view, view_from
+from data_synth.ultrasound.volume import MatrixProbe, shown_volume, simulate_pyramid
+from data_synth.ultrasound.volume_faults import spoiled_pyramid
+from dvf_ig.core import (
+    FloatArray,
+    InvalidInputError,
+    Landmarks,
+    PoseStream,
+    Preop,
+    Rigid,
+    TrackedSequence,
+    TrackedVolume,
+)
+
+from .presets import PRESETS, Motion
+
+Quality = Literal["no-mismatch", "calm", "poor-image"]
+Change = Literal["none", "deformation", "motion"]
+
+VOLUME_VIEWS = ("apical four-chamber", "epicardial short-axis")
+"""Where the matrix array is held."""
+BEATS_PER_VOLUME = 4
+"""A gated 3-D image is stitched of this many parts, one a heart beat, each with one reading of its pose."""
+PART_SHARE = 0.025
+"""Share of the cycle that the recording of one part takes."""
+DEFORMATION_MM = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Jitter:
+    """Noise of a tracked pose: RMS 3-D position in mm, RMS angle in degrees (about the probe)."""
+
+    position_mm: float
+    rotation_deg: float
+
+
+JITTER: dict[Quality, Jitter] = {
+    "no-mismatch": Jitter(0.4, 0.3),
+    "calm": Jitter(0.4, 0.3),
+    "poor-image": Jitter(1.0, 0.7),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PairSpec:
+    """One pair; the same values give bit-identical images.
+
+    Attributes:
+        seed: of every random choice.
+        motion: how far the heart moves.
+        quality: mismatch, image faults and tracking noise: those of the preset of that name.
+        change: what happened to the heart since the MR: nothing; a DEFORMATION_MM mismatch instead of the
+            quality's; or the other motion.
+    """
+
+    seed: int
+    motion: Motion = "paper5mm"
+    quality: Quality = "calm"
+    change: Change = "none"
+
+    def __post_init__(self) -> None:
+        if self.seed < 0 or self.quality not in JITTER:
+            raise InvalidInputError(
+                f"seed {self.seed}, quality '{self.quality}'; needed a non-negative seed and one of "
+                f"{', '.join(JITTER)}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class ImagePair:
+    """What a heart looks like to MR and ultrasound.
+
+    Attributes:
+        spec: of the pair.
+        before: the heart that MR was acquired of.
+        now: the heart under the probe.
+        mr_from_tracker: the truth.
+    """
+
+    spec: PairSpec
+    before: PhantomAnatomy
+    now: PhantomAnatomy
+    mr_from_tracker: Rigid
+
+    @cached_property
+    def preop(self) -> Preop:
+        return self.before.preop(child_rng(self.spec.seed, "pair preop"))
+
+    @property
+    def targets(self) -> Landmarks:
+        """Where registration errors are declared, frame "mr"."""
+        return self.before.targets()
+
+    @property
+    def center_mm(self) -> FloatArray:
+        return np.asarray(self.before.box_mm.mean(axis=0))
+
+    def volumes(
+        self,
+        phases: Sequence[float],
+        *,
+        phase_error: float | Sequence[float] = 0.0,
+        probe: MatrixProbe | None = None,
+    ) -> tuple[TrackedVolume, ...]:
+        """Gated 3-D images of the views in VOLUME_VIEWS, every phase of one before the next.
+
+        Args:
+            phases: model phases that gating aims at, as they are recorded.
+            phase_error: the images are really taken this share of the cycle later, all or each phase.
+        """
+        late = np.broadcast_to(np.asarray(phase_error, dtype=np.float64), len(phases))
+        array = probe or MatrixProbe()
+        spoil = PRESETS["poor-image" if self.spec.quality == "poor-image" else "calm"].image
+        array = replace(array, sector=replace(array.sector, dynamic_range_db=spoil.dynamic_range_db))
+        views = [standard_view(name, self.now.reference) for name in VOLUME_VIEWS]
+        held = child_rng(self.spec.seed, "pair view")
+        poses = [_held_freely(view, held) for view in views]
+        rng = child_rng(self.spec.seed, "pair poses")
+        seed = child_seed(self.spec.seed, "pair ultrasound")
+        rows = array.tall // BEATS_PER_VOLUME
+        within = PART_SHARE * ((np.arange(array.tall) % rows + 0.5) / rows - 0.5)
+        out = []
+        for i, (mr_from_plane, k) in enumerate(product(poses, range(len(phases)))):
+            times = np.repeat((phases[k] + late[k] + within)[:, None], array.sector.lines, axis=1)
+            level = simulate_pyramid(self.now, array, mr_from_plane, times, seed=seed, frame=i)
+            faults = child_rng(self.spec.seed, f"pair faults {i // len(phases)}")
+            shown = shown_volume(spoiled_pyramid(level, array, spoil, faults), array)
+            pose = self._read(mr_from_plane, rng, "plane", BEATS_PER_VOLUME)
+            out.append(TrackedVolume(shown.image, shown.mask, pose, phases[k] % 1.0))
+        return tuple(out)
+
+    def planes(
+        self,
+        views: Sequence[Rigid],
+        phases: Sequence[float],
+        *,
+        probe: SectorProbe | None = None,
+        phase_error: float = 0.0,
+    ) -> tuple[TrackedSequence, FloatArray]:
+        """Cine loops of planes held still, with the (n,) model phase of each frame.
+
+        Args:
+            views: mr_from_plane of each plane.
+            phases: of the frames of one loop.
+        """
+        sector = probe or PROBES["apical"]
+        if not isinstance(sector, SectorProbe):
+            raise InvalidInputError("planes need a probe that makes planes; choose a sector probe")
+        poses = [view for view in views for _ in phases]
+        at = np.tile(np.asarray(phases, dtype=np.float64), len(views))
+        lines = np.repeat(((at + phase_error) % 1.0)[:, None], sector.lines, axis=1)
+        seed = child_seed(self.spec.seed, "pair ultrasound")
+        images = simulate_sequence(self.now, sector, poses, lines, seed=seed)
+        rng = child_rng(self.spec.seed, "pair poses")
+        read = [self._read(pose, rng, "probe") for pose in poses]
+        t_s = np.arange(len(poses)) / 25.0
+        stream = PoseStream(
+            "tracker",
+            "probe",
+            t_s,
+            np.stack([r.rotation for r in read]),
+            np.stack([r.translation_mm for r in read]),
+            np.ones(len(poses), dtype=np.bool_),
+        )
+        every = np.ones(len(poses), dtype=np.bool_)
+        return TrackedSequence(t_s, images, every, {stream.name: stream}), at
+
+    def _read(self, mr_from_plane: Rigid, rng: np.random.Generator, frame: str, readings: int = 1) -> Rigid:
+        """The mean of some readings of a probe's pose; `frame` is the probe's."""
+        jitter = JITTER[self.spec.quality]
+        true = self.mr_from_tracker.inverse() @ mr_from_plane
+        per_axis = np.sqrt(3.0 * readings)
+        turn = np.deg2rad(jitter.rotation_deg) * rng.standard_normal(3) / per_axis
+        shift = jitter.position_mm * rng.standard_normal(3) / per_axis
+        rotation = true.rotation @ Rotation.from_rotvec(turn).as_matrix()
+        return Rigid("tracker", frame, rotation, true.translation_mm + shift)
+
+
+def image_pair(spec: PairSpec) -> ImagePair:
+    """The heart before and now, and where the tracker stands."""
+    mismatch = {"no-mismatch": 0.0, "calm": PRESETS["calm"].mismatch_mm}.get(
+        spec.quality, PRESETS["poor-image"].mismatch_mm
+    )
+    before = phantom_anatomy(motion=spec.motion, mismatch_mm=0.0, seed=spec.seed)
+    motion: Motion = spec.motion
+    if spec.change == "motion":
+        motion = "physiological" if spec.motion == "paper5mm" else "paper5mm"
+    if spec.change == "deformation":
+        mismatch = DEFORMATION_MM
+    now = phantom_anatomy(motion=motion, mismatch_mm=mismatch, seed=spec.seed)
+    rng = child_rng(spec.seed, "pair tracker")
+    rotation = Rotation.random(rng=rng).as_matrix()
+    truth = Rigid("mr", "tracker", rotation, rng.uniform(-200.0, 200.0, 3))
+    return ImagePair(spec, before, now, truth)
+
+
+PlaneSet = Literal["one", "shared axis", "off axis", "five"]
+
+
+def plane_views(anatomy: PhantomAnatomy, kind: PlaneSet, rng: np.random.Generator) -> tuple[Rigid, ...]:
+    """mr_from_plane of sets of planes.
+
+    "one": an apical plane. "shared axis": apical planes turned by 0, 60 and 120° about the beam.
+    "off axis": the first two of them and a short-axis one from the front. "five": the three apical ones, the
+    short axis, and one from the left.
+    """
+    apical = standard_view("apical four-chamber", anatomy.reference)
+    turned = [_turned(apical, np.deg2rad(a)) for a in (0.0, 60.0, 120.0)]
+    across = standard_view("epicardial short-axis", anatomy.reference)
+    if kind == "one":
+        chosen = turned[:1]
+    elif kind == "shared axis":
+        chosen = turned
+    elif kind == "off axis":
+        chosen = [*turned[:2], across]
+    else:
+        center = anatomy.box_mm.mean(axis=0)
+        reach = 0.5 * (anatomy.box_mm[1, 0] - anatomy.box_mm[0, 0]) + COUPLING_MM
+        chosen = [*turned, across, view_from(center + np.array([reach, 0.0, 0.0]), center)]
+    return tuple(_held_freely(view, rng) for view in chosen)
+
+
+def _turned(view: Rigid, angle_rad: float) -> Rigid:
+    """The view turned about its beam."""
+    return Rigid(
+        "mr",
+        "plane",
+        view.rotation @ Rotation.from_rotvec([0, angle_rad, 0]).as_matrix(),
+        view.translation_mm,
+    )
+
+
+def _held_freely(view: Rigid, rng: np.random.Generator) -> Rigid:
+    """Where an operator holds the probe: up to 12° and 6 mm from the textbook's view."""
+    turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-12.0, 12.0, 3))).as_matrix()
+    return Rigid("mr", "plane", view.rotation @ turn, view.translation_mm + rng.uniform(-6.0, 6.0, 3))

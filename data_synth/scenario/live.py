@@ -1,0 +1,113 @@
+"""The live part of a scenario: tracked ultrasound and tracked tool, with what the tool truly met."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from data_synth.operator.contact import tool_truth
+from data_synth.operator.contact_sites import contact_sites
+from data_synth.operator.hand import perpendicular
+from data_synth.operator.pose_path import composed, inverted, moved
+from data_synth.operator.tool_path import tip_path, tool_path
+from data_synth.seeds import child_seed
+from data_synth.signals.occlusion import losses_in_contact
+from data_synth.signals.tracker import PosePath, TrackerSpec, sampling_times, tracked
+from data_synth.ultrasound.image_faults import spoiled
+from data_synth.ultrasound.sequence import simulate_sequence
+from dvf_ig.core import FloatArray, PoseStream, Rigid, ToolTruth, TrackedSequence
+
+from .world import ANTERIOR_LEFT, World
+
+TICK_HZ = 1000.0
+LINE_OVERHEAD = 1.1
+SOUND_MM_S = 1.54e6
+
+Report = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolTask:
+    """Where the tool goes, mr_from_tool, and what its tip truly meets at every millisecond."""
+
+    mr_from_tool: PosePath
+    contact: ToolTruth
+
+
+def tool_task(world: World) -> ToolTask:
+    """The operator's task on the beating, breathing heart; the hand rides on the breathing."""
+    spec, breath = world.spec, world.breathing
+    rng = world.rng("tool path")
+    access = perpendicular(world.window, ANTERIOR_LEFT)
+    options = world.options.tool
+    sites = contact_sites(world.surface, access, options.sites, rng)
+    tip = tip_path(world.surface, world.clock, sites, spec.seconds, options, rng)
+    heart_from_tool = tool_path(tip, access, world.planted.tip_in_tool, rng)
+    ticks_s = np.arange(round(spec.seconds * TICK_HZ)) / TICK_HZ
+    met = tool_truth(world.surface, world.clock, ticks_s, tip(ticks_s))
+    contact = replace(met, tip_mr_mm=met.tip_mr_mm + breath(ticks_s))
+    return ToolTask(moved(heart_from_tool, breath), contact)
+
+
+def tracked_tool(world: World, task: ToolTask) -> PoseStream:
+    """tracker_from_tool as measured."""
+    rng = world.rng("tool tracker")
+    spec = _with_losses(world.options.tool_tracker, world, task.contact, "tool sight")
+    true_s, stamp_s = sampling_times(spec, 0.0, world.spec.seconds, rng)
+    path = composed(inverted(world.patient), task.mr_from_tool)
+    return tracked(path, "tracker", "tool", true_s, stamp_s, spec, rng)
+
+
+def tracked_ultrasound(
+    world: World, mr_from_plane: PosePath, contact: ToolTruth, report: Report
+) -> TrackedSequence:
+    """Images stamped on the video clock, each with tracker_from_probe as tracked at its stamp.
+
+    An image taken at tracker time t carries the stamp (t − lag)/(1 + drift), and the recorder looks up the
+    tracker at that number: the pose beside an image is the one from about `lag` earlier, as an uncorrected
+    recorder gives it.
+    """
+    spec, options, rng = world.spec, world.options, world.rng("ultrasound")
+    stamp_s, taken_s = _image_times(world, rng)
+    heart_from_plane = moved(mr_from_plane, lambda t_s: -world.breathing(t_s))
+    poses = [Rigid("mr", "plane", r, t) for r, t in zip(*heart_from_plane(taken_s), strict=True)]
+    images = simulate_sequence(
+        world.anatomy,
+        world.probe,
+        poses,
+        _line_phases(world, taken_s),
+        seed=child_seed(spec.seed, "speckle"),
+        progress=lambda done, count: report(done / count),
+    )
+    images = spoiled(images, world.probe, taken_s, options.image, world.rng("image faults"))
+    tracker = _with_losses(options.probe_tracker, world, contact, "probe sight")
+    tracker_from_probe = composed(composed(inverted(world.patient), mr_from_plane), inverted(world.mount))
+    stream = tracked(
+        tracker_from_probe, "tracker", "probe", stamp_s - tracker.latency_s, stamp_s, tracker,
+        world.rng("probe tracker"),
+    )  # fmt: skip
+    return TrackedSequence(stamp_s, images, np.ones(len(stamp_s), dtype=np.bool_), {stream.name: stream})
+
+
+def _image_times(world: World, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """(n,) stamps on the video clock, and (n,) true times at which the images were taken."""
+    spec, lag_s = world.spec, world.planted.lag_s
+    step_s = 1.0 / spec.us_rate_hz
+    taken_s = np.arange(0.1, spec.seconds - 0.1, step_s)
+    jitter = world.options.video_jitter_s * rng.standard_normal(len(taken_s))
+    taken_s = taken_s + np.clip(jitter, -0.1 * step_s, 0.1 * step_s)
+    pace = 1.0 + 1e-6 * world.options.video_drift_ppm
+    stamp_s = np.round((taken_s - lag_s) / pace, 6)
+    return stamp_s, stamp_s * pace + lag_s
+
+
+def _line_phases(world: World, taken_s: FloatArray) -> FloatArray:
+    """(n, lines) model phase at which each line of each image was acquired."""
+    line_s = LINE_OVERHEAD * 2.0 * world.probe.depth_mm / SOUND_MM_S
+    offsets_s = (np.arange(world.probe.lines) - 0.5 * (world.probe.lines - 1)) * line_s
+    return world.clock.model_phase(taken_s[:, None] + offsets_s)
+
+
+def _with_losses(spec: TrackerSpec, world: World, contact: ToolTruth, stream: str) -> TrackerSpec:
+    losses = losses_in_contact(contact, world.options.sight, world.rng(stream))
+    return replace(spec, lost_s=spec.lost_s + losses)

@@ -1,0 +1,182 @@
+"""What a synthetic intervention is like: named presets of rhythm, disturbances and errors."""
+
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from data_synth.operator.probe_path import SweepSpec
+from data_synth.operator.tool_path import ToolSpec
+from data_synth.phantoms.nwire import NWireSpec
+from data_synth.phantoms.watertank import WaterTankSpec
+from data_synth.signals.ecg import EcgSpec
+from data_synth.signals.occlusion import SightSpec
+from data_synth.signals.rhythm import RhythmSpec
+from data_synth.signals.tracker import TrackerSpec
+from data_synth.ultrasound.image_faults import ImageSpec
+from dvf_ig.core import InvalidInputError
+
+from .displacement import Displacement
+
+Motion = Literal["paper5mm", "physiological"]
+MOTIONS: tuple[Motion, ...] = get_args(Motion)
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """Everything a preset fixes; the defaults are the calm one.
+
+    Attributes:
+        rhythm, ecg, sweep, tool, image, nwire, watertank: see their classes.
+        probe_tracker, tool_tracker: errors of the two sensors in the live part.
+        pivot_tracker, nwire_tracker, watertank_tracker: the same in these calibration recordings.
+        sight: long losses of the probe's and the tool's markers while the tool is in contact.
+        patient_shift: mr_from_tracker changes; the displacement is that of the heart's centre.
+        probe_slip: probe_from_image changes; the displacement is that of the image's middle.
+        other_probe_mm, other_probe_deg: the calibration recordings are of a probe whose image lies this far
+            from the one used live (its middle, exactly; directions are random).
+        mismatch_mm: RMS non-rigid difference between pre-operative and intra-operative anatomy.
+        video_jitter_s: SD of the instants at which images are taken, about the regular grid.
+        video_drift_ppm: how much slower the video clock runs than the tracker's.
+        start_mm, start_deg: how far the coarse start is off.
+        respiration_mm, respiration_per_min: excursion of the heart from end-expiration to end-inspiration,
+            and breaths a minute; none by default, as with high-frequency ventilation.
+    """
+
+    rhythm: RhythmSpec = field(default_factory=RhythmSpec)
+    ecg: EcgSpec = field(default_factory=EcgSpec)
+    sweep: SweepSpec = field(default_factory=SweepSpec)
+    tool: ToolSpec = field(default_factory=ToolSpec)
+    image: ImageSpec = field(default_factory=ImageSpec)
+    nwire: NWireSpec = field(default_factory=NWireSpec)
+    watertank: WaterTankSpec = field(default_factory=WaterTankSpec)
+    probe_tracker: TrackerSpec = field(
+        default_factory=lambda: TrackerSpec(rate_hz=12.0, dropouts_per_min=1.0)
+    )
+    tool_tracker: TrackerSpec = field(
+        default_factory=lambda: TrackerSpec(
+            rate_hz=100.0, position_mm=0.1, rotation_deg=0.05, dropouts_per_min=2.0
+        )
+    )
+    nwire_tracker: TrackerSpec = field(
+        default_factory=lambda: TrackerSpec(rate_hz=12.0, dropouts_per_min=1.0)
+    )
+    pivot_tracker: TrackerSpec = field(
+        default_factory=lambda: TrackerSpec(rate_hz=20.0, position_mm=0.1, rotation_deg=0.05)
+    )
+    watertank_tracker: TrackerSpec = field(default_factory=lambda: TrackerSpec(rate_hz=50.0))
+    sight: SightSpec = field(default_factory=SightSpec)
+    patient_shift: Displacement = field(default_factory=Displacement)
+    probe_slip: Displacement = field(default_factory=Displacement)
+    other_probe_mm: float = 0.0
+    other_probe_deg: float = 0.0
+    mismatch_mm: float = 1.2
+    video_jitter_s: float = 0.001
+    video_drift_ppm: float = 0.0
+    start_mm: float = 10.0
+    start_deg: float = 8.0
+    respiration_mm: float = 0.0
+    respiration_per_min: float = 14.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.mismatch_mm <= 8.0:
+            raise InvalidInputError(f"mismatch is {self.mismatch_mm:g} mm; needed 0 to 8 mm")
+        if not 0.0 <= self.other_probe_mm <= 100.0 or not 0.0 <= self.other_probe_deg <= 90.0:
+            raise InvalidInputError(
+                f"the calibrated probe is {self.other_probe_mm:g} mm and {self.other_probe_deg:g}° from the "
+                "one used; needed 0 to 100 mm and 0 to 90°"
+            )
+        if abs(self.video_drift_ppm) > 5000.0:
+            raise InvalidInputError(
+                f"the video clock drifts {self.video_drift_ppm:g} ppm; needed ±5000 at most"
+            )
+        if not 0.0 <= self.respiration_mm <= 40.0 or not 2.0 <= self.respiration_per_min <= 60.0:
+            raise InvalidInputError(
+                f"respiration is {self.respiration_mm:g} mm, {self.respiration_per_min:g} a minute; "
+                "needed 0 to 40 mm and 2 to 60 a minute"
+            )
+        if min(self.start_mm, self.start_deg, self.video_jitter_s) < 0:
+            raise InvalidInputError("the coarse start's offset or the video's jitter is negative")
+
+
+PRESETS: dict[str, Preset] = {
+    "calm": Preset(),
+    "tachycardia": Preset(rhythm=RhythmSpec(rate_bpm=((8.0, 60.0), (52.0, 120.0)))),
+    "ectopy": Preset(rhythm=RhythmSpec(ectopic_share=0.1)),
+    "line-of-sight-loss": Preset(sight=SightSpec(losses_per_min=4.0)),
+    "probe-slip": Preset(probe_slip=Displacement(shift_mm=6.0, turn_deg=4.0)),
+    "patient-shift": Preset(patient_shift=Displacement(shift_mm=8.0, turn_deg=3.0, over_s=0.5)),
+    "poor-image": Preset(
+        image=ImageSpec(clutter=5.0, shadows=3, dynamic_range_db=45.0),
+        probe_tracker=TrackerSpec(rate_hz=12.0, position_mm=1.0, rotation_deg=0.7, dropouts_per_min=1.0),
+        mismatch_mm=2.0,
+    ),
+    "wrong-calibration": Preset(other_probe_mm=6.0, other_probe_deg=4.0),
+}
+"""calm: about 72 beats/min with mild variability, low noise, short drop-outs. Every other one is calm except:
+tachycardia: the rate climbs from 60 to 120 beats/min between 8 and 52 s.
+ectopy: one beat in ten is a ventricular extrasystole with a full compensatory pause.
+line-of-sight-loss: both markers are lost for 1.5 to 4 s, four times a minute, while the tool touches.
+probe-slip: half-way the marker slips on the probe: the image's middle is 6 mm and 4° from where it was.
+patient-shift: half-way the patient moves within 0.5 s: the heart's centre by 8 mm, and by 3° about it.
+poor-image: clutter ×5, shadows, 45 dB of dynamic range, 2 mm mismatch, 1 mm and 0.7° of noise on the probe.
+wrong-calibration: N-wire and water-tank recordings are of a probe whose image lies 6 mm and 4° off.
+"""
+
+
+def preset_name(name: str) -> str:
+    """The key of PRESETS that is meant: capitals, spaces and underscores do not matter.
+
+    Raises:
+        InvalidInputError: there is none.
+    """
+    key = "-".join(name.lower().replace("_", " ").replace("-", " ").split())
+    if key not in PRESETS:
+        raise InvalidInputError(f"there is no preset '{name}'; choose from {', '.join(PRESETS)}")
+    return key
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioSpec:
+    """One synthetic scenario; the same values give bit-identical recordings.
+
+    Attributes:
+        preset: a key of PRESETS, spelt with hyphens or spaces.
+        motion: how far the phantom's heart moves: "paper5mm" or "physiological".
+        seconds: length of the live part.
+        seed: of every random choice, a non-negative integer.
+        us_rate_hz: ultrasound frame rate.
+        mismatch_mm: overrides the preset's mismatch.
+        changed: what the preset is replaced by, where it was adapted; None takes it as it is.
+    """
+
+    preset: str = "calm"
+    motion: Motion = "paper5mm"
+    seconds: float = 60.0
+    seed: int = 1
+    us_rate_hz: float = 12.0
+    mismatch_mm: float | None = None
+    changed: Preset | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "preset", preset_name(self.preset))
+        if self.motion not in MOTIONS:
+            raise InvalidInputError(f"there is no motion '{self.motion}'; choose from {', '.join(MOTIONS)}")
+        if not 5.0 <= self.seconds <= 3600.0:
+            raise InvalidInputError(f"the scenario is to last {self.seconds:g} s; needed 5 to 3600 s")
+        if not 6.0 <= self.us_rate_hz <= 60.0:
+            raise InvalidInputError(
+                f"ultrasound rate is {self.us_rate_hz:g} Hz; needed 6 to 60 Hz (poses are recorded with the "
+                "images, and slower ones cannot be interpolated)"
+            )
+        if self.seed < 0:
+            raise InvalidInputError(f"the seed is {self.seed}; needed a non-negative integer")
+        if self.mismatch_mm is not None and not 0.0 <= self.mismatch_mm <= 8.0:
+            raise InvalidInputError(f"mismatch is {self.mismatch_mm:g} mm; needed 0 to 8 mm")
+
+    @property
+    def options(self) -> Preset:
+        return PRESETS[self.preset] if self.changed is None else self.changed
+
+    @property
+    def mismatch(self) -> float:
+        """Mismatch in mm that holds."""
+        return self.options.mismatch_mm if self.mismatch_mm is None else self.mismatch_mm

@@ -1,0 +1,185 @@
+"""One synthetic intervention: a beating heart, what was known of it before, and every recorded stream."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from data_synth.heart.anatomy import phantom_anatomy
+from data_synth.operator.hand import reframed
+from data_synth.operator.probe_path import ReplayedPath, central_view, sweeping_path
+from data_synth.phantoms.nwire import nwire_recording
+from data_synth.phantoms.pivot import pivot_recording
+from data_synth.phantoms.watertank import watertank_recording
+from data_synth.seeds import child_rng, child_seed
+from data_synth.signals.ecg import synthetic_ecg
+from data_synth.signals.rhythm import beat_series
+from data_synth.signals.tracker import PosePath
+from data_synth.surfaces.anatomy import surface_anatomy
+from dvf_ig.core import (
+    CycleTiming,
+    FloatArray,
+    InvalidInputError,
+    NWireRecording,
+    Preop,
+    Scenario,
+    ScenarioTruth,
+    Signal,
+    SurfaceSeries,
+    ToolTruth,
+)
+
+from .ground_truth import coarse_start, touched_landmarks
+from .live import tool_task, tracked_tool, tracked_ultrasound
+from .presets import ScenarioSpec
+from .world import World, make_world
+
+TRUTH_PHASES = 40
+
+Report = Callable[[float], None]
+
+
+def phantom_scenario(spec: ScenarioSpec, progress: Report | None = None) -> Scenario:
+    """A scenario on the four-chamber phantom.
+
+    Args:
+        spec: what to make.
+        progress: called with the fraction done.
+    """
+    seed = child_seed(spec.seed, "anatomy")
+    anatomy = phantom_anatomy(motion=spec.motion, mismatch_mm=spec.mismatch, seed=seed)
+    beats = beat_series(spec.options.rhythm, -3.0, spec.seconds + 3.0, child_rng(spec.seed, "rhythm"))
+    ecg = synthetic_ecg(beats, spec.seconds, spec.options.ecg, child_rng(spec.seed, "ecg"))
+    world = make_world(spec, anatomy, beats.r_peaks_s)
+    _tell(progress, 0.12)
+    sweep = sweeping_path(world.outline, world.window, spec.options.sweep, world.rng("probe path"))
+    name = f"four-chamber phantom, {spec.motion}, {spec.preset}, seed {spec.seed}"
+    return _assembled(name, world, ecg, sweep, with_start=True, progress=progress)
+
+
+def surface_scenario(
+    spec: ScenarioSpec,
+    surfaces: Mapping[str, SurfaceSeries],
+    ecg: Signal,
+    r_peaks_s: FloatArray,
+    probe_path: ReplayedPath,
+    progress: Report | None = None,
+) -> Scenario:
+    """A scenario on real surfaces, with a real ECG and a real probe path; only the ultrasound is simulated.
+
+    Args:
+        spec: `motion` is not used: the surfaces carry their own.
+        surfaces: corresponding series by name; "EPICARDIAL" is required.
+        ecg: from time 0 on, at least `spec.seconds` long.
+        r_peaks_s: true beats on the ECG's clock; the heart beats at these.
+        probe_path: recorded hand motion.
+        progress: called with the fraction done.
+    Raises:
+        InvalidInputError: ECG too short, or fewer than two beats.
+    """
+    stop_s = ecg.start_s + len(ecg) / ecg.rate_hz
+    if ecg.start_s > 0 or stop_s < spec.seconds - 1e-6:
+        raise InvalidInputError(
+            f"the ECG runs from {ecg.start_s:g} to {stop_s:g} s; needed 0 to {spec.seconds:g} s: "
+            "take a longer record or fewer seconds"
+        )
+    seed = child_seed(spec.seed, "anatomy")
+    anatomy = surface_anatomy(surfaces, mismatch_mm=spec.mismatch, seed=seed)
+    world = make_world(spec, anatomy, np.asarray(r_peaks_s, dtype=np.float64))
+    _tell(progress, 0.12)
+    view = central_view(world.outline, world.window)
+    mr_from_mean_probe = view @ world.planted.probe_from_plane.inverse()
+    sweep = reframed(probe_path, mr_from_mean_probe, world.planted.probe_from_plane)
+    name = f"real surfaces and ECG, {spec.preset}, seed {spec.seed}"
+    return _assembled(name, world, ecg.between(0.0, spec.seconds), sweep, with_start=False, progress=progress)
+
+
+def _assembled(
+    name: str, world: World, ecg: Signal, sweep: PosePath, *, with_start: bool, progress: Report | None
+) -> Scenario:
+    spec, planted, anatomy = world.spec, world.planted, world.anatomy
+    preop = anatomy.preop(world.rng("preop"))
+    _tell(progress, 0.3)
+    task = tool_task(world)
+    _tell(progress, 0.4)
+    ultrasound = tracked_ultrasound(
+        world, sweep, task.contact, lambda done: _tell(progress, 0.4 + 0.57 * done)
+    )
+    options, center = world.options, anatomy.box_mm.mean(axis=0)
+    landmarks = anatomy.landmarks()
+    start = coarse_start(
+        planted.mr_from_tracker, center, options.start_mm, options.start_deg, world.rng("start")
+    )
+    scenario = Scenario(
+        name=name,
+        preset=spec.preset,
+        preop=preop,
+        ecg=ecg,
+        ultrasound=ultrasound,
+        fan=world.probe.fan,
+        tool=tracked_tool(world, task),
+        pivot=pivot_recording(planted.tip_in_tool, options.pivot_tracker, world.rng("pivot")),
+        nwire=_nwire(world),
+        latency=watertank_recording(
+            world.calibrated,
+            world.probe.fan,
+            planted.lag_s,
+            options.watertank_tracker,
+            options.watertank,
+            world.rng("water tank"),
+        ),
+        start=start if with_start else None,
+        landmarks_mr=landmarks,
+        landmarks_tracker=touched_landmarks(landmarks, planted.mr_from_tracker, world.rng("landmarks")),
+        seed=spec.seed,
+        truth=_truth(world, preop, task.contact),
+    )
+    _tell(progress, 1.0)
+    return scenario
+
+
+def _nwire(world: World) -> NWireRecording:
+    options = world.options
+    return nwire_recording(
+        world.calibrated,
+        world.probe.fan,
+        (world.probe.columns, world.probe.rows),
+        options.nwire_tracker,
+        options.nwire,
+        world.rng("n-wire"),
+    )
+
+
+def _truth(world: World, preop: Preop, contact: ToolTruth) -> ScenarioTruth:
+    """Everything planted, with the true surface at TRUTH_PHASES phases."""
+    anatomy, planted, surface = world.anatomy, world.planted, world.surface
+    moving = SurfaceSeries(
+        preop.surface,
+        "mr",
+        np.stack([surface.at(i / TRUTH_PHASES) for i in range(TRUTH_PHASES)]),
+        surface.triangles,
+        CycleTiming(np.arange(TRUTH_PHASES) / TRUTH_PHASES, anatomy.rr_s),
+        preop.patient_id,
+    )
+    peaks = world.clock.r_peaks_s
+    options = world.options
+    other = options.other_probe_mm > 0 or options.other_probe_deg > 0
+    return ScenarioTruth(
+        mr_from_tracker=world.patient.steps(),
+        probe_from_image=planted.probe_from_image,
+        tip=planted.tip_in_tool,
+        lag_s=planted.lag_s,
+        r_peaks_s=peaks[(peaks >= 0.0) & (peaks < world.spec.seconds)],
+        targets=anatomy.targets(),
+        surface=moving,
+        tool=contact,
+        mismatch_mm=world.spec.mismatch,
+        later_probe_from_image=world.image_maps()[1:],
+        calibrated_probe_from_image=world.calibrated if other else None,
+        video_drift_ppm=options.video_drift_ppm,
+        respiration_mm=options.respiration_mm,
+    )
+
+
+def _tell(progress: Report | None, done: float) -> None:
+    if progress is not None:
+        progress(done)

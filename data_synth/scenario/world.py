@@ -1,0 +1,133 @@
+"""What every stream of one scenario is made from: heart, beats, probe, planted frames and how they change."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_synth.heart.anatomy import BeatingAnatomy
+from data_synth.heart.clock import HeartClock
+from data_synth.heart.respiration import Breathing, breathing
+from data_synth.heart.tissue import Tissue
+from data_synth.operator.contact import MovingSurface
+from data_synth.operator.probe_path import HeartOutline, acoustic_window
+from data_synth.seeds import child_rng
+from data_synth.ultrasound.probe import SectorProbe
+from dvf_ig.core import FloatArray, ImageMap
+
+from .displacement import DisplacedPose, Displacement, displaced
+from .ground_truth import Planted, plant
+from .presets import Preset, ScenarioSpec
+
+ANTERIOR_LEFT = np.array([0.52, -0.83, -0.20])
+"""Preferred acoustic window in LPS: from the left front, slightly below."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class World:
+    """One synthetic operating room.
+
+    Attributes:
+        spec: what was asked for.
+        anatomy, clock, surface, outline: the beating heart, at rest in breathing.
+        window: (3,) direction of the acoustic window from the heart.
+        probe: the scanner.
+        planted: unknowns at the beginning.
+        patient: mr_from_tracker over time.
+        mount: probe_from_plane over time.
+        calibrated: image calibration of the probe that the calibration recordings show.
+        breathing: displacement of the heart, frame "mr".
+    """
+
+    spec: ScenarioSpec
+    anatomy: BeatingAnatomy
+    clock: HeartClock
+    surface: MovingSurface
+    outline: HeartOutline
+    window: FloatArray
+    probe: SectorProbe
+    planted: Planted
+    patient: DisplacedPose
+    mount: DisplacedPose
+    calibrated: ImageMap
+    breathing: Breathing
+
+    @property
+    def options(self) -> Preset:
+        return self.spec.options
+
+    def rng(self, stream: str) -> np.random.Generator:
+        return child_rng(self.spec.seed, stream)
+
+    def image_maps(self) -> tuple[tuple[float, ImageMap], ...]:
+        """Every image calibration with the time from which it holds; the first is the planted one."""
+        plane_from_image = self.probe.plane_from_image
+        return tuple(
+            (start_s, ImageMap(pose @ plane_from_image.rigid, plane_from_image.scale_mm_per_px))
+            for start_s, pose in self.mount.steps()
+        )
+
+
+def make_world(spec: ScenarioSpec, anatomy: BeatingAnatomy, r_peaks_s: FloatArray) -> World:
+    """Everything that does not depend on where probe and tool go.
+
+    Args:
+        r_peaks_s: true beats on the tracker's clock.
+    """
+    surface = MovingSurface.of(anatomy)
+    resting = surface.vertices_mm[0]
+    outline = HeartOutline(resting.mean(axis=0), resting)
+    window = acoustic_window(
+        lambda xyz: np.isin(anatomy.tissue(xyz, 0.0), (int(Tissue.LUNG), int(Tissue.BONE))).astype(
+            np.float64
+        ),
+        outline,
+        ANTERIOR_LEFT / np.linalg.norm(ANTERIOR_LEFT),
+    )
+    probe, options = SectorProbe(), spec.options
+    center = anatomy.box_mm.mean(axis=0)
+    planted = plant(center, probe.plane_from_image, options.tool.length_mm, child_rng(spec.seed, "planting"))
+    middle = image_middle_mm(planted.probe_from_image, probe)
+    return World(
+        spec=spec,
+        anatomy=anatomy,
+        clock=HeartClock(r_peaks_s, anatomy.rr_s, anatomy.es_fraction),
+        surface=surface,
+        outline=outline,
+        window=window,
+        probe=probe,
+        planted=planted,
+        patient=displaced(
+            planted.mr_from_tracker,
+            options.patient_shift,
+            center,
+            spec.seconds,
+            child_rng(spec.seed, "patient shift"),
+        ),
+        mount=displaced(
+            planted.probe_from_plane,
+            options.probe_slip,
+            middle,
+            spec.seconds,
+            child_rng(spec.seed, "probe slip"),
+        ),
+        calibrated=_other_probe(
+            planted.probe_from_image, options, middle, child_rng(spec.seed, "other probe")
+        ),
+        breathing=breathing(
+            options.respiration_mm, options.respiration_per_min, child_rng(spec.seed, "breathing")
+        ),
+    )
+
+
+def image_middle_mm(probe_from_image: ImageMap, probe: SectorProbe) -> FloatArray:
+    """(3,) middle of the image in frame "probe"."""
+    middle = 0.5 * np.array([[probe.columns - 1.0, probe.rows - 1.0]])
+    return np.asarray(probe_from_image.apply_pixels(middle).xyz_mm[0])
+
+
+def _other_probe(
+    image: ImageMap, options: Preset, middle_mm: FloatArray, rng: np.random.Generator
+) -> ImageMap:
+    """The image calibration that was recorded: the planted one, or another probe's."""
+    change = Displacement(0.0, options.other_probe_mm, options.other_probe_deg)
+    return ImageMap(displaced(image.rigid, change, middle_mm, 0.0, rng).steps()[-1][1], image.scale_mm_per_px)

@@ -1,0 +1,1 @@
+"""ECG, beats and tracker as they are recorded."""

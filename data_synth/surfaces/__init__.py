@@ -1,0 +1,1 @@
+"""A beating anatomy made of real corresponding surfaces."""

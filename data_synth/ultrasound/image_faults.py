@@ -1,0 +1,135 @@
+"""What spoils ultrasound images beyond the physics of tissue: clutter, shadows, little dynamic range.
+
+Applied to compressed images, whose grey is a linear scale of decibels: shadows subtract from it, and clutter
+adds as power.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from data_synth.signals.smooth_noise import smooth_noise
+from dvf_ig.core import FloatArray, InvalidInputError
+
+from .probe import FWHM_PER_SIGMA, SectorProbe
+
+CLUTTER_DB = -24.0
+"""Ordinary clutter near the probe, re myocardium (Lediju 2009 measured 0 to −50 dB in vivo)."""
+
+CLUTTER_DECAY_MM = 80.0
+"""Depth over which the amplitude of clutter falls to 1/e: reverberation of the chest wall dies out."""
+
+SHADOW_ONSET_MM = 12.0
+
+
+@dataclass(frozen=True, slots=True)
+class ImageSpec:
+    """Faults of the images.
+
+    Attributes:
+        clutter: amplitude of the clutter as a multiple of CLUTTER_DB; 0 is none. It stands still in the
+            image while the heart moves behind it.
+        shadows: number of shadows (ribs, lost contact); they wander slowly through the sector.
+        shadow_deg: full width of a shadow at half its loss.
+        shadow_db: two-way loss in its middle.
+        dynamic_range_db: of the log compression; the probe's own where it is larger.
+    """
+
+    clutter: float = 0.0
+    shadows: int = 0
+    shadow_deg: float = 9.0
+    shadow_db: float = 28.0
+    dynamic_range_db: float = 60.0
+
+    def __post_init__(self) -> None:
+        if min(self.clutter, self.shadows, self.shadow_db) < 0 or not 0 < self.shadow_deg <= 90:
+            raise InvalidInputError(
+                "an image fault is negative, or shadows are not 0 to 90° wide; needed 0 or more"
+            )
+        if not 10.0 <= self.dynamic_range_db <= 120.0:
+            raise InvalidInputError(f"dynamic range is {self.dynamic_range_db:g} dB; needed 10 to 120 dB")
+
+
+def spoiled(
+    images: NDArray[np.uint8],
+    probe: SectorProbe,
+    t_s: FloatArray,
+    spec: ImageSpec,
+    rng: np.random.Generator,
+) -> NDArray[np.uint8]:
+    """(n, rows, columns) images with the faults of `spec`; the images themselves where there are none.
+
+    Args:
+        t_s: (n,) when each image was taken.
+    """
+    narrow = spec.dynamic_range_db < probe.dynamic_range_db
+    if spec.clutter == 0 and spec.shadows == 0 and not narrow:
+        return images
+    line, sample = probe.pixel_lookup()
+    seen = line >= 0
+    depth_mm = np.asarray((sample[seen] + 0.5) * probe.step_mm, dtype=np.float64)
+    angle = np.interp(line[seen], np.arange(probe.lines), probe.line_angles_rad)
+    shadow_db = _shadows(angle, depth_mm, probe, t_s, spec, rng)
+    clutter = _clutter(line[seen], sample[seen], probe, spec, rng)
+    mixing = np.pi * smooth_noise(1, 0.1, 0.6, rng)(t_s)[:, 0]
+    floor_db = probe.top_db - probe.dynamic_range_db
+    range_db = min(spec.dynamic_range_db, probe.dynamic_range_db)
+    out = np.zeros_like(images)
+    for i, image in enumerate(images):
+        grey = image[seen].astype(np.float64)
+        level = floor_db + grey * (probe.dynamic_range_db / 255.0) - shadow_db(i)
+        power = np.where(grey > 0, 10 ** (level / 10), 0.0)
+        power += np.abs(clutter[0] * np.cos(mixing[i]) + clutter[1] * np.sin(mixing[i])) ** 2
+        level = 10 * np.log10(power + 1e-12)
+        out[i][seen] = np.clip((level - probe.top_db + range_db) * (255.0 / range_db) + 0.5, 0, 255)
+    return out
+
+
+def _shadows(
+    angle: FloatArray,
+    depth_mm: FloatArray,
+    probe: SectorProbe,
+    t_s: FloatArray,
+    spec: ImageSpec,
+    rng: np.random.Generator,
+) -> Callable[[int], FloatArray]:
+    """Loss in dB at every pixel of an image by its number: shadows spread over the sector, wandering."""
+    count = spec.shadows
+    spread = (np.arange(count) + rng.uniform(0.2, 0.8, count)) / max(count, 1)
+    wander = smooth_noise(max(count, 1), 0.02, 0.15, rng)(t_s)[:, :count]
+    centers = probe.half_angle_rad * (2.0 * spread - 1.0) + np.deg2rad(0.7 * spec.shadow_deg) * wander
+    ramp = spec.shadow_db * (1.0 - np.exp(-((depth_mm / SHADOW_ONSET_MM) ** 2)))
+    width = np.deg2rad(spec.shadow_deg) / FWHM_PER_SIGMA
+
+    def loss_db(frame: int) -> FloatArray:
+        share = np.zeros_like(angle)
+        for center in centers[frame]:
+            np.maximum(share, np.exp(-0.5 * ((angle - center) / width) ** 2), out=share)
+        return np.asarray(share * ramp)
+
+    return loss_db
+
+
+def _clutter(
+    line: NDArray[np.float32],
+    sample: NDArray[np.float32],
+    probe: SectorProbe,
+    spec: ImageSpec,
+    rng: np.random.Generator,
+) -> NDArray[np.complex128]:
+    """(2, pixels) complex amplitude of two independent clutter fields, speckled like any other echo."""
+    sigma = (1.2, probe.axial_fwhm_mm / FWHM_PER_SIGMA / probe.step_mm)
+    at = np.stack([line, sample])
+    depth_mm = (sample + 0.5) * probe.step_mm
+    level = spec.clutter * 10 ** (CLUTTER_DB / 20) * np.exp(-depth_mm / CLUTTER_DECAY_MM)
+    fields = []
+    for _ in range(2):
+        parts = [gaussian_filter(rng.standard_normal((probe.lines, probe.samples)), sigma) for _ in range(2)]
+        real, imaginary = (map_coordinates(part, at, order=1) for part in parts)
+        field = real + 1j * imaginary
+        # interpolation takes some power away; the level is that of what is seen
+        fields.append(level * field / np.sqrt(np.mean(np.abs(field) ** 2)))
+    return np.stack(fields)

@@ -1,0 +1,110 @@
+"""Named probes, and how a side-fire catheter holds its array."""
+
+import numpy as np
+
+from dvf_ig.core import InvalidInputError, Rigid
+
+from .probe import SectorProbe
+from .volume import MatrixProbe
+
+PROBES: dict[str, SectorProbe | MatrixProbe] = {
+    "epicardial": SectorProbe(),
+    "apical": SectorProbe(
+        lines=192,
+        samples=768,
+        fine_lines=8,
+        depth_mm=160.0,
+        half_angle_rad=float(np.deg2rad(37.5)),
+        frequency_mhz=2.5,
+        bandwidth_mhz=1.4,
+        aperture_mm=20.0,
+        rows=512,
+        columns=512,
+        mm_per_px=0.38,
+        apex_px=(255.5, 40.0),
+        specular_db=34.0,
+        haze_db=-8.0,
+    ),
+    "tee": SectorProbe(
+        lines=192,
+        samples=768,
+        fine_lines=8,
+        depth_mm=140.0,
+        half_angle_rad=float(np.deg2rad(45.0)),
+        frequency_mhz=5.0,
+        bandwidth_mhz=2.5,
+        aperture_mm=11.0,
+        focus_mm=70.0,
+        rows=512,
+        columns=512,
+        mm_per_px=0.39,
+        apex_px=(255.5, 60.0),
+        tgc_db_per_cm_mhz=0.24,
+        specular_db=34.0,
+        elevation_aperture_mm=10.0,
+    ),
+    "curvilinear": SectorProbe(
+        lines=192,
+        samples=768,
+        fine_lines=8,
+        depth_mm=140.0,
+        half_angle_rad=float(np.deg2rad(32.0)),
+        frequency_mhz=3.5,
+        bandwidth_mhz=2.0,
+        aperture_mm=18.0,
+        rows=512,
+        columns=640,
+        mm_per_px=0.34,
+        apex_px=(319.5, -130.0),
+        specular_db=34.0,
+        face_radius_mm=50.0,
+    ),
+    "ice": SectorProbe(
+        lines=128,
+        samples=768,
+        fine_lines=8,
+        depth_mm=100.0,
+        half_angle_rad=float(np.deg2rad(45.0)),
+        frequency_mhz=7.0,
+        bandwidth_mhz=3.5,
+        aperture_mm=12.0,
+        focus_mm=45.0,
+        depth_of_field_mm=35.0,
+        rows=512,
+        columns=512,
+        mm_per_px=0.285,
+        apex_px=(255.5, 60.0),
+        tgc_db_per_cm_mhz=0.2,
+        specular_db=34.0,
+        elevation_aperture_mm=2.5,
+        elevation_focus_mm=40.0,
+    ),
+    "matrix": MatrixProbe(),
+}
+"""epicardial: phased, on the heart's surface (the scenarios' probe). apical: transthoracic, lower frequency,
+near-field haze. tee: transoesophageal. curvilinear: curved array. ice: side-fire catheter. matrix: 3-D."""
+
+ARRAY_BEHIND_TIP_MM = 8.0
+
+
+def probe_named(name: str) -> SectorProbe | MatrixProbe:
+    """The probe of that name.
+
+    Raises:
+        InvalidInputError: unknown name.
+    """
+    if name not in PROBES:
+        raise InvalidInputError(f"there is no probe '{name}'; choose from {', '.join(PROBES)}")
+    return PROBES[name]
+
+
+def catheter_from_plane(turn_rad: float = 0.0) -> Rigid:
+    """Where a side-fire catheter holds its image plane.
+
+    Frame "catheter", mm: origin at the tip, z along the shaft away from it. The array lies along the shaft
+    and looks sideways: lateral is −z, and depth is at `turn_rad` from x towards y.
+    """
+    depth = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
+    lateral = np.array([0.0, 0.0, -1.0])
+    rotation = np.column_stack([lateral, depth, np.cross(lateral, depth)])
+    return Rigid("catheter", "plane", rotation, np.array([0.0, 0.0, ARRAY_BEHIND_TIP_MM]))

@@ -1,0 +1,1 @@
+"""Hand–eye calibration of a camera or probe held by a robot."""

@@ -1,0 +1,275 @@
+"""Hand–eye calibration: where a camera sits on the hand, robot flange or probe that holds it.
+
+Uses cv2, loaded when a calibration is run.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.random import Generator
+
+from dvf_ig.calibration.pivot.pivot import rotation_span_deg
+from dvf_ig.core import (
+    BoolArray,
+    FloatArray,
+    InvalidInputError,
+    NoOverlapError,
+    PoseStream,
+    QualityGateError,
+    Rigid,
+)
+from dvf_ig.core.rigid import nearest_rotation
+
+from .fit import Chain, refine
+
+HandEyeMethod = Literal["tsai", "park", "horaud", "andreff", "daniilidis", "shah", "li"]
+HAND_EYE_METHODS: tuple[HandEyeMethod, ...] = get_args(HandEyeMethod)
+
+_ROBOT_WORLD = ("shah", "li")
+_SAMPLE = 4
+"""Poses of one hypothesis: three determine the answer, a fourth steadies it."""
+
+
+@dataclass(frozen=True, slots=True)
+class HandEyeOptions:
+    """How the camera's place is found and what is refused.
+
+    Attributes:
+        method: the closed form that starts the fit: tsai, park, horaud, andreff, daniilidis (hand–eye), or
+            shah, li (robot–world and hand–eye together).
+        consensus_mm, consensus_deg: a pose supports a hypothesis that places the target within both.
+        hypotheses: four-pose samples drawn.
+        keep_sigma: poses within this many robust sigmas take part in the last fit.
+        min_span_deg: smallest accepted largest rotation between two poses of the hand.
+        min_axis_spread: smallest accepted ratio of the second to the first principal size of the hand's
+            rotation vectors; 0 where all turns are about one axis, which leaves the shift along it open.
+        min_inlier_share: smallest accepted share of pairs that agree.
+    """
+
+    method: HandEyeMethod = "park"
+    consensus_mm: float = 3.0
+    consensus_deg: float = 2.0
+    hypotheses: int = 100
+    keep_sigma: float = 4.0
+    min_span_deg: float = 15.0
+    min_axis_spread: float = 0.1
+    min_inlier_share: float = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandEyeResult:
+    """A camera's place on the hand, with its evidence.
+
+    Attributes:
+        hand_from_camera: the map.
+        base_from_target: where the target stood.
+        t_s: (n,) times of the pairs, the camera's clock.
+        residuals_mm, residuals_deg: (n,) distance and angle of the target, seen through each pair, from
+            base_from_target.
+        rms_mm, rms_deg: root mean squares over the inliers.
+        inliers: (n,) pairs that took part.
+        span_deg: largest rotation between two inlier poses of the hand.
+        axis_spread: see HandEyeOptions.min_axis_spread.
+        covariance: (6, 6) rad², mm² of hand_from_camera (rotation in the hand's axes first).
+    """
+
+    hand_from_camera: Rigid
+    base_from_target: Rigid
+    t_s: FloatArray
+    residuals_mm: FloatArray
+    residuals_deg: FloatArray
+    rms_mm: float
+    rms_deg: float
+    inliers: BoolArray
+    span_deg: float
+    axis_spread: float
+    covariance: FloatArray
+
+
+def calibrate_hand_eye(
+    base_from_hand: PoseStream,
+    camera_from_target: PoseStream,
+    *,
+    rng: Generator,
+    options: HandEyeOptions | None = None,
+) -> HandEyeResult:
+    """hand_from_camera for which base_from_hand · hand_from_camera · camera_from_target stands still.
+
+    The hand's pose is interpolated at the camera's times; samples that are not valid, and times between hand
+    samples that are not, are left out. A closed form on four-pose samples is judged by its consensus, then
+    all pairs that agree are fitted together.
+
+    Args:
+        base_from_hand: the hand or robot flange in its base, mm.
+        camera_from_target: a target that does not move, as the camera sees it, mm.
+        rng: draws the samples; the last fit makes the result all but independent of it.
+        options: see HandEyeOptions.
+    Raises:
+        InvalidInputError: frames that repeat, or fewer than 3 pairs.
+        NoOverlapError: the two streams share no time.
+        QualityGateError: the hand turns too little or about one axis, or too few pairs agree.
+    Source: Tsai & Lenz 1989, Park & Martin 1994, Shah 2013 (in OpenCV); MSAC of Torr & Zisserman 2000.
+    """
+    options = options or HandEyeOptions()
+    chain, t_s = _paired(base_from_hand, camera_from_target)
+    _refuse_still(chain, base_from_hand.name, options)
+    keep = _agreeing(chain, _closed_form(options.method), rng, options)
+    if keep.sum() < max(3, options.min_inlier_share * len(t_s)):
+        raise QualityGateError(
+            f"only {int(keep.sum())} of {len(t_s)} pairs agree on one place of '{camera_from_target.target}' "
+            f"within {options.consensus_mm:g} mm and {options.consensus_deg:g}°, needed "
+            f"{options.min_inlier_share:.0%}; check that the target stood still and that both clocks are one"
+        )
+    span, spread = _refuse_still(chain.part(keep), base_from_hand.name, options)
+    fitted = refine(chain.part(keep), _closed_form(options.method)(chain.part(keep)))
+    mm, degrees = chain.misses(fitted.hand_from_camera, fitted.base_from_target)
+    return HandEyeResult(
+        hand_from_camera=Rigid.from_matrix(
+            fitted.hand_from_camera, base_from_hand.source, camera_from_target.target
+        ),
+        base_from_target=Rigid.from_matrix(
+            fitted.base_from_target, base_from_hand.target, camera_from_target.source
+        ),
+        t_s=t_s,
+        residuals_mm=mm,
+        residuals_deg=degrees,
+        rms_mm=float(np.sqrt((mm[keep] ** 2).mean())),
+        rms_deg=float(np.sqrt((degrees[keep] ** 2).mean())),
+        inliers=keep,
+        span_deg=span,
+        axis_spread=spread,
+        covariance=fitted.covariance,
+    )
+
+
+def _paired(hand: PoseStream, camera: PoseStream) -> tuple[Chain, FloatArray]:
+    frames = [hand.target, hand.source, camera.target, camera.source]
+    if len(set(frames)) < 4:
+        raise InvalidInputError(
+            f"{hand.name} and {camera.name} share a frame; needed four: base, hand, camera and target"
+        )
+    seen = camera.t_s[camera.valid]
+    rotations, translations, ok = hand.at_many(seen)
+    if not ok.any():
+        raise NoOverlapError(
+            f"no sample of {camera.name} ({camera.t_s[0]:.2f} to {camera.t_s[-1]:.2f} s) lies between valid "
+            f"samples of {hand.name} ({hand.t_s[0]:.2f} to {hand.t_s[-1]:.2f} s); record both on one clock"
+        )
+    if ok.sum() < 3:
+        raise InvalidInputError(
+            f"{hand.name} and {camera.name} have {int(ok.sum())} pairs of valid poses; needed at least 3, "
+            "and 20 or more in all directions for a good result"
+        )
+    return (
+        Chain(
+            rotations[ok],
+            translations[ok],
+            camera.rotations[camera.valid][ok],
+            camera.translations_mm[camera.valid][ok],
+        ),
+        seen[ok],
+    )
+
+
+def _refuse_still(chain: Chain, name: str, options: HandEyeOptions) -> tuple[float, float]:
+    """Span (deg) and axis spread of the hand's rotations, where they suffice."""
+    span, spread = rotation_span_deg(chain.hand_rotations), chain.axis_spread()
+    if span < options.min_span_deg:
+        raise QualityGateError(
+            f"{name} turns by {span:.1f}° only, needed at least {options.min_span_deg:g}°; tilt the hand in "
+            "all directions while the camera sees the target"
+        )
+    if spread < options.min_axis_spread:
+        raise QualityGateError(
+            f"{name} turns about one axis only (spread of the axes {spread:.3f}, needed at least "
+            f"{options.min_axis_spread:g}); the camera's place along it stays unknown: turn about a second "
+            "axis too"
+        )
+    return span, spread
+
+
+def _agreeing(
+    chain: Chain, solve: Callable[[Chain], FloatArray], rng: Generator, options: HandEyeOptions
+) -> BoolArray:
+    """(n,) pairs that agree with the best-supported hypothesis, refitted until the set stands still."""
+    best, lowest = np.ones(len(chain), dtype=np.bool_), np.inf
+    for _ in range(options.hypotheses if len(chain) > _SAMPLE else 1):
+        sample = rng.permutation(len(chain))[:_SAMPLE]
+        chosen = chain.part(sample)
+        if chosen.axis_spread() < options.min_axis_spread:
+            continue
+        camera = solve(chosen)
+        if not np.isfinite(camera).all():
+            continue
+        excess = _excess(chain, camera, options)
+        cost = float(np.minimum(excess, 1.0).sum())
+        if cost < lowest:
+            best, lowest = excess <= 1.0, cost
+    keep = best
+    for _ in range(20):
+        if keep.sum() < 3 or chain.part(keep).axis_spread() < options.min_axis_spread:
+            break
+        start = solve(chain.part(keep))
+        if not np.isfinite(start).all():
+            return np.zeros(len(chain), dtype=np.bool_)
+        fitted = refine(chain.part(keep), start)
+        again = _near(chain, fitted.hand_from_camera, fitted.base_from_target, keep, options)
+        if np.array_equal(again, keep):
+            break
+        keep = again
+    return keep
+
+
+def _excess(chain: Chain, hand_from_camera: FloatArray, options: HandEyeOptions) -> FloatArray:
+    """(n,) squared miss of each pair over the consensus limits; 1 at the limit."""
+    mm, degrees = chain.misses(hand_from_camera, chain.middle_target(hand_from_camera))
+    return np.maximum(mm / options.consensus_mm, degrees / options.consensus_deg) ** 2
+
+
+def _near(
+    chain: Chain, hand_from_camera: FloatArray, base_from_target: FloatArray, keep: BoolArray,
+    options: HandEyeOptions,
+) -> BoolArray:  # fmt: skip
+    mm, degrees = chain.misses(hand_from_camera, base_from_target)
+    # a median of 3-D lengths is 1.5382 sigma of one coordinate
+    limits = [max(options.keep_sigma * float(np.median(miss[keep])) / 1.5382, 1e-6) for miss in (mm, degrees)]
+    return (mm <= limits[0]) & (degrees <= limits[1])
+
+
+def _closed_form(method: HandEyeMethod) -> Callable[[Chain], FloatArray]:
+    """The function from a chain to (4, 4) hand_from_camera; NaN where OpenCV finds no answer."""
+    if method not in HAND_EYE_METHODS:
+        raise InvalidInputError(f"hand-eye method '{method}' is not one of {', '.join(HAND_EYE_METHODS)}")
+
+    def solve(chain: Chain) -> FloatArray:
+        out = np.eye(4)
+        out[:3, :3], out[:3, 3] = _opencv(chain, method)
+        if not np.isfinite(out).all() or np.linalg.det(out[:3, :3]) <= 0:
+            return np.full((4, 4), np.nan)
+        out[:3, :3] = nearest_rotation(out[:3, :3])
+        return out
+
+    return solve
+
+
+def _opencv(chain: Chain, method: HandEyeMethod) -> tuple[FloatArray, FloatArray]:
+    """Rotation and translation of hand_from_camera, NaN where OpenCV refuses a degenerate sample."""
+    import cv2
+
+    held = (list(chain.hand_rotations), list(chain.hand_translations))
+    seen = (list(chain.target_rotations), list(chain.target_translations))
+    try:
+        if method not in _ROBOT_WORLD:
+            kind = getattr(cv2, f"CALIB_HAND_EYE_{method.upper()}")
+            turn, shift = cv2.calibrateHandEye(*held, *seen, method=kind)
+            return np.asarray(turn), np.ravel(shift)
+        turned = np.swapaxes(chain.hand_rotations, 1, 2)
+        shifted = -np.einsum("nij,nj->ni", turned, chain.hand_translations)
+        kind = getattr(cv2, f"CALIB_ROBOT_WORLD_HAND_EYE_{method.upper()}")
+        found = cv2.calibrateRobotWorldHandEye(*seen, list(turned), list(shifted), method=kind)
+    except cv2.error:
+        return np.full((3, 3), np.nan), np.full(3, np.nan)
+    hand_from_camera = np.asarray(found[2]).T
+    return hand_from_camera, -hand_from_camera @ np.ravel(found[3])

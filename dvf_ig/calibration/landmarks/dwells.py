@@ -1,0 +1,211 @@
+"""Dwell detection: where a stylus rested on a landmark, or pivoted in its divot."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.calibration.probe.nwire_geometry import MEDIAN_NORM_PER_SIGMA
+from dvf_ig.core import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    InvalidInputError,
+    Points,
+    PoseStream,
+    QualityGateError,
+)
+
+KEEP_SIGMA = 3.0
+"""Samples within this many robust sigmas of their dwell's pivot take part in the check of a tip."""
+
+
+@dataclass(frozen=True, slots=True)
+class DwellOptions:
+    """When a stylus counts as resting on a landmark.
+
+    Attributes:
+        radius_mm: the tip stays within this distance of its running mean (PLUS: 1.5 mm).
+        min_s: for at least this long.
+        merge_mm: dwells closer than this, one after the other, are one landmark.
+        keep_medians: samples up to this many median distances from a dwell's centre belong to it; 2.5 are
+            3.8 standard deviations of isotropic noise, and take in all of a wobble but not the approach.
+    """
+
+    radius_mm: float = 1.5
+    min_s: float = 1.5
+    merge_mm: float = 5.0
+    keep_medians: float = 2.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dwells:
+    """Places where a tip rested.
+
+    Attributes:
+        points: (n, 3) mean tip positions, in order of time.
+        start_s, stop_s: (n,) when each rest began and ended.
+        samples: (n,) samples in each.
+        spread_mm: (n,) root mean square distance of those samples from the point.
+    """
+
+    points: Points
+    start_s: FloatArray
+    stop_s: FloatArray
+    samples: IntArray
+    spread_mm: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TipCheck:
+    """Whether a stylus turned about the tip it was said to have.
+
+    Attributes:
+        shift_mm: (3,) from the stated tip to the point about which the stylus turned in all dwells, in the
+            stylus's frame.
+        spread_mm: root mean square distance of the tip from its dwells' centres, as stated.
+        spread_after_mm: the same of the shifted tip.
+    """
+
+    shift_mm: FloatArray
+    spread_mm: float
+    spread_after_mm: float
+
+
+def tip_positions(poses: PoseStream, tip: Points) -> tuple[FloatArray, Points]:
+    """Times (n valid,) and positions of a tool tip in the stream's target frame.
+
+    Args:
+        poses: target_from_source of the tool; invalid samples are left out.
+        tip: one point in the stream's source frame.
+    """
+    if tip.frame != poses.source or len(tip) != 1:
+        raise InvalidInputError(
+            f"the tip is {len(tip)} points in frame '{tip.frame}'; needed one point in '{poses.source}'"
+        )
+    usable = poses.valid
+    moved = poses.rotations[usable] @ tip.xyz_mm[0] + poses.translations_mm[usable]
+    return poses.t_s[usable], Points(poses.target, moved)
+
+
+def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = None) -> Dwells:
+    """Where a tip rested, one after the other.
+
+    A dwell's position is the mean, not the median, of its samples: while a stylus pivots in a divot an error
+    of its tip moves the tip on an orbit, and the mean over the orbit is where that error cancels.
+
+    Args:
+        t_s: (n,) times; tip: (n, 3) positions in a frame in which the landmarks stand still.
+        options: see DwellOptions.
+    Raises:
+        QualityGateError: the tip never rested.
+    """
+    options = options or DwellOptions()
+    runs = _merged(_still_runs(t_s, tip.xyz_mm, options), tip.xyz_mm, options)
+    if not runs:
+        raise QualityGateError(
+            f"the tip never rested within {options.radius_mm:g} mm for {options.min_s:g} s; hold it on each "
+            "landmark for a few seconds"
+        )
+    kept = [_settled(k, runs, tip.xyz_mm, options) for k in range(len(runs))]
+    centers = np.array([tip.xyz_mm[run].mean(axis=0) for run in kept])
+    spread = [_spread(tip.xyz_mm[run] - c) for run, c in zip(kept, centers, strict=True)]
+    return Dwells(
+        points=Points(tip.frame, centers),
+        start_s=np.array([t_s[run[0]] for run in kept]),
+        stop_s=np.array([t_s[run[-1]] for run in kept]),
+        samples=np.array([len(run) for run in kept], dtype=np.int64),
+        spread_mm=np.array(spread),
+    )
+
+
+def check_tip(poses: PoseStream, tip: Points, dwells: Dwells) -> TipCheck:
+    """The point about which a stylus turned, from all dwells together, against its stated tip.
+
+    Least squares on R_i (tip + shift) + t_i = c_k for the samples i of each dwell k: a pivot calibration with
+    one pivot a dwell. Samples of the approach, further than KEEP_SIGMA from their pivot, are left out. Of a
+    stylus that was hardly turned the smallest shift that explains the samples is taken.
+    """
+    pieces = []
+    for start, stop in zip(dwells.start_s, dwells.stop_s, strict=True):
+        inside = poses.valid & (poses.t_s >= start) & (poses.t_s <= stop)
+        rotations = poses.rotations[inside]
+        pieces.append((rotations, rotations @ tip.xyz_mm[0] + poses.translations_mm[inside]))
+    keep = [np.ones(len(placed), dtype=np.bool_) for _, placed in pieces]
+    for _ in range(20):
+        shift, left = _common_shift(pieces, keep)
+        sigma = float(np.median(np.concatenate(left)[np.concatenate(keep)])) / MEDIAN_NORM_PER_SIGMA
+        again = [distance <= max(KEEP_SIGMA * sigma, 1e-6) for distance in left]
+        if all(np.array_equal(a, b) for a, b in zip(again, keep, strict=True)):
+            break
+        keep = again
+    before = _common_shift(pieces, keep, solve=False)[1]
+    spreads = [float(np.sqrt((np.concatenate(d)[np.concatenate(keep)] ** 2).mean())) for d in (before, left)]
+    return TipCheck(shift, spreads[0], spreads[1])
+
+
+def _common_shift(
+    pieces: list[tuple[FloatArray, FloatArray]], keep: list[BoolArray], *, solve: bool = True
+) -> tuple[FloatArray, list[FloatArray]]:
+    """(3,) shift of the tip (zero unless solved for) and each sample's distance from its dwell's pivot."""
+    # each pivot is eliminated by taking the kept samples of its dwell from their mean
+    means = [(r[k].mean(axis=0), p[k].mean(axis=0)) for (r, p), k in zip(pieces, keep, strict=True)]
+    turned = [r - mean for (r, _), (mean, _) in zip(pieces, means, strict=True)]
+    placed = [p - mean for (_, p), (_, mean) in zip(pieces, means, strict=True)]
+    shift = np.zeros(3)
+    if solve:
+        matrix = np.concatenate([r[k].reshape(-1, 3) for r, k in zip(turned, keep, strict=True)])
+        side = np.concatenate([p[k].ravel() for p, k in zip(placed, keep, strict=True)])
+        shift = np.linalg.lstsq(matrix, -side, rcond=0.02)[0]
+    return shift, [np.linalg.norm(r @ shift + p, axis=1) for r, p in zip(turned, placed, strict=True)]
+
+
+def _spread(offsets_mm: FloatArray) -> float:
+    return float(np.sqrt((offsets_mm**2).sum(axis=1).mean()))
+
+
+def _still_runs(t_s: FloatArray, xyz_mm: FloatArray, options: DwellOptions) -> list[IntArray]:
+    """Maximal stretches that stay within the radius of their own running mean."""
+    runs: list[IntArray] = []
+    start, total = 0, xyz_mm[0].copy()
+    for i in range(1, len(xyz_mm) + 1):
+        stays = (
+            i < len(xyz_mm) and float(np.linalg.norm(xyz_mm[i] - total / (i - start))) <= options.radius_mm
+        )
+        if stays:
+            total += xyz_mm[i]
+            continue
+        if t_s[i - 1] - t_s[start] >= options.min_s:
+            runs.append(np.arange(start, i))
+        if i < len(xyz_mm):
+            start, total = i, xyz_mm[i].copy()
+    return runs
+
+
+def _merged(runs: list[IntArray], xyz_mm: FloatArray, options: DwellOptions) -> list[IntArray]:
+    out: list[IntArray] = []
+    for run in runs:
+        center = np.median(xyz_mm[run], axis=0)
+        if out and np.linalg.norm(center - np.median(xyz_mm[out[-1]], axis=0)) <= options.merge_mm:
+            out[-1] = np.concatenate([out[-1], run])
+        else:
+            out.append(run)
+    return out
+
+
+def _settled(k: int, runs: list[IntArray], xyz_mm: FloatArray, options: DwellOptions) -> IntArray:
+    """Samples of dwell k, between its neighbours, once centre and reach agree with one another.
+
+    A run depends on where its running mean began; this set does not.
+    """
+    first = runs[k - 1][-1] + 1 if k else 0
+    stop = runs[k + 1][0] if k + 1 < len(runs) else len(xyz_mm)
+    candidates = np.arange(first, stop)
+    keep = np.isin(candidates, runs[k])
+    for _ in range(50):
+        center = xyz_mm[candidates[keep]].mean(axis=0)
+        distance = np.linalg.norm(xyz_mm[candidates] - center, axis=1)
+        again = distance <= options.keep_medians * float(np.median(distance[keep]))
+        if not again.any() or np.array_equal(again, keep):
+            break
+        keep = again
+    return candidates[keep]

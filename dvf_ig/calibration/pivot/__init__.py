@@ -1,0 +1,1 @@
+"""Pivot calibration: the tool tip."""

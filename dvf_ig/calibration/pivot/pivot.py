@@ -1,0 +1,209 @@
+"""Pivot calibration: where a tool's tip is, from poses recorded while the tip rested in a divot."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+from scipy.spatial.transform import Rotation
+
+from dvf_ig.calibration.probe.nwire_geometry import MEDIAN_NORM_PER_SIGMA
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, Points, PoseStream, QualityGateError
+
+
+@dataclass(frozen=True, slots=True)
+class PivotOptions:
+    """How outliers are found and what is refused (limits: theory, calibration, Pivot).
+
+    Attributes:
+        consensus_mm: 3-D residual within which a pose supports a hypothesis.
+        hypotheses: three-pose samples drawn.
+        keep_sigma: poses within this many robust sigmas take part in the last fit.
+        min_span_deg: smallest accepted largest pairwise rotation.
+        max_condition: largest accepted condition number of the linear system.
+        min_inlier_share: smallest accepted share of poses that agree.
+        max_rms_mm: largest accepted 3-D RMS of the inliers.
+    """
+
+    consensus_mm: float = 2.0
+    hypotheses: int = 500
+    keep_sigma: float = 5.0
+    min_span_deg: float = 15.0
+    max_condition: float = 60.0
+    min_inlier_share: float = 0.5
+    max_rms_mm: float = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PivotResult:
+    """A tool tip with its evidence.
+
+    Attributes:
+        tip: one point in the stream's source frame.
+        pivot: one point in its target frame: the divot.
+        rms_3d_mm: root mean square length of the inliers' residuals.
+        rms_per_coordinate_mm: rms_3d_mm / √3, what some packages report.
+        inliers: (n,) poses that took part; False for invalid samples.
+        residuals_mm: (n,) length of each pose's residual, outliers included; NaN for invalid samples.
+        poses: valid poses given.
+        span_deg: largest rotation between two inliers.
+        condition: condition number of the inliers' linear system.
+        covariance: (6, 6) mm² of (tip, pivot), from the residuals.
+    """
+
+    tip: Points
+    pivot: Points
+    rms_3d_mm: float
+    rms_per_coordinate_mm: float
+    inliers: BoolArray
+    residuals_mm: FloatArray
+    poses: int
+    span_deg: float
+    condition: float
+    covariance: FloatArray
+
+
+def calibrate_pivot(poses: PoseStream, *, rng: Generator, options: PivotOptions | None = None) -> PivotResult:
+    """Tip and pivot point by least squares on the poses that agree with one pivot.
+
+    Args:
+        poses: target_from_source of the tool, mm; samples that are not valid are left out.
+        rng: draws the three-pose samples; the refit makes the result all but independent of it.
+        options: see PivotOptions.
+    Raises:
+        InvalidInputError: fewer than 3 valid poses.
+        QualityGateError: rotations too small or about one axis, too few poses agree, or a large residual.
+    Source: Yaniv 2015 (algebraic one step: [R_i −I][tip; pivot] = −t_i); MSAC of Torr & Zisserman 2000.
+    """
+    options = options or PivotOptions()
+    valid = np.flatnonzero(poses.valid)
+    if len(valid) < 3:
+        raise InvalidInputError(
+            f"{poses.name} has {len(valid)} valid poses of {len(poses)}; pivot calibration needs at least 3: "
+            "record again with the tool in view"
+        )
+    rotations, translations = poses.rotations[valid], poses.translations_mm[valid]
+    _refuse_still(poses.name, rotation_span_deg(rotations), options)
+    keep = _agreeing(rotations, translations, rng, options)
+    if keep.sum() < max(3, options.min_inlier_share * len(valid)):
+        raise QualityGateError(
+            f"only {int(keep.sum())} of {len(valid)} poses of {poses.name} turn about one point within "
+            f"{options.consensus_mm:g} mm; needed {options.min_inlier_share:.0%}: keep the tip in the divot"
+        )
+    return _result(poses, valid, keep, options)
+
+
+def rotation_span_deg(rotations: FloatArray) -> float:
+    """Largest rotation angle between any two of (n, 3, 3) rotations."""
+    quaternions = Rotation.from_matrix(rotations).as_quat()
+    smallest = 1.0
+    for start in range(0, len(quaternions), 512):
+        smallest = min(smallest, float(np.abs(quaternions[start : start + 512] @ quaternions.T).min()))
+    return float(np.degrees(2.0 * np.arccos(min(1.0, smallest))))
+
+
+def _result(
+    poses: PoseStream,
+    valid: np.ndarray[tuple[int], np.dtype[np.intp]],
+    keep: BoolArray,
+    options: PivotOptions,
+) -> PivotResult:
+    rotations, translations = poses.rotations[valid][keep], poses.translations_mm[valid][keep]
+    span = rotation_span_deg(rotations)
+    _refuse_still(poses.name, span, options)
+    matrix = _system(rotations)
+    condition = float(np.linalg.cond(matrix))
+    if condition > options.max_condition:
+        raise QualityGateError(
+            f"{poses.name} turns about one axis only (condition number {condition:.0f}, needed at most "
+            f"{options.max_condition:g}); tilt the tool in all directions about the divot"
+        )
+    solution = _solve(rotations, translations)
+    lengths = _residual_lengths(solution[None], rotations, translations)[0]
+    rms = float(np.sqrt(np.mean(lengths**2)))
+    if rms > options.max_rms_mm:
+        raise QualityGateError(
+            f"pivot residual of {poses.name} is {rms:.2f} mm RMS, needed at most {options.max_rms_mm:g} mm; "
+            "keep the tip in the divot and check that the marker is tight"
+        )
+    variance = float((lengths**2).sum()) / max(1, 3 * len(lengths) - 6)
+    inliers = np.zeros(len(poses), dtype=np.bool_)
+    inliers[valid[keep]] = True
+    residuals = np.full(len(poses), np.nan)
+    residuals[valid] = _residual_lengths(
+        solution[None], poses.rotations[valid], poses.translations_mm[valid]
+    )[0]
+    return PivotResult(
+        tip=Points(poses.source, solution[None, :3]),
+        pivot=Points(poses.target, solution[None, 3:]),
+        rms_3d_mm=rms,
+        rms_per_coordinate_mm=rms / np.sqrt(3.0),
+        inliers=inliers,
+        residuals_mm=residuals,
+        poses=len(valid),
+        span_deg=span,
+        condition=condition,
+        covariance=np.asarray(variance * np.linalg.inv(matrix.T @ matrix), dtype=np.float64),
+    )
+
+
+def _agreeing(
+    rotations: FloatArray, translations: FloatArray, rng: Generator, options: PivotOptions
+) -> BoolArray:
+    """(n,) poses that agree with the best-supported pivot, after refitting until the set stands still."""
+    best = _best_hypothesis(rotations, translations, rng, options)
+    keep = _residual_lengths(best[None], rotations, translations)[0] <= options.consensus_mm
+    for _ in range(50):
+        if keep.sum() < 3:
+            break
+        solution = _solve(rotations[keep], translations[keep])
+        lengths = _residual_lengths(solution[None], rotations, translations)[0]
+        near = lengths[lengths <= 2 * options.consensus_mm]
+        sigma = float(np.median(near)) / MEDIAN_NORM_PER_SIGMA if len(near) else 0.0
+        again = lengths <= max(options.keep_sigma * sigma, 1e-6)
+        if np.array_equal(again, keep):
+            break
+        keep = again
+    return np.asarray(keep)
+
+
+def _best_hypothesis(
+    rotations: FloatArray, translations: FloatArray, rng: Generator, options: PivotOptions
+) -> FloatArray:
+    """(6,) tip and pivot with the smallest truncated squared residual over random three-pose fits."""
+    n = len(rotations)
+    triples = (
+        rng.permuted(np.tile(np.arange(n), (options.hypotheses, 1)), axis=1)[:, :3]
+        if n > 3
+        else (np.array([[0, 1, 2]]))
+    )
+    systems = np.stack([_system(rotations[t]) for t in triples])
+    right = -translations[triples].reshape(len(triples), 9)
+    candidates = np.einsum("kij,kj->ki", np.linalg.pinv(systems), right)
+    lengths = _residual_lengths(candidates, rotations, translations)
+    cost = np.minimum(lengths, options.consensus_mm) ** 2
+    return np.asarray(candidates[int(cost.sum(axis=1).argmin())])
+
+
+def _system(rotations: FloatArray) -> FloatArray:
+    """(3n, 6) rows [R_i  −I]."""
+    n = len(rotations)
+    return np.concatenate([rotations, np.tile(-np.eye(3), (n, 1, 1))], axis=2).reshape(3 * n, 6)
+
+
+def _solve(rotations: FloatArray, translations: FloatArray) -> FloatArray:
+    """(6,) least-squares tip and pivot."""
+    return np.asarray(np.linalg.lstsq(_system(rotations), -translations.ravel(), rcond=None)[0])
+
+
+def _residual_lengths(solutions: FloatArray, rotations: FloatArray, translations: FloatArray) -> FloatArray:
+    """(k, n) |R_i tip + t_i − pivot| for (k, 6) solutions."""
+    tips = np.einsum("nij,kj->kni", rotations, solutions[:, :3])
+    return np.asarray(np.linalg.norm(tips + translations - solutions[:, None, 3:], axis=2))
+
+
+def _refuse_still(name: str, span_deg: float, options: PivotOptions) -> None:
+    if span_deg < options.min_span_deg:
+        raise QualityGateError(
+            f"{name} turns by {span_deg:.1f}° only, needed at least {options.min_span_deg:g}°; "
+            "tilt the tool in all directions about the divot while recording"
+        )

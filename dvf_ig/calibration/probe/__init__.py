@@ -1,0 +1,1 @@
+"""Spatial calibration of a tracked probe: N-wire, cross-wire, wall."""

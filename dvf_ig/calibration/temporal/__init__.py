@@ -1,0 +1,1 @@
+"""Temporal calibration: the lag between tracker and video."""

@@ -1,0 +1,249 @@
+"""Temporal calibration: the lag between the tracker's clock and the video's, from one shared motion."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import find_peaks
+
+from dvf_ig.core import BoolArray, FloatArray, LatencyRecording, NoOverlapError, PoseStream, QualityGateError
+
+from .lag_fit import Motions, lag_interval, misfit_sigmas, period_lags
+
+
+@dataclass(frozen=True, slots=True)
+class LatencyOptions:
+    """Where the lag is sought and what is refused.
+
+    Attributes:
+        search_s: lags within ± this are tried.
+        coarse_s, fine_s: steps of the two searches; a parabola goes through the best three fine ones.
+        min_periods: fewest up-and-down movements accepted.
+        min_motion_mm: smallest accepted standard deviation of the probe's principal motion.
+        min_motion_px: the same of the line's row.
+        min_correlation: smallest accepted |correlation| at the best lag.
+        max_second_ratio: largest accepted |correlation| of another lag over that of the best one.
+        clear_ratio: another lag whose |correlation| is below this share of the best needs no further look;
+            above it, it must fit worse by `min_second_sigmas` standard errors.
+        memory_periods: residuals further apart than this many movements count as independent.
+    """
+
+    search_s: float = 0.5
+    coarse_s: float = 0.005
+    fine_s: float = 0.001
+    min_periods: float = 3.0
+    min_motion_mm: float = 1.0
+    min_motion_px: float = 2.0
+    min_correlation: float = 0.8
+    max_second_ratio: float = 0.998
+    clear_ratio: float = 0.95
+    min_second_sigmas: float = 2.0
+    memory_periods: float = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LatencyResult:
+    """A lag with its evidence: t_tracker(event) = t_video(event) + lag_s.
+
+    Attributes:
+        lag_s: negative where the tracker leads the video.
+        interval_s: 95 % confidence interval of lag_s, for residuals that are correlated in time.
+        correlation: |Pearson correlation| of the two motions at lag_s.
+        inverted: True where the row falls while the principal motion rises.
+        second_lag_s, second_peak_ratio: the best other lag and its |correlation| over the winner's.
+        second_sigmas: by how many standard errors that lag fits worse.
+        halves_s: lags of the first and of the second half.
+        periods: up-and-down movements in the recording.
+        period_t_s, period_lags_s: (k,) middle of each movement on the video clock and the lag of it alone;
+            a spread far beyond interval_s says that the lag itself wanders (a grabber that runs beside the
+            scanner's frame rate, filtered time stamps).
+        lags_s, correlations: (k,) the signed correlation over all lags tried.
+        motions: the two motions compared.
+    """
+
+    lag_s: float
+    interval_s: tuple[float, float]
+    correlation: float
+    inverted: bool
+    second_lag_s: float
+    second_peak_ratio: float
+    second_sigmas: float
+    halves_s: tuple[float, float]
+    periods: float
+    period_t_s: FloatArray
+    period_lags_s: FloatArray
+    lags_s: FloatArray
+    correlations: FloatArray
+    motions: Motions
+
+    @property
+    def wander_s(self) -> float:
+        """Standard deviation of the lags of single movements."""
+        return float(self.period_lags_s.std(ddof=1)) if len(self.period_lags_s) > 1 else 0.0
+
+
+def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | None = None) -> LatencyResult:
+    """The lag at which the probe's principal motion best explains the line's row, whatever the sign.
+
+    Args:
+        recording: tracker_from_probe on the tracker clock, row of the tank bottom on the video clock.
+        options: see LatencyOptions.
+    Raises:
+        NoOverlapError: the two recordings share too little time.
+        QualityGateError: no motion, too few periods, poor correlation, or a second lag that fits as well.
+    Source: PLUS temporal calibration (principal axis against line position).
+    Differs from source: of the two motion signs the better fit is kept, not the smaller lag.
+    """
+    options = options or LatencyOptions()
+    motions = _motions(recording, options)
+    periods = _periods(motions)
+    if periods < options.min_periods:
+        raise QualityGateError(
+            f"the recording holds {periods:.1f} up-and-down movements, needed at least "
+            f"{options.min_periods:g}; move the probe up and down for ten seconds or more"
+        )
+    lags = np.arange(-options.search_s, options.search_s + options.coarse_s / 2, options.coarse_s)
+    correlations = np.array([motions.correlation(float(lag)) for lag in lags])
+    best = int(np.abs(correlations).argmax())
+    lag, value = _refined(motions, float(lags[best]), float(np.sign(correlations[best])), options)
+    memory_s = options.memory_periods * float(np.ptp(motions.video_t_s)) / periods
+    second_lag, second = _second_peak(motions, lags, correlations, best, options)
+    ratio = second / abs(value) if value else 1.0
+    sigmas = misfit_sigmas(motions, lag, second_lag, memory_s) if second else np.inf
+    _refuse_poor(lag, abs(value), second_lag, ratio, sigmas, options)
+    sign = float(np.sign(value))
+    early = np.arange(len(motions.video_t_s)) < len(motions.video_t_s) // 2
+    halves = tuple(_refined(motions.part(keep), lag, sign, options)[0] for keep in (early, ~early))
+    middles, own_lags = period_lags(motions, lag)
+    return LatencyResult(
+        lag_s=lag,
+        interval_s=lag_interval(motions, lag, memory_s),
+        correlation=abs(value),
+        inverted=value < 0,
+        second_lag_s=second_lag,
+        second_peak_ratio=ratio,
+        second_sigmas=sigmas,
+        halves_s=(halves[0], halves[1]),
+        periods=periods,
+        period_t_s=middles,
+        period_lags_s=own_lags,
+        lags_s=lags,
+        correlations=correlations,
+        motions=motions,
+    )
+
+
+def principal_motion_mm(poses: PoseStream) -> FloatArray:
+    """(n valid,) translation along its axis of largest variance, mm, zero mean; direction made unique."""
+    translations = poses.translations_mm[poses.valid]
+    centred = translations - translations.mean(axis=0)
+    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+    axis = axis * np.sign(axis[int(np.abs(axis).argmax())])
+    return np.asarray(centred @ axis)
+
+
+def _motions(recording: LatencyRecording, options: LatencyOptions) -> Motions:
+    poses, rows = recording.tracker_from_probe, recording.wall_row_px
+    first, last = rows.t_s[0] - options.search_s, rows.t_s[-1] + options.search_s
+    near = poses.valid & (poses.t_s >= first - 1.0) & (poses.t_s <= last + 1.0)
+    if near.sum() < 10:
+        raise NoOverlapError(
+            f"{poses.name} has {int(near.sum())} valid poses while the video ran ({rows.t_s[0]:.2f} to "
+            f"{rows.t_s[-1]:.2f} s), needed at least 10; its own times run from {poses.t_s[0]:.2f} to "
+            f"{poses.t_s[-1]:.2f} s: record both together on one clock"
+        )
+    kept = PoseStream(
+        poses.target, poses.source, poses.t_s[near], poses.rotations[near], poses.translations_mm[near],
+        poses.valid[near],
+    )  # fmt: skip
+    covered = _covered(rows.t_s, kept.t_s, options.search_s)
+    if covered.sum() < 20:
+        raise NoOverlapError(
+            f"only {int(covered.sum())} of {len(rows.t_s)} video frames lie within the tracked time with "
+            f"{options.search_s:g} s to spare on both sides, needed at least 20; let the tracker run longer"
+        )
+    motion = principal_motion_mm(kept)
+    row = rows.values[covered]
+    if motion.std() < options.min_motion_mm or row.std() < options.min_motion_px:
+        raise QualityGateError(
+            f"there is no motion to compare: the probe moves {motion.std():.2f} mm (needed "
+            f"{options.min_motion_mm:g}) and the line {row.std():.2f} px (needed {options.min_motion_px:g}), "
+            "standard deviations; move the probe up and down above the tank's floor"
+        )
+    return Motions(kept.t_s, motion, rows.t_s[covered], row)
+
+
+def _covered(video_t_s: FloatArray, tracker_t_s: FloatArray, search_s: float) -> BoolArray:
+    """Video frames with close tracker samples at every lag tried (not at edges or gaps beyond 0.25 s)."""
+    inside = (video_t_s - search_s >= tracker_t_s[0]) & (video_t_s + search_s <= tracker_t_s[-1])
+    for gap in np.flatnonzero(np.diff(tracker_t_s) > 0.25):
+        inside &= (video_t_s + search_s < tracker_t_s[gap]) | (video_t_s - search_s > tracker_t_s[gap + 1])
+    return np.asarray(inside)
+
+
+def _periods(motions: Motions) -> float:
+    """Half the number of times the row crosses its mean by more than a quarter of its spread."""
+    level = motions.row_px - np.median(motions.row_px)
+    side = np.where(np.abs(level) > 0.25 * level.std(), np.sign(level), 0.0)
+    side = side[side != 0]
+    return float(np.count_nonzero(np.diff(side)) / 2)
+
+
+def _refined(motions: Motions, lag_s: float, sign: float, options: LatencyOptions) -> tuple[float, float]:
+    """Best lag near `lag_s` for one sign of motion, by fine steps and a parabola, with its correlation."""
+    steps = round(2 * options.coarse_s / options.fine_s)
+    for _ in range(20):
+        lags = lag_s + options.fine_s * np.arange(-steps, steps + 1)
+        values = sign * np.array([motions.correlation(float(lag)) for lag in lags])
+        best = int(values.argmax())
+        if 0 < best < len(lags) - 1:
+            break
+        lag_s = float(lags[best])
+    else:
+        return lag_s, sign * float(values[best])
+    below, top, above = values[best - 1 : best + 2]
+    bend = below - 2 * top + above
+    offset = 0.5 * (below - above) / bend if bend < 0 else 0.0
+    return float(lags[best] + offset * options.fine_s), sign * float(top - 0.25 * (below - above) * offset)
+
+
+def _second_peak(
+    motions: Motions, lags: FloatArray, correlations: FloatArray, best: int, options: LatencyOptions
+) -> tuple[float, float]:
+    """Lag and |correlation| of the strongest other local maximum (NaN and 0 where there is none)."""
+    strength = np.abs(correlations)
+    peaks = find_peaks(np.concatenate([[-1.0], strength, [-1.0]]))[0] - 1
+    others = peaks[np.abs(peaks - best) > 2]
+    if len(others) == 0:
+        return float("nan"), 0.0
+    second = int(others[strength[others].argmax()])
+    if second in (0, len(lags) - 1):
+        return float(lags[second]), float(strength[second])
+    lag, value = _refined(motions, float(lags[second]), float(np.sign(correlations[second])), options)
+    return lag, abs(value)
+
+
+def _refuse_poor(
+    lag_s: float,
+    correlation: float,
+    second_lag_s: float,
+    ratio: float,
+    sigmas: float,
+    options: LatencyOptions,
+) -> None:
+    if correlation < options.min_correlation:
+        raise QualityGateError(
+            f"probe and line move together with correlation {correlation:.2f} at best, needed at least "
+            f"{options.min_correlation:g}; check the line detection and that both belong to one recording"
+        )
+    unclear = ratio > options.clear_ratio and sigmas < options.min_second_sigmas
+    if ratio > options.max_second_ratio or unclear:
+        raise QualityGateError(
+            f"two lags fit equally well ({lag_s:+.3f} s and {second_lag_s:+.3f} s, ratio {ratio:.3f}, "
+            f"{sigmas:.1f} standard errors apart, needed {options.min_second_sigmas:g}); "
+            "record again with movements of uneven pace so that only one can match"
+        )
+    if abs(lag_s) >= options.search_s - options.coarse_s:
+        raise QualityGateError(
+            f"the best lag lies at the end of the search (±{options.search_s:g} s); check that both clocks "
+            "are the same, or widen the search"
+        )

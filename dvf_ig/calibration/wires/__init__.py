@@ -1,0 +1,1 @@
+"""Wires of an N-wire phantom found in B-mode images."""

@@ -1,0 +1,233 @@
+"""Which dots of an image are which wires of an N-wire phantom, by geometry alone."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from itertools import product
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, IntArray
+
+from .dots import Dots
+from .lines import LineOptions, Lines, LineSet, find_lines, line_sets
+from .plan import Labelling, WirePlan
+
+MIN_SPREAD_MM = 5.0
+"""Diagonals' dots must spread this far in a direction (root sum of squares) to tell the tilt along it."""
+
+
+class Rejection(StrEnum):
+    """Why no wires were found in a frame, the sooner in the search the earlier."""
+
+    IMAGE_INVALID = "image marked invalid"
+    TOO_FEW_DOTS = "too few dots"
+    NO_LINE = "no line of three dots"
+    LINES_APART = "lines do not lie as in the phantom"
+    MISFIT = "dots miss the phantom's shape"
+    STEEP = "image too far from across the wires"
+
+
+@dataclass(frozen=True, slots=True)
+class PatternOptions:
+    """How closely dots must lie as the phantom's wires.
+
+    Attributes:
+        lines: which dots may lie on one line, and which lines may belong together.
+        dot_sd_mm: typical misplacement of a dot; misfit in these units is weighed against brightness.
+        max_misfit_mm: largest root mean square misfit of the outer wires.
+    """
+
+    lines: LineOptions = field(default_factory=LineOptions)
+    dot_sd_mm: float = 0.3
+    max_misfit_mm: float = 0.7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundWires:
+    """The wires of one frame.
+
+    Attributes:
+        points_px: (wires, 2) column, row in the phantom's order.
+        misfit_mm: root mean square distance of the outer wires from the phantom's shape.
+        scale: true over approximate pixel size, along the direction in the image that suffers no tilt.
+        labelling: how the plan lies in the image.
+    """
+
+    points_px: FloatArray
+    misfit_mm: float
+    scale: float
+    labelling: Labelling
+
+
+@dataclass(frozen=True, slots=True)
+class RefusedFrame:
+    """Why a frame shows no wires: the kind of reason, and what was seen."""
+
+    reason: Rejection
+    detail: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Match:
+    """One choice of dots.
+
+    Attributes:
+        wires: (wires,) dots in the phantom's order.
+        cost: squared misfit in units of the dot's SD, less twice the log of the dots' contrast.
+        fault: what forbids it, or None.
+    """
+
+    wires: IntArray
+    misfit_mm: float
+    scale: float
+    labelling: Labelling
+    cost: float
+    fault: RefusedFrame | None
+
+
+def find_wires(
+    dots: Dots, plan: WirePlan, spacing_mm: float, *, options: PatternOptions | None = None
+) -> FoundWires | RefusedFrame:
+    """The choice of dots that best repeats the phantom, or why there is none.
+
+    Pairs of dots at the distance of two outer wires, with a third between them, are lines. A line of the
+    first pattern predicts where the others lie; of the sets of lines that are there, the one with the least
+    misfit to the phantom and the brightest dots is taken. Which end is which follows from the outer wires;
+    where these are symmetric, from PLUS's convention (first wire right, first pattern on top).
+
+    Args:
+        dots: candidates.
+        plan: see `plan_wires`.
+        spacing_mm: approximate pixel size.
+    """
+    options = options or PatternOptions()
+    xy_mm = dots.points_px * spacing_mm
+    patterns = range(len(plan.outer_mm))
+    tried = [
+        (labelling, [find_lines(xy_mm, plan, k, labelling, options.lines) for k in patterns])
+        for labelling in plan.labellings
+    ]
+    matches = [
+        match
+        for labelling, lines in tried
+        for chosen in line_sets(xy_mm, plan, lines, labelling, options.lines)
+        for match in _matches(dots, xy_mm, plan, chosen, labelling, options)
+    ]
+    best = min(matches, key=lambda m: (m.fault is not None, m.cost), default=None)
+    if best is None:
+        return _refused(len(dots), [lines for _, lines in tried])
+    if best.fault is not None:
+        return best.fault
+    return FoundWires(dots.points_px[best.wires], best.misfit_mm, best.scale, best.labelling)
+
+
+def _matches(
+    dots: Dots,
+    xy_mm: FloatArray,
+    plan: WirePlan,
+    chosen: LineSet,
+    labelling: Labelling,
+    options: PatternOptions,
+) -> list[_Match]:
+    """The choices of diagonals on one set of lines."""
+    ends = chosen.ends.ravel()
+    shape = plan.outer_mm.reshape(-1, 2)
+    with_one = np.column_stack([xy_mm, np.ones(len(xy_mm))])
+    plan_from_image = np.linalg.lstsq(with_one[ends], shape, rcond=None)[0].T
+    placed = with_one @ plan_from_image.T
+    misses = np.square(placed[ends] - shape).sum(axis=1)
+    misfit = float(np.sqrt(misses.mean()))
+    large, small = np.linalg.svd(plan_from_image[:, :2])[1].tolist()
+    fault = _shape_fault(misfit, large, small, options)
+    out = []
+    for middle in product(*(np.flatnonzero(row).tolist() for row in chosen.between)):
+        wires = np.column_stack([chosen.ends[:, 0], middle, chosen.ends[:, 1]]).ravel()
+        at = placed[list(middle)]
+        off_line = at[:, 1] - plan.outer_mm[:, :, 1].mean(axis=1)
+        cost = (misses.sum() + off_line @ off_line) / options.dot_sd_mm**2
+        cost -= 2.0 * np.log(dots.strength[wires]).sum()
+        slope = _slope_fault(xy_mm[list(middle)], at[:, 0], plan, options)
+        out.append(_Match(wires, misfit, large, labelling, float(cost), fault or slope))
+    return out
+
+
+def _shape_fault(
+    misfit_mm: float, large: float, small: float, options: PatternOptions
+) -> RefusedFrame | None:
+    """What is wrong with the outer wires: their shape, or the tilt that their foreshortening tells."""
+    if misfit_mm > options.max_misfit_mm:
+        return RefusedFrame(
+            Rejection.MISFIT,
+            f"outer wires miss the phantom's shape by {misfit_mm:.2f} mm, at most {options.max_misfit_mm:g}",
+        )
+    share = options.lines.scale_share
+    if not 1 - share <= large <= 1 + share:
+        return RefusedFrame(
+            Rejection.MISFIT,
+            f"the phantom appears {large:.2f} times its size, between {1 - share:.2f} and {1 + share:.2f} "
+            "expected of this pixel size",
+        )
+    if small < (1 - share) * np.cos(np.radians(options.lines.max_tilt_deg)):
+        return _steep(float(np.degrees(np.arccos(min(1.0, small / large)))), options)
+    return None
+
+
+def _slope_fault(
+    middle_mm: FloatArray, across_mm: FloatArray, plan: WirePlan, options: PatternOptions
+) -> RefusedFrame | None:
+    """What is wrong with the diagonals: the tilt told by the places along the wires where they are met.
+
+    The image is a plane, so the place along the wires is linear over the image and its gradient is the sine
+    of the tilt. Two diagonals, or three nearly in line, tell a part of the gradient.
+    """
+    start, end = plan.across_mm.T
+    share = (across_mm - start) / (end - start)
+    along = plan.along_mm[:, 0] + share * (plan.along_mm[:, 1] - plan.along_mm[:, 0])
+    into_axes, spread_mm, _ = np.linalg.svd(middle_mm - middle_mm.mean(axis=0), full_matrices=False)
+    told = spread_mm >= MIN_SPREAD_MM
+    sine = float(np.linalg.norm((into_axes.T @ along)[told] / spread_mm[told]))
+    if sine > np.sin(np.radians(options.lines.max_tilt_deg)) * (1 + options.lines.scale_share):
+        return _steep(float(np.degrees(np.arcsin(min(1.0, sine)))), options)
+    return None
+
+
+def _steep(tilt_deg: float, options: PatternOptions) -> RefusedFrame:
+    limit = options.lines.max_tilt_deg
+    return RefusedFrame(
+        Rejection.STEEP, f"the image lies {tilt_deg:.0f}° off across the wires, at most {limit:g}°"
+    )
+
+
+def _refused(dots: int, tried: list[list[Lines]]) -> RefusedFrame:
+    """Why no set of lines was found, from the lines of each labelling and pattern."""
+    patterns = len(tried[0])
+    seen = max(_separate_lines(lines) for lines in tried)
+    if dots < 3 * patterns:
+        on_lines = f" on {_count(seen, 'line')}" if seen else ""
+        return RefusedFrame(
+            Rejection.TOO_FEW_DOTS, f"{3 * patterns} wires expected, {_count(dots, 'dot')} found{on_lines}"
+        )
+    if seen == 0:
+        return RefusedFrame(Rejection.NO_LINE, f"no line of three dots among {dots}")
+    if seen < patterns:
+        return RefusedFrame(
+            Rejection.LINES_APART, f"{patterns} lines expected, {dots} dots form {_count(seen, 'line')}"
+        )
+    return RefusedFrame(
+        Rejection.LINES_APART, f"no {patterns} lines among {dots} dots lie at the phantom's distances"
+    )
+
+
+def _separate_lines(lines: list[Lines]) -> int:
+    """Lines that share no end, whatever pattern they may be of."""
+    taken: set[int] = set()
+    count = 0
+    for first, last in (pair for of_pattern in lines for pair in of_pattern.ends.tolist()):
+        if first not in taken and last not in taken:
+            taken |= {first, last}
+            count += 1
+    return count
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"

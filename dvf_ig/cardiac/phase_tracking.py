@@ -1,0 +1,85 @@
+"""Phase of a recorded ECG as it would have been known live."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, PhaseTrack, Signal
+
+from .lead_off import LeadChange
+from .phase_clock import PhaseClock, PhaseClockOptions
+from .rpeak import CHUNK_S, RPeak, RPeakDetector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhaseTracking:
+    """R peaks with the phase that followed from them.
+
+    Attributes:
+        peaks: in the order in which they became known.
+        lead_changes: when the ECG was lost and came back.
+        track: phase at the times asked for.
+    """
+
+    peaks: tuple[RPeak, ...]
+    lead_changes: tuple[LeadChange, ...]
+    track: PhaseTrack
+
+
+def track_phase(
+    signal: Signal, t_s: FloatArray, *, options: PhaseClockOptions | None = None
+) -> PhaseTracking:
+    """Detect and keep phase over a recording, each time from what was known by then.
+
+    Args:
+        signal: the ECG.
+        t_s: (n,) strictly increasing times at which phase is wanted, on the ECG's clock.
+    Raises:
+        InvalidInputError: sampled below 100 Hz, or times that do not increase.
+    """
+    peaks, changes = stream_recording(signal)
+    return PhaseTracking(peaks, changes, phase_from_peaks(peaks, changes, t_s, options=options))
+
+
+def stream_recording(signal: Signal) -> tuple[tuple[RPeak, ...], tuple[LeadChange, ...]]:
+    """R peaks and lead changes of a whole recording, found causally."""
+    detector = RPeakDetector(signal.rate_hz, len(signal.leads))
+    step = max(1, round(CHUNK_S * signal.rate_hz))
+    peaks: list[RPeak] = []
+    for first in range(0, len(signal), step):
+        start_s = signal.start_s + first / signal.rate_hz
+        peaks.extend(detector.push(signal.samples[first : first + step], start_s))
+    return tuple(peaks), tuple(detector.take_lead_changes())
+
+
+def phase_from_peaks(
+    peaks: tuple[RPeak, ...],
+    changes: tuple[LeadChange, ...],
+    t_s: FloatArray,
+    *,
+    options: PhaseClockOptions | None = None,
+) -> PhaseTrack:
+    """Phase at each time from the peaks and lead changes known by then.
+
+    Args:
+        peaks: in order of detection; each is used from its `detected_at_s` on.
+        changes: in order of time.
+        t_s: (n,) strictly increasing.
+    """
+    times = np.asarray(t_s, dtype=np.float64)
+    events: list[tuple[float, int, RPeak | LeadChange]] = [(p.detected_at_s, 0, p) for p in peaks]
+    events += [(c.t_s, 1, c) for c in changes]
+    events.sort(key=lambda event: (event[0], event[1]))
+    clock = PhaseClock(options)
+    out = np.empty((len(times), 4))
+    upcoming = 0
+    for i, now in enumerate(times.tolist()):
+        while upcoming < len(events) and events[upcoming][0] <= now:
+            event = events[upcoming][2]
+            upcoming += 1
+            if isinstance(event, RPeak):
+                clock.add(event)
+            else:
+                clock.signal_changed(event.t_s, event.on)
+        out[i] = clock.at(now)
+    return PhaseTrack(times, out[:, 0], out[:, 1], out[:, 2], out[:, 3].astype(np.int64))

@@ -1,0 +1,103 @@
+"""`dvf-ig calibrate hand-eye`: where a camera sits on the robot or the hand that holds it."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit
+
+from .output import OutputOption, save, vector
+
+if TYPE_CHECKING:
+    from dvf_ig.calibration import HandEyeResult
+    from dvf_ig.core import PoseStream
+
+
+def hand_eye(
+    robot: Annotated[Path, typer.Argument(help="Poses of the hand in its base: sequence, folder or table.")],
+    camera: Annotated[Path, typer.Argument(help="Poses of a still target as the camera sees it, likewise.")],
+    hand: Annotated[str | None, typer.Option("--hand", help="Frame of the hand in a sequence.")] = None,
+    target: Annotated[str | None, typer.Option("--target", help="Frame of the target in a sequence.")] = None,
+    method: Annotated[
+        str,
+        typer.Option("--method", help="Start: tsai, park, horaud, andreff, daniilidis, shah or li."),
+    ] = "park",
+    output: OutputOption = None,
+    seed: SeedOption = 0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Place of a camera on the hand that holds it, from a target that stands still."""
+    with command():
+        from typing import cast
+
+        import numpy as np
+
+        from dvf_ig.calibration import HandEyeMethod, HandEyeOptions, calibrate_hand_eye
+        from dvf_ig.io import write_residual_picture
+
+        found = calibrate_hand_eye(
+            _poses(robot, "base", "hand", hand),
+            _poses(camera, "camera", "target", target),
+            rng=np.random.default_rng(seed),
+            options=HandEyeOptions(method=cast(HandEyeMethod, method)),
+        )
+        result = _result(found, method)
+        fitted = found.hand_from_camera
+        title = (
+            f"{fitted.name}: target seen to {found.rms_mm:.2f} mm, {found.rms_deg:.2f}° RMS by "
+            f"{int(found.inliers.sum())} of {len(found.inliers)} pairs"
+        )
+        save(
+            output, result, fitted.name, fitted.matrix, found.rms_mm, [robot, camera],
+            lambda png: write_residual_picture(
+                png, found.residuals_mm, title=title, used=found.inliers, x_label="pair of poses"
+            ),
+        )  # fmt: skip
+        rows = [
+            ("transform", fitted.name),
+            ("camera", f"{vector(fitted.translation_mm.tolist())} mm in '{fitted.target}'"),
+            ("standard error", f"{_errors(result)}"),
+            ("residual", f"{found.rms_mm:.3f} mm and {found.rms_deg:.3f} deg RMS of the target's place"),
+            ("pairs used", f"{int(found.inliers.sum())} of {len(found.inliers)}"),
+            ("angular span", f"{found.span_deg:.1f} deg, spread of the axes {found.axis_spread:.2f}"),
+        ]
+        emit(result, rows, as_json=as_json)
+
+
+def _poses(path: Path, target: str, source: str, chosen: str | None) -> "PoseStream":
+    """From a sequence the frames that it records; elsewhere the names given here."""
+    from dvf_ig.io import read_poses
+    from dvf_ig.io.plus.poses import SEQUENCE_SUFFIXES
+
+    if path.suffix.lower() in SEQUENCE_SUFFIXES:
+        return read_poses(path, source=chosen)
+    return read_poses(path, target, chosen or source)
+
+
+def _result(found: "HandEyeResult", method: str) -> dict[str, Any]:
+    import numpy as np
+
+    fitted, errors = found.hand_from_camera, np.sqrt(np.diag(found.covariance))
+    return {
+        "hand_from_camera": fitted.matrix.tolist(),
+        "base_from_target": found.base_from_target.matrix.tolist(),
+        "rms_mm": found.rms_mm,
+        "rms_deg": found.rms_deg,
+        "residuals_mm": found.residuals_mm.tolist(),
+        "residuals_deg": found.residuals_deg.tolist(),
+        "inliers": int(found.inliers.sum()),
+        "pairs": len(found.inliers),
+        "span_deg": found.span_deg,
+        "axis_spread": found.axis_spread,
+        "rotation_sd_deg": np.degrees(errors[:3]).tolist(),
+        "translation_sd_mm": errors[3:].tolist(),
+        "covariance": found.covariance.tolist(),
+        "method": method,
+        "target": fitted.target,
+        "source": fitted.source,
+    }
+
+
+def _errors(result: dict[str, Any]) -> str:
+    return f"{vector(result['translation_sd_mm'])} mm, {vector(result['rotation_sd_deg'])} deg"

@@ -1,0 +1,111 @@
+"""`dvf-ig calibrate probe --phantom cross-wire|wall`: one fixed point, or one flat wall."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .output import error_row, vector, wire_errors
+from .uncertainty import map_rows, rejected_list, uncertainty
+
+if TYPE_CHECKING:
+    from dvf_ig.calibration import ProbeTargetResult, TargetErrors
+    from dvf_ig.core import FloatArray, PoseStream
+
+METHODS = ("orthogonal", "isotropic")
+Printed = tuple[dict[str, Any], list[tuple[str, ...]], float]
+
+
+def calibrate_target(
+    phantom: str,
+    sequence: Path,
+    points: Path | None,
+    validate: Path | None,
+    validate_points: Path | None,
+    method: str | None,
+    rng: Any,
+) -> Printed:
+    """JSON, rows to print and the error to save."""
+    from dvf_ig.calibration import TargetOptions
+    from dvf_ig.core import InvalidInputError
+
+    if method not in (None, *METHODS):
+        raise InvalidInputError(f"a {phantom} has no method '{method}'; choose {' or '.join(METHODS)}")
+    options = TargetOptions(isotropic=method == "isotropic")
+    seen = _recording(phantom, sequence, points, "--points", rng)
+    second = None
+    if validate is not None:
+        second = _recording(phantom, validate, validate_points, "--validate-points", rng)
+    solve = _crosswire if phantom == "cross-wire" else _wall
+    found, checked, place, rows = solve(seen, second, options, rng)
+    result = {
+        "sensor_from_image": found.probe_from_image.matrix.tolist(),
+        "sensor_frame": found.probe_from_image.rigid.target,
+        "phantom": phantom,
+        "calibration": wire_errors(found.calibration),
+        "validation": None if checked is None else wire_errors(checked),
+        "method": method or METHODS[0],
+        "inlier_frames": int(found.inliers.sum()),
+        "rejected": rejected_list(found.rejected),
+        "leave_one_out": wire_errors(found.held_out),
+        **place,
+        "uncertainty": uncertainty(found.uncertainty),
+    }
+    table: list[tuple[str, ...]] = [
+        ("frames used", f"{int(found.inliers.sum())} of {found.calibration.frames}"),
+        *map_rows(found.uncertainty),
+        *rows,
+        ("calibration", error_row(found.calibration)),
+        ("left out in turn", error_row(found.held_out)),
+    ]
+    if checked is not None:
+        table.append(("validation", error_row(checked)))
+    table += [(f"frame {frame}", reason) for frame, reason in found.rejected]
+    return result, table, (checked or found.held_out).mean95_mm
+
+
+Solved = tuple[
+    "ProbeTargetResult[Any]", "TargetErrors | None", dict[str, Any], list[tuple[str, ...]]
+]  # fmt: skip
+Seen = tuple["PoseStream", "FloatArray"]
+
+
+def _crosswire(seen: Seen, second: Seen | None, options: Any, rng: Any) -> Solved:
+    from dvf_ig.calibration import calibrate_crosswire, validate_crosswire
+
+    found = calibrate_crosswire(*seen, rng=rng, options=options)
+    checked = None if second is None else validate_crosswire(found.probe_from_image, *second)[0]
+    crossing, frame = found.target.xyz_mm.tolist(), seen[0].target
+    place = {"crossing_mm": crossing, "target_frame": frame}
+    return found, checked, place, [("crossing", f"{vector(crossing)} mm in '{frame}'")]
+
+
+def _wall(seen: Seen, second: Seen | None, options: Any, rng: Any) -> Solved:
+    from dvf_ig.calibration import calibrate_wall, validate_wall
+
+    found = calibrate_wall(*seen, rng=rng, options=options)
+    checked = None if second is None else validate_wall(found.probe_from_image, *second)[0]
+    plane, frame = found.target, seen[0].target
+    place = {
+        "wall_normal": plane.normal.tolist(),
+        "wall_offset_mm": plane.offset_mm,
+        "target_frame": frame,
+    }
+    shown = f"{vector(plane.normal.tolist())} · x = {plane.offset_mm:.3f} mm in '{frame}'"
+    return found, checked, place, [("wall", shown)]
+
+
+def _recording(phantom: str, sequence: Path, points: Path | None, option: str, rng: Any) -> Seen:
+    """Poses and points; a wall's line is found in the images where no points are given."""
+    from dvf_ig.calibration import find_wall_lines
+    from dvf_ig.core import InvalidInputError
+    from dvf_ig.io import read_sequence, read_target_recording, tracked_probe
+
+    if points is not None:
+        return read_target_recording(sequence, points)
+    frames = read_sequence(sequence)
+    if phantom != "wall" or frames.images is None:
+        what = "the crossing is not looked for in the images" if phantom != "wall" else "it has no images"
+        raise InvalidInputError(
+            f"{sequence}: {what}; give {option} CSV with the columns frame, column1_px, row1_px"
+            + (", column2_px, row2_px" if phantom == "wall" else "")
+        )
+    return tracked_probe(frames), find_wall_lines(frames.images, rng=rng).end_points_px(frames.image_valid)

@@ -1,0 +1,77 @@
+"""Wires of an N-wire recording for `dvf-ig calibrate probe`: from a table, or from the images."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from dvf_ig.cli.shell import wrote
+
+if TYPE_CHECKING:
+    from dvf_ig.calibration import WireSegmentation
+    from dvf_ig.core import NWireRecording
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenWires:
+    """A recording, and how its wires were found; None where a table gave them."""
+
+    recording: "NWireRecording"
+    segmentation: "WireSegmentation | None"
+
+
+def read_wires(
+    sequence: Path,
+    device_set: Path,
+    table: Path | None,
+    section: Literal["CalibrationData", "ValidationData"],
+    picture: Path | None = None,
+) -> SeenWires:
+    """Wires from a section of a PLUS result, or from the images where there is no table.
+
+    Args:
+        picture: PNG of what was found in the images; written before a failure is told.
+    """
+    from dvf_ig.calibration import recording_of, segment_wires
+    from dvf_ig.core import InvalidInputError
+    from dvf_ig.io import (
+        phantom_from_probe,
+        read_nwire_phantom,
+        read_nwire_recording,
+        read_sequence,
+        read_wire_search,
+        write_wire_picture,
+    )
+
+    if table is not None:
+        if picture is not None:
+            raise InvalidInputError("--picture shows wires found in images; leave out --points to find them")
+        return SeenWires(read_nwire_recording(sequence, device_set, table, section), None)
+    phantom = read_nwire_phantom(device_set)
+    recorded = read_sequence(sequence)
+    poses = phantom_from_probe(sequence, recorded, device_set)
+    found = segment_wires(recorded, phantom, options=read_wire_search(device_set))
+    if picture is not None:
+        title = f"{sequence.name}: wires found in {found.used} of {len(found.frames)} frames"
+        write_wire_picture(picture, recorded, found, title=title)
+        wrote(picture, "image")
+    return SeenWires(recording_of(found, phantom, poses), found)
+
+
+def segmentation_json(seen: SeenWires | None) -> dict[str, Any] | None:
+    """Frames used and left out by reason; None where a table gave the wires."""
+    if seen is None or seen.segmentation is None:
+        return None
+    found = seen.segmentation
+    return {"frames_used": found.used, "frames": len(found.frames), "reasons": found.reasons}
+
+
+def segmentation_rows(seen: SeenWires, validated: SeenWires | None) -> list[tuple[str, str]]:
+    """Share of frames used, and how many were left out for which reason."""
+    rows = []
+    for what, wires in (("calibration", seen), ("validation", validated)):
+        if wires is None or wires.segmentation is None:
+            continue
+        used, frames = wires.segmentation.used, len(wires.segmentation.frames)
+        rows.append((f"{what} wires", f"found in {used} of {frames} frames ({100 * used / frames:.0f} %)"))
+        rows += [("left out", f"{n} frames: {why}") for why, n in wires.segmentation.reasons.items()]
+    return rows

@@ -1,0 +1,56 @@
+"""`dvf-ig inspect`: what a file is, and the facts worth knowing before it is used."""
+
+from typing import Annotated, Any
+
+import typer
+
+from dvf_ig.cli.shell import JsonFlag, command, emit
+
+from .sequence import sequence_rows
+
+SHOWN_VALUES = 12
+"""Longest list that the table prints in full; --json always prints everything."""
+
+
+def inspect(
+    file: Annotated[str, typer.Argument(help="A file or folder, or an ECG as wfdb:, edf: or csv:PATH.")],
+    as_json: JsonFlag = False,
+) -> None:
+    """Say what a file is: sequence, image, mesh, model, transform, landmarks, ECG, PLUS XML, scenario."""
+    with command():
+        from dvf_ig.io import describe, plain
+
+        description = describe(file)
+        facts = plain(description.facts)
+        told = sequence_rows(facts) if description.kind == "tracked sequence" else _rows(facts)
+        rows = [("file", file), ("kind", description.kind), *told]
+        emit({"file": file, "kind": description.kind, **facts}, rows, as_json=as_json)
+
+
+def _rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    """One row a fact; of a group of groups, one row a member. Transforms keep their names as they are."""
+    rows: list[tuple[str, str]] = []
+    for name, value in facts.items():
+        label = name.replace("_", " ")
+        if name == "transforms":
+            rows += [(member, _text(entry)) for member, entry in value.items()]
+        elif isinstance(value, dict) and any(isinstance(entry, dict) for entry in value.values()):
+            rows += [(f"{label} {member}", text) for member, text in _rows(value)]
+        elif value not in (None, {}):
+            rows.append((label, _text(value)))
+    return rows
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, dict):
+        shown = ((str(k).replace("_", " "), v) for k, v in value.items() if v is not None)
+        return "; ".join(f"{name} {_text(entry)}" for name, entry in shown)
+    if isinstance(value, list):
+        inner = ", ".join(_text(entry) for entry in value[:SHOWN_VALUES])
+        more = len(value) - SHOWN_VALUES
+        return f"({inner}, … {more} more)" if more > 0 else f"({inner})"
+    return str(value)

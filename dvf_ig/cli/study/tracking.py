@@ -1,0 +1,125 @@
+"""`dvf-ig study tracking`: a tool held to the beating surface by a guidance fixture alone."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, progress, wrote
+
+if TYPE_CHECKING:
+    from dvf_ig.guidance import SimulatedDevice
+    from dvf_ig.study.stylus.study import Follower, Track
+
+
+class MotionName(StrEnum):
+    """Motion presets."""
+
+    paper5mm = "paper5mm"
+    physiological = "physiological"
+
+
+class DeviceName(StrEnum):
+    """Simulated devices."""
+
+    premium = "premium"
+    omni = "omni"
+    both = "both"
+
+
+def tracking(
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for tracking.json and tracking.png.")],
+    motion: Annotated[
+        MotionName, typer.Option("--motion", help="How the phantom beats.")
+    ] = MotionName.paper5mm,
+    cycles: Annotated[int, typer.Option("--cycles", min=1, help="How many.")] = 30,
+    cycle_s: Annotated[float, typer.Option("--cycle-s", min=0.3, max=3.0, help="Length of a cycle.")] = 0.6,
+    phases: Annotated[int, typer.Option("--phases", min=2, help="Volumes of the model in a cycle.")] = 20,
+    places: Annotated[int, typer.Option("--places", min=1, help="Places on the surface.")] = 6,
+    device: Annotated[DeviceName, typer.Option("--device", help="What is simulated.")] = DeviceName.both,
+    seed: SeedOption = 1,
+    as_json: JsonFlag = False,
+) -> None:
+    """Distance of the tool to the true surface, for each device and blend, with and without feed-forward."""
+    with command():
+        from dvf_ig.guidance import DEVICES
+        from dvf_ig.guidance.blend import BLEND_CODES
+        from dvf_ig.io import output_folder, write_json
+        from dvf_ig.io.atomic import write_bytes
+        from dvf_ig.report.study.stylus import picture_png
+        from dvf_ig.study.stylus.study import beating_surface, follow, followers
+
+        devices = list(DEVICES.values()) if device is DeviceName.both else [DEVICES[device.value]]
+        tried = followers(devices, list(BLEND_CODES))
+        with output_folder(out), progress("tracking") as report:
+            surface = beating_surface(
+                motion.value,
+                phases=phases,
+                cycle_s=cycle_s,
+                places=places,
+                seed=seed,
+                progress=lambda f: report(0.3 * f),
+            )
+            tracks = []
+            for follower in tried:
+                tracks.append(follow(surface, follower, cycles=cycles))
+                report(0.3 + 0.7 * len(tracks) / len(tried))
+            result = {
+                "motion": motion.value,
+                "cycles": cycles,
+                "cycle_s": cycle_s,
+                "phases": phases,
+                "seed": seed,
+                "excursion_mm": surface.excursion_mm.tolist(),
+                "rows": [_entry(track) for track in tracks],
+            }
+            write_json(out / "tracking.json", result)
+            write_bytes(out / "tracking.png", picture_png(surface, tracks))
+        emit(result, _rows(tracks), as_json=as_json)
+        for each in devices:
+            typer.echo(_describe(each), err=True)
+        for name in ("tracking.json", "tracking.png"):
+            wrote(out / name)
+
+
+def _entry(track: "Track") -> dict[str, Any]:
+    follower = track.follower
+    d, law = follower.device, follower.law
+    return {
+        "device": {
+            "name": d.name,
+            "mass_kg": d.mass_kg,
+            "viscous_n_s_per_m": d.viscous_n_s_per_m,
+            "dry_n": d.dry_n,
+            "resolution_mm": d.resolution_mm,
+            "rate_hz": d.rate_hz,
+        },
+        "law": {"delta_mm": law.delta_mm, "m": law.m, "cap_n": law.cap_n},
+        "feed_forward_n": follower.feed_forward.friction_n,
+        "blend": follower.blend,
+        **track.summary(),
+    }
+
+
+def _rows(tracks: "list[Track]") -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [
+        ("device, law, blend", "mean mm", "RMS", "p95", "max", "worst place", "slid mm", "force N")
+    ]
+    for track in tracks:
+        s = track.summary()
+        rows.append((_name(track.follower), *(f"{value:.3f}" for value in s.values())))
+    return rows
+
+
+def _describe(d: "SimulatedDevice") -> str:
+    return (
+        f"{d.name}: {1000 * d.mass_kg:g} g, dry friction {d.dry_n:g} N, viscous {d.viscous_n_s_per_m:g} "
+        f"N·s/m, sensor step {d.resolution_mm:g} mm, {d.rate_hz:g} Hz"
+    )
+
+
+def _name(follower: "Follower") -> str:
+    law, added = follower.law, follower.feed_forward.friction_n
+    extra = f" + {added:.3f} N with the surface" if added > 0.0 else ""
+    return f"{follower.device.name}, δ {law.delta_mm:.2f} mm m {law.m:g}{extra}, {follower.blend}"

@@ -1,0 +1,214 @@
+"""`dvf-ig synth calibration`: one calibration recording with its images and its truth."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, wrote
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from data_synth.phantoms.tank import TankRecording
+    from data_synth.scenario.ground_truth import Planted
+    from dvf_ig.core import FloatArray
+
+
+class Kind(StrEnum):
+    """What is recorded."""
+
+    pivot = "pivot"
+    nwire = "nwire"
+    crosswire = "crosswire"
+    wall = "wall"
+    watertank = "watertank"
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What a recording consists of: truth as JSON, and (file, content, frame) of each file."""
+
+    truth: dict[str, Any]
+    files: tuple[tuple[str, str, str], ...]
+
+
+def calibration(
+    kind: Annotated[Kind, typer.Argument(help="Which recording.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write.")],
+    as_json: JsonFlag = False,
+    seed: SeedOption = 1,
+    threads: ThreadsOption = None,
+) -> None:
+    """Simulate one calibration recording: tracked poses, images, segmented features, planted truth."""
+    with command(threads):
+        import numpy as np
+
+        from data_synth.scenario.ground_truth import plant
+        from data_synth.seeds import child_rng
+        from data_synth.ultrasound.probe import SectorProbe
+        from dvf_ig.io import output_folder, write_json, write_text
+
+        planted = plant(np.zeros(3), SectorProbe().plane_from_image, 150.0, child_rng(seed, "planting"))
+        with output_folder(out):
+            made = _MAKERS[kind](planted, out, child_rng(seed, kind.value))
+            write_json(out / "truth.json", {"kind": kind.value, "seed": seed, **made.truth})
+            write_text(out / "README.md", _readme(kind, seed, made))
+        emit(
+            {"kind": kind.value, "folder": str(out), "files": [name for name, _, _ in made.files]},
+            [(name, content) for name, content, _ in made.files],
+            as_json=as_json,
+        )
+        for name, _, frame in made.files:
+            wrote(out / name, frame)
+        wrote(out / "truth.json")
+        wrote(out / "README.md")
+
+
+def _pivot(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written:
+    from data_synth.phantoms.pivot import pivot_recording
+    from data_synth.scenario.presets import Preset
+    from dvf_ig.io import write_poses
+
+    write_poses(pivot_recording(planted.tip_in_tool, Preset().pivot_tracker, rng), out / "pivot.igs.mha")
+    truth = {"tip_mm": planted.tip_in_tool.xyz_mm[0], "tip_frame": planted.tip_in_tool.frame}
+    return Written(truth, (("pivot.igs.mha", "poses while the tip rests in a divot", "tracker_from_tool"),))
+
+
+def _nwire(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written:
+    from data_synth.phantoms.nwire import nwire_images
+    from data_synth.scenario.presets import Preset
+    from data_synth.ultrasound.probe import SectorProbe
+    from dvf_ig.core import PoseStream, Rigid, TrackedSequence
+    from dvf_ig.io import write_nwire_phantom, write_sequence, write_wire_points
+
+    options = Preset()
+    recording, images = nwire_images(
+        planted.probe_from_image, SectorProbe(), options.nwire_tracker, options.nwire, rng
+    )
+    probe = recording.phantom_from_probe
+    # the phantom is its own reference
+    held = PoseStream(
+        "reference", probe.source, probe.t_s, probe.rotations, probe.translations_mm, probe.valid
+    )
+    sequence = TrackedSequence(images.t_s, images.images, images.image_valid, {held.name: held})
+    write_sequence(sequence, out / "nwire.igs.mha")
+    write_nwire_phantom(out / "nwire.xml", recording.phantom, Rigid.identity("reference", "phantom"))
+    write_wire_points(out / "nwire_points.xml", "CalibrationData", recording.phantom, recording.points_px)
+    return Written(
+        _image_truth(planted),
+        (
+            ("nwire.igs.mha", f"{len(sequence)} images with poses", "reference_from_probe"),
+            ("nwire.xml", "device set: wires, and where the phantom stands", "phantom"),
+            ("nwire_points.xml", "segmented wires, px", "image"),
+        ),
+    )
+
+
+def _crosswire(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written:
+    from data_synth.phantoms.crosswire import CrossWireSpec, crosswire_recording
+    from data_synth.scenario.presets import Preset
+    from data_synth.ultrasound.probe import SectorProbe
+
+    made = crosswire_recording(
+        planted.probe_from_image, SectorProbe(), Preset().nwire_tracker, CrossWireSpec(), rng
+    )
+    files = _write_tank(out, "crosswire", made.recording, "the crossing in each image, px")
+    return Written({**_image_truth(planted), "crossing_tracker_mm": made.crossing.xyz_mm[0]}, files)
+
+
+def _wall(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written:
+    from data_synth.phantoms.wall import WallSpec, wall_recording
+    from data_synth.scenario.presets import Preset
+    from data_synth.ultrasound.probe import SectorProbe
+
+    made = wall_recording(planted.probe_from_image, SectorProbe(), Preset().nwire_tracker, WallSpec(), rng)
+    files = _write_tank(out, "wall", made.recording, "two points of the wall's line in each image, px")
+    plane = {"wall_normal_tracker": made.normal, "wall_offset_mm": made.offset_mm}
+    return Written({**_image_truth(planted), **plane}, files)
+
+
+def _watertank(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written:
+    from data_synth.phantoms.watertank import watertank_images
+    from data_synth.scenario.presets import Preset
+    from data_synth.ultrasound.probe import SectorProbe
+    from dvf_ig.io import write_line_table, write_poses, write_sequence
+
+    options = Preset()
+    recording, video = watertank_images(
+        planted.probe_from_image,
+        SectorProbe(),
+        planted.lag_s,
+        options.watertank_tracker,
+        options.watertank,
+        rng,
+    )
+    write_poses(recording.tracker_from_probe, out / "tracker.igs.mha")
+    write_sequence(video, out / "video.igs.mha")
+    middle = 0.5 * (SectorProbe().columns - 1)
+    write_line_table(out / "lines.xml", recording.wall_row_px.values, middle)
+    return Written(
+        {**_image_truth(planted), "lag_s": planted.lag_s},
+        (
+            ("tracker.igs.mha", "poses, tracker clock", "tracker_from_probe"),
+            ("video.igs.mha", f"{len(video)} images, video clock", "image"),
+            ("lines.xml", "the floor's row in each image, px", "image"),
+        ),
+    )
+
+
+_MAKERS: dict[Kind, "Callable[[Planted, Path, np.random.Generator], Written]"] = {
+    Kind.pivot: _pivot,
+    Kind.nwire: _nwire,
+    Kind.crosswire: _crosswire,
+    Kind.wall: _wall,
+    Kind.watertank: _watertank,
+}
+
+
+def _write_tank(
+    out: Path, name: str, recording: "TankRecording", content: str
+) -> tuple[tuple[str, str, str], ...]:
+    from dvf_ig.io import write_sequence, write_text
+
+    write_sequence(recording.sequence, out / f"{name}.igs.mha")
+    write_text(out / f"{name}_points.csv", _points_csv(recording.features_px))
+    return (
+        (f"{name}.igs.mha", f"{len(recording.sequence)} images with poses", "tracker_from_probe"),
+        (f"{name}_points.csv", content, "image"),
+    )
+
+
+def _points_csv(features_px: "FloatArray") -> str:
+    """One row an image; empty where the segmentation failed."""
+    count = features_px.shape[1]
+    head = ["frame", *(f"{axis}{k + 1}_px" for k in range(count) for axis in ("column", "row"))]
+    lines = [",".join(head)]
+    for frame, points in enumerate(features_px.reshape(len(features_px), -1).tolist()):
+        lines.append(",".join([str(frame), *("" if value != value else repr(value) for value in points)]))
+    return "\n".join(lines) + "\n"
+
+
+def _image_truth(planted: "Planted") -> dict[str, Any]:
+    return {"probe_from_image": planted.probe_from_image.matrix}
+
+
+def _readme(kind: Kind, seed: int, made: Written) -> str:
+    rows = [f"| `{name}` | {content} | {frame} |" for name, content, frame in made.files]
+    return "\n".join(
+        [
+            f"# Synthetic {kind.value} calibration, seed {seed}",
+            "",
+            "Lengths in mm, times in s. `target_from_source` maps coordinates of the source frame to the "
+            "target frame; `image` is in pixels (column, row). `truth.json` holds what was planted: do not "
+            "read it before comparing.",
+            "",
+            "| file | content | frame |",
+            "|---|---|---|",
+            *rows,
+            "",
+        ]
+    )

@@ -1,0 +1,147 @@
+"""Facts about images, meshes, models, landmarks and transforms, for `describe`."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core.arrays import AnyArray
+from dvf_ig.core.cycle import CycleTiming
+from dvf_ig.core.mesh import Mesh
+from dvf_ig.core.points import Landmarks
+from dvf_ig.core.volume import Grid
+from dvf_ig.io.image.volume import image_dimension, read_volume, read_volume_series
+from dvf_ig.io.landmarks import read_landmarks, read_tag_pair
+from dvf_ig.io.mesh.file import read_mesh
+from dvf_ig.io.mesh.series import read_surface_series, surface_names
+from dvf_ig.io.model import model_digest, read_model
+from dvf_ig.io.transform import read_transform
+
+Facts = dict[str, Any]
+
+MOST_LABELS = 32
+"""An integer image with no more distinct values than this is shown as labels."""
+
+
+def image_facts(path: Path) -> Facts:
+    """Size, geometry, pixel type and range of a 3-D image or a cyclic 4-D one."""
+    if image_dimension(path) == 4:
+        series = read_volume_series(path)
+        return {
+            **_grid_facts(series.grid),
+            **_value_facts(series.values),
+            "phases": len(series.timing),
+            **_timing_facts(series.timing),
+        }
+    volume = read_volume(path)
+    return {**_grid_facts(volume.grid), **_value_facts(volume.values)}
+
+
+def _grid_facts(grid: Grid) -> Facts:
+    corners = grid.to_mm(np.array([(0, 0, 0), np.array(grid.shape) - 1], dtype=np.float64))
+    return {
+        "size": list(grid.shape),
+        "spacing_mm": grid.spacing_mm.tolist(),
+        "origin_lps_mm": grid.origin_mm.tolist(),
+        "far_corner_lps_mm": corners[1].tolist(),
+        "axes_lps": grid.direction.T.tolist(),
+    }
+
+
+def _value_facts(values: AnyArray) -> Facts:
+    facts: Facts = {"type": str(values.dtype), "minimum": float(values.min()), "maximum": float(values.max())}
+    if np.issubdtype(values.dtype, np.integer) and values.min() >= 0 and values.max() < 1 << 16:
+        present = np.zeros(int(values.max()) + 1, dtype=np.bool_)
+        present[values] = True
+        facts["labels"] = np.flatnonzero(present).tolist() if present.sum() <= MOST_LABELS else None
+    return facts
+
+
+def _timing_facts(timing: CycleTiming) -> Facts:
+    return {
+        "rr_s": timing.rr_s,
+        "rr_assumed": timing.rr_assumed,
+        "fractions": timing.fractions.tolist(),
+        "timing_assumed": timing.timing_assumed,
+    }
+
+
+def mesh_facts(path: Path) -> Facts:
+    """Counts, extent, enclosed volume, and whether a mesh is closed."""
+    return _mesh_facts(read_mesh(path))
+
+
+def _mesh_facts(mesh: Mesh) -> Facts:
+    edges = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, uses = np.unique(edges, axis=0, return_counts=True)
+    closed = bool((uses == 2).all())
+    return {
+        "vertices": len(mesh.vertices_mm),
+        "triangles": len(mesh.triangles),
+        "lower_lps_mm": mesh.vertices_mm.min(axis=0).tolist(),
+        "upper_lps_mm": mesh.vertices_mm.max(axis=0).tolist(),
+        "closed": closed,
+        "open_edges": int(np.count_nonzero(uses == 1)),
+        "volume_ml": mesh.volume_mm3() / 1000.0 if closed else None,
+    }
+
+
+def surface_facts(path: Path) -> Facts:
+    """The surfaces of a folder, and the first of them (EPICARDIAL where there is one) in numbers."""
+    names = surface_names(path)
+    series = read_surface_series(path, "EPICARDIAL" if "EPICARDIAL" in names else names[0])
+    return {
+        "surfaces": names,
+        "surface": series.name,
+        "patient_id": series.patient_id,
+        "phases": len(series.timing),
+        **_timing_facts(series.timing),
+        **_mesh_facts(series.phase(0)),
+    }
+
+
+def model_facts(path: Path) -> Facts:
+    """Header of a model file."""
+    model = read_model(path)
+    return {
+        "patient_id": model.patient_id,
+        "surface": model.surface_name,
+        "frame": model.frame,
+        "phases": model.phases,
+        **_timing_facts(model.timing),
+        "es_fraction": model.es_fraction,
+        "ed_phase": model.ed_phase,
+        "knot_spacing_mm": model.knot_spacing_mm,
+        "lower_mm": model.origin_mm.tolist(),
+        "upper_mm": model.upper_mm.tolist(),
+        "megabytes": model.megabytes,
+        "capped_share": float(np.concatenate(model.reference_caps).mean()),
+        "sources": list(model.sources),
+        "sha256": model_digest(model),
+    }
+
+
+def transform_facts(path: Path) -> Facts:
+    """Frames, angle and shift of a transform."""
+    rigid = read_transform(path)
+    return {
+        "name": rigid.name,
+        "matrix": rigid.matrix.tolist(),
+        "angle_deg": float(np.degrees(rigid.angle_rad)),
+        "translation_mm": rigid.translation_mm.tolist(),
+    }
+
+
+def landmark_facts(path: Path) -> Facts:
+    """Names and positions of landmarks."""
+    return {"points_lps_mm": _points(read_landmarks(path, "file"))}
+
+
+def tag_facts(path: Path) -> Facts:
+    """Names and both positions of paired landmarks."""
+    first, second = read_tag_pair(path, "first", "second")
+    return {"first_lps_mm": _points(first), "second_lps_mm": _points(second)}
+
+
+def _points(landmarks: Landmarks) -> dict[str, list[float]]:
+    return dict(zip(landmarks.names, landmarks.points.xyz_mm.tolist(), strict=True))

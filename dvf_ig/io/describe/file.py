@@ -1,0 +1,178 @@
+"""Say what a file is, and the few facts about it that a user wants to see before using it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.image_map import ImageMap
+from dvf_ig.io.ecg.recording import read_ecg
+from dvf_ig.io.mesh.file import DECODERS
+from dvf_ig.io.mesh.series import surface_names
+from dvf_ig.io.plus.poses import read_poses
+from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES
+from dvf_ig.io.plus.xml import CoordinateDefinition, parse_xml, read_transforms
+from dvf_ig.io.scenario.layout import CONFIG
+from dvf_ig.io.scenario.read import read_scenario
+
+from .anatomy import (
+    image_facts,
+    landmark_facts,
+    mesh_facts,
+    model_facts,
+    surface_facts,
+    tag_facts,
+    transform_facts,
+)
+from .sequence import clock_facts, sequence_facts, sequence_file_facts, stream_facts
+
+Facts = dict[str, Any]
+Reader = Callable[[Path], Facts]
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What a file is (`kind`, a few words) and its facts by name, ready for JSON; units are in the names."""
+
+    kind: str
+    facts: Facts
+
+
+def describe(spec: str) -> Description:
+    """Tell what a file is by its name and content, read it, and summarise it.
+
+    Args:
+        spec: a path, or an ECG as `wfdb:PATH`, `edf:PATH`, `csv:PATH`.
+    Raises:
+        UnreadableFileError: absent, of no known kind, or not readable as what it claims to be.
+    """
+    if spec.partition(":")[0] in ("wfdb", "edf", "csv"):
+        return Description("ECG", _ecg_facts(spec))
+    path = Path(spec)
+    if not path.exists():
+        raise UnreadableFileError(f"{path} does not exist; check the name (an ECG is named wfdb:RECORD)")
+    kind, facts = _folder_kind(path) if path.is_dir() else _file_kind(path)
+    return Description(kind, facts(path))
+
+
+def _folder_kind(path: Path) -> tuple[str, Reader]:
+    if (path / CONFIG).is_file():
+        return "scenario folder", _scenario_facts
+    if surface_names(path):
+        return "surfaces through the cycle", surface_facts
+    return "tool poses, one 4x4 text file each", _pose_facts
+
+
+def _file_kind(path: Path) -> tuple[str, Reader]:
+    name = path.name.lower()
+    by_ending: list[tuple[tuple[str, ...], str, Reader]] = [
+        (tuple(DECODERS), "triangle mesh", mesh_facts),
+        ((".npz",), "fixture model", model_facts),
+        ((".tfm",), "rigid transform", transform_facts),
+        ((".mrk.json", ".fcsv"), "landmarks", landmark_facts),
+        ((".tag",), "landmarks in two volumes", tag_facts),
+        ((".nii", ".nii.gz"), "image", image_facts),
+        ((".xml",), "PLUS configuration or result", _xml_facts),
+        ((".edf",), "ECG", lambda p: _ecg_facts(f"edf:{p}")),
+        ((".hea", ".dat", ".atr"), "ECG", lambda p: _ecg_facts(f"wfdb:{p.with_suffix('')}")),
+        ((".csv",), "ECG", lambda p: _ecg_facts(f"csv:{p}")),
+        ((".txt",), "tool poses, one row each", _pose_facts),
+    ]
+    for endings, kind, facts in by_ending:
+        if name.endswith(endings):
+            return kind, facts
+    if name.endswith((".mha", ".mhd", ".nrrd", ".nhdr")):
+        tracked = ".igs." in name or b"Seq_Frame" in path.read_bytes()[:65536]
+        return ("tracked sequence", sequence_file_facts) if tracked else ("image", image_facts)
+    raise UnreadableFileError(
+        f"{path} is of no kind known here; known are tracked sequences (.igs.mha, .igs.nrrd), images "
+        "(.nii.gz, .nrrd, .mha), meshes (.obj, .stl, .ply, .vtp), models (.npz), transforms (.tfm), "
+        "landmarks (.mrk.json, .fcsv, .tag), PLUS .xml, ECG (wfdb:, edf:, csv:) and scenario folders"
+    )
+
+
+def _pose_facts(path: Path) -> Facts:
+    stream = read_poses(path)
+    return {"transform": stream.name, **stream_facts(stream)}
+
+
+def _ecg_facts(spec: str) -> Facts:
+    signal = read_ecg(spec)
+    return {
+        "leads": list(signal.leads),
+        "unit": signal.unit,
+        "rate_hz": signal.rate_hz,
+        "samples": len(signal),
+        "start_s": signal.start_s,
+        "duration_s": len(signal) / signal.rate_hz,
+        "missing_share": float(np.isnan(signal.samples).mean()),
+        "peak_to_peak": [_peak_to_peak(lead) for lead in signal.samples.T],
+    }
+
+
+def _peak_to_peak(lead: FloatArray) -> float | None:
+    """Range of the delivered samples, or None where there are none."""
+    delivered = lead[np.isfinite(lead)]
+    return float(np.ptp(delivered)) if len(delivered) else None
+
+
+def _xml_facts(path: Path) -> Facts:
+    root = parse_xml(path, "a PLUS file")
+    placed = read_transforms(path, root)
+    return {
+        "root": root.tag,
+        "transforms": {
+            name: {"error_mm": entry.error_mm, "date": entry.date, **_image_map_facts(entry)}
+            for name, entry in placed.items()
+        },
+        "nwire_patterns": sum(1 for p in root.iter("Pattern") if p.attrib.get("Type") == "NWire"),
+        "landmarks": sum(1 for _ in root.iter("Landmark")),
+        "frames": {
+            part: sum(1 for _ in element.iter("Frame"))
+            for part in ("CalibrationData", "ValidationData", "LineSegmentationResults")
+            for element in root.iter(part)
+        },
+    }
+
+
+def _image_map_facts(entry: CoordinateDefinition) -> Facts:
+    """Pixel size of an image's map and how far its axes are from orthogonal; or why it cannot be used."""
+    if entry.source != "image" or entry.target in PIXEL_FRAMES:
+        return {}
+    try:
+        placed = ImageMap.from_matrix(entry.matrix, entry.target, entry.source)
+    except InvalidInputError as exc:
+        return {"problem": str(exc)}
+    return {"mm_per_px": placed.scale_mm_per_px.tolist(), "shear_deg": placed.shear_deg}
+
+
+def _scenario_facts(path: Path) -> Facts:
+    scenario = read_scenario(path)
+    preop = scenario.preop
+    series = [s for s in (preop.mr, preop.labels) if s is not None]
+    return {
+        "name": scenario.name,
+        "preset": scenario.preset,
+        "seed": scenario.seed,
+        "patient_id": preop.patient_id,
+        "preop_images": [[*s.values.shape[1:], len(s.timing)] for s in series],
+        "preop_surfaces": [s.name for s in preop.surfaces],
+        "ecg": {
+            "leads": list(scenario.ecg.leads),
+            "rate_hz": scenario.ecg.rate_hz,
+            "start_s": scenario.ecg.start_s,
+            "duration_s": len(scenario.ecg) / scenario.ecg.rate_hz,
+        },
+        "ultrasound": sequence_facts(scenario.ultrasound),
+        "tool": {**clock_facts(scenario.tool.t_s), **stream_facts(scenario.tool)},
+        "pivot_poses": len(scenario.pivot),
+        "nwire_frames": len(scenario.nwire.phantom_from_probe),
+        "latency_frames": len(scenario.latency.wall_row_px.t_s),
+        "start": scenario.start is not None,
+        "landmarks": 0 if scenario.landmarks_mr is None else len(scenario.landmarks_mr.names),
+        "truth": scenario.truth is not None,
+    }

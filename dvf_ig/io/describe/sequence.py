@@ -1,0 +1,152 @@
+"""Facts about tracked sequences and pose streams, for `describe`: clocks, validity, and the frame tree."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core.arrays import BoolArray, FloatArray
+from dvf_ig.core.sequence import TrackedSequence
+from dvf_ig.core.stream import MAX_GAP_S, PoseStream
+from dvf_ig.io.plus.names import split_transform
+from dvf_ig.io.plus.raw_sequence import RawSequence, read_raw_sequence
+from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES, indexed_sequence, read_sequence
+
+FROZEN_SAMPLES = 5
+"""A pose that repeats bit for bit this often is counted as frozen: a live tracker always shows noise."""
+
+Facts = dict[str, Any]
+
+
+def sequence_file_facts(path: Path) -> Facts:
+    """Facts of a tracked sequence file, pixels of any type; 8-bit images are read in full, and so checked."""
+    raw = read_raw_sequence(path, pixels=False)
+    sequence = read_sequence(path) if raw.is_uint8 else indexed_sequence(path, raw)[0]
+    size = [raw.columns, raw.rows] if raw.columns else None
+    facts = sequence_facts(sequence)
+    return {
+        **facts,
+        "image_size_px": size,
+        "pixel_type": raw.pixel_type if size else None,
+        "invalid_image_share": None if size is None else 1.0 - float(sequence.image_valid.mean()),
+        **_stamp_facts(raw),
+        "image_maps": [f"{target}_from_{source}" for target, source in _image_maps(raw)],
+        "frame_tree": frame_tree([*_edges(sequence), *_image_maps(raw)]),
+    }
+
+
+def sequence_facts(sequence: TrackedSequence) -> Facts:
+    """Facts of a tracked sequence."""
+    images = sequence.images
+    return {
+        "frames": len(sequence),
+        "image_size_px": None if images is None else [images.shape[2], images.shape[1]],
+        "orientation": sequence.orientation,
+        "invalid_image_share": None if images is None else 1.0 - float(sequence.image_valid.mean()),
+        "has_timestamps": sequence.has_timestamps,
+        **clock_facts(sequence.t_s if sequence.has_timestamps else None),
+        "transforms": {name: stream_facts(stream) for name, stream in sequence.poses.items()},
+    }
+
+
+def clock_facts(t_s: FloatArray | None) -> Facts:
+    """Start, length, rate, irregularity and gaps of increasing time stamps; None where there are none.
+
+    `jitter_s` is the standard deviation of the steps between frames of which none is missing;
+    `missing_frames` is how many more frames would have fitted into the longer steps.
+    """
+    if t_s is None or len(t_s) < 2:
+        names = ("start_s", "duration_s", "rate_hz", "jitter_s", "missing_frames", "gaps", "longest_gap_s")
+        return dict.fromkeys(names)
+    steps = np.diff(t_s)
+    usual = float(np.median(steps))
+    return {
+        "start_s": float(t_s[0]),
+        "duration_s": float(t_s[-1] - t_s[0]),
+        "rate_hz": 1 / usual,
+        "jitter_s": float(steps[steps < 1.5 * usual].std()),
+        "missing_frames": int((np.maximum(1, np.round(steps / usual)) - 1).sum()),
+        "gaps": int(np.count_nonzero(steps > MAX_GAP_S)),
+        "longest_gap_s": float(steps.max()),
+    }
+
+
+def stream_facts(stream: PoseStream) -> Facts:
+    """Validity, bitwise frozen share, and how far a tracked object moved and turned."""
+    usable = stream.valid
+    facts: Facts = {"samples": len(stream), "invalid_share": float((~usable).mean())}
+    if not usable.any():
+        return {**facts, "frozen_share": 0.0, "extent_mm": None, "turn_deg": None}
+    flat = np.column_stack([stream.rotations.reshape(-1, 9), stream.translations_mm])[usable]
+    rotations = stream.rotations[usable]
+    cosine = (np.einsum("ij,nij->n", rotations[0], rotations) - 1) / 2
+    return {
+        **facts,
+        "frozen_share": _frozen_share(np.append(False, (np.diff(flat, axis=0) == 0).all(axis=1))),
+        "extent_mm": np.ptp(stream.translations_mm[usable], axis=0).tolist(),
+        "turn_deg": float(np.degrees(np.arccos(np.clip(cosine, -1, 1)).max())),
+    }
+
+
+def frame_tree(edges: list[tuple[str, str]]) -> list[str]:
+    """Which frames are connected, as lines of a text tree; one tree for each group that holds together.
+
+    The frame with most connections is the root of its group; a connection that would close a ring is left
+    out.
+
+    Args:
+        edges: (target, source) of each transform.
+    """
+    near: dict[str, list[str]] = {}
+    for target, source in edges:
+        near.setdefault(target, []).append(source)
+        near.setdefault(source, []).append(target)
+    lines: list[str] = []
+    seen: set[str] = set()
+    for root in sorted(near, key=lambda frame: -len(near[frame])):
+        if root not in seen:
+            seen.add(root)
+            lines += [root, *_branches(root, near, seen, "")]
+    return lines
+
+
+def _branches(frame: str, near: dict[str, list[str]], seen: set[str], indent: str) -> list[str]:
+    children = [child for child in dict.fromkeys(near[frame]) if child not in seen]
+    seen.update(children)
+    lines = []
+    for child in children:
+        last = child == children[-1]
+        lines.append(f"{indent}{'└─ ' if last else '├─ '}{child}")
+        lines += _branches(child, near, seen, indent + ("   " if last else "│  "))
+    return lines
+
+
+def _edges(sequence: TrackedSequence) -> list[tuple[str, str]]:
+    return [(stream.target, stream.source) for stream in sequence.poses.values()]
+
+
+def _image_maps(raw: RawSequence) -> list[tuple[str, str]]:
+    """(target, source) of the recorded transforms from or to pixels, which are not poses."""
+    names = (field.removesuffix("Transform") for field in raw.frame_fields if field.endswith("Transform"))
+    pairs = (split_transform(name) for name in sorted(names))
+    return [pair for pair in pairs if pair is not None and set(pair) & set(PIXEL_FRAMES)]
+
+
+def _stamp_facts(raw: RawSequence) -> Facts:
+    """How the stamps stand in the file: repeats, steps back, and how far the recorder's filter moved them."""
+    stamps, plain = raw.numbers("Timestamp"), raw.numbers("UnfilteredTimestamp")
+    if stamps is None:
+        return {"repeated_stamps": None, "backward_stamps": None, "stamp_filter_shift_s": None}
+    steps = np.diff(stamps)
+    return {
+        "repeated_stamps": int(np.count_nonzero(steps == 0)),
+        "backward_stamps": int(np.count_nonzero(steps < 0)),
+        "stamp_filter_shift_s": None if plain is None else float(np.abs(stamps - plain).max()),
+    }
+
+
+def _frozen_share(repeats: BoolArray) -> float:
+    """Share of samples in runs of at least FROZEN_SAMPLES equal ones; `repeats[i]`: equals sample i − 1."""
+    starts = np.flatnonzero(~repeats)
+    lengths = np.diff(np.append(starts, len(repeats)))
+    return float(lengths[lengths >= FROZEN_SAMPLES].sum() / len(repeats))

@@ -1,0 +1,1 @@
+"""ECG recordings, expert beat annotations, hardware triggers."""

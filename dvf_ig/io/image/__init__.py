@@ -1,0 +1,1 @@
+"""Images on regular grids: NIfTI, NRRD, MetaImage, their labels, seeds and times."""

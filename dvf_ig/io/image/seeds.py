@@ -1,0 +1,73 @@
+"""Seeds for segmentation: 3D Slicer markups whose labels say what each point lies in, or plain JSON."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.points import Points
+from dvf_ig.io.json_file import read_json
+from dvf_ig.io.landmarks import markup_points
+from dvf_ig.io.reading import reading
+
+if TYPE_CHECKING:
+    from dvf_ig.preop.segment.seeded import Seeds
+
+KINDS = ("heart", "background", "cavity")
+
+
+def read_seeds(path: Path | str, frame: str = "mr") -> Seeds:
+    """Read seeds, LPS, mm.
+
+    Args:
+        path: `.mrk.json` with points labelled heart, background or cavity (a number may follow: "heart-3"),
+            or JSON `{"heart": [[x, y, z], …], "background": […], "cavity": […]}` in LPS.
+        frame: name of the image's frame.
+    Raises:
+        UnreadableFileError: absent, another format, an unknown name, or heart or background without points.
+    """
+    from dvf_ig.preop.segment.seeded import Seeds
+
+    path = Path(path)
+    with reading(path, "a file of seeds"):
+        document = read_json(path, "a file of seeds")
+        named = _of_markups(path) if isinstance(document, dict) and "markups" in document else None
+        found = named if named is not None else _of_lists(path, document)
+        heart, background, cavity = (Points(frame, found[kind]) for kind in KINDS)
+        return Seeds(heart, background, cavity)
+
+
+def _of_markups(path: Path) -> dict[str, FloatArray]:
+    names, xyz = markup_points(path)
+    rows: dict[str, list[FloatArray]] = {kind: [] for kind in KINDS}
+    for name, point in zip(names, xyz, strict=True):
+        rows[_kind(path, re.sub(r"[\s_-]*\d*$", "", name))].append(point)
+    return {kind: np.array(points).reshape(-1, 3) for kind, points in rows.items()}
+
+
+def _of_lists(path: Path, document: Any) -> dict[str, FloatArray]:
+    if not isinstance(document, dict):
+        raise UnreadableFileError(f"{path} is not a file of seeds; needed an object of lists of points")
+    found = {kind: np.zeros((0, 3)) for kind in KINDS}
+    for name, points in document.items():
+        try:
+            found[_kind(path, name)] = np.array(points, dtype=np.float64).reshape(-1, 3)
+        except (TypeError, ValueError) as exc:
+            if isinstance(exc, UnreadableFileError):
+                raise
+            raise UnreadableFileError(
+                f"{path}: the points of '{name}' are not rows of x, y, z in mm"
+            ) from exc
+    return found
+
+
+def _kind(path: Path, name: str) -> str:
+    kind = name.strip().lower()
+    if kind not in KINDS:
+        raise UnreadableFileError(f"{path}: a seed is named '{name}'; needed {', '.join(KINDS)}")
+    return kind

@@ -1,0 +1,109 @@
+"""When the phases of a 4-D data set were taken: our `timing.json`, and bivme's with trigger times a slice."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core.cycle import CycleTiming
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.io.json_file import read_json, write_json
+from dvf_ig.io.reading import reading
+
+ASSUMED_RR_S = 1.0
+
+
+def read_timing(
+    path: Path | str | None,
+    *,
+    beside: Path,
+    phases: int,
+    image: str | None = None,
+    rr_s: float | None = None,
+) -> CycleTiming:
+    """Timing of `phases` phases.
+
+    Args:
+        path: the timing file; None looks for `timing.json` in `beside`, and where there is none puts phase i
+            at i/N, marked as assumed.
+        beside: folder of the data.
+        phases: how many phases the data have.
+        image: name of the image file, for a timing file that lists several.
+        rr_s: RR interval that overrides the file's; without file and without it, 1.0 s, marked as assumed.
+    Raises:
+        UnreadableFileError: absent, not a timing file, or of another number of phases.
+    """
+    if path is None:
+        path = beside / "timing.json"
+        if not path.is_file():
+            if rr_s is None:
+                return CycleTiming.uniform(phases, ASSUMED_RR_S, rr_assumed=True)
+            return CycleTiming.uniform(phases, rr_s)
+    path = Path(path)
+    with reading(path, "a timing file"):
+        timing = _parse(path, read_json(path, "a timing file"), image)
+        if len(timing) != phases:
+            raise UnreadableFileError(f"{path} times {len(timing)} phases, the data have {phases}")
+        if rr_s is not None:
+            timing = CycleTiming(timing.fractions, rr_s, timing_assumed=timing.timing_assumed)
+        return timing
+
+
+def timing_document(timing: CycleTiming) -> dict[str, Any]:
+    """The JSON object that `timing_from_document` reads back exactly."""
+    return {
+        "fractions": timing.fractions.tolist(),
+        "rr_s": timing.rr_s,
+        "rr_assumed": timing.rr_assumed,
+        "timing_assumed": timing.timing_assumed,
+    }
+
+
+def write_timing(timing: CycleTiming, path: Path | str) -> None:
+    """Write a timing file: fractions, rr_s, and what of it was assumed."""
+    write_json(path, timing_document(timing))
+
+
+def timing_from_document(path: Path, document: Any) -> CycleTiming:
+    """A CycleTiming from `{"fractions": [...], "rr_s": …}`."""
+    if not isinstance(document, dict) or not {"fractions", "rr_s"} <= document.keys():
+        raise UnreadableFileError(
+            f'{path} is not a timing file; needed {{"fractions": [...], "rr_s": ...}}, or trigger times'
+        )
+    try:
+        return CycleTiming(
+            np.array(document["fractions"], dtype=np.float64),
+            float(document["rr_s"]),
+            bool(document.get("rr_assumed", False)),
+            bool(document.get("timing_assumed", False)),
+        )
+    except (TypeError, ValueError) as exc:
+        if isinstance(exc, InvalidInputError):
+            raise
+        raise UnreadableFileError(f"{path}: fractions or rr_s are not numbers ({exc})") from exc
+
+
+def _parse(path: Path, document: Any, image: str | None) -> CycleTiming:
+    series = document if isinstance(document, dict) else {}
+    listed = {name: e for name, e in series.items() if isinstance(e, dict) and "trigger_ms" in e}
+    if not listed:
+        return timing_from_document(path, document)
+    if image in listed:
+        return _from_triggers(path, listed[image])
+    short_axis = [entry for name, entry in listed.items() if name.startswith("sax")]
+    if len(short_axis) == 1:
+        return _from_triggers(path, short_axis[0])
+    if len(listed) == 1:
+        return _from_triggers(path, next(iter(listed.values())))
+    raise UnreadableFileError(f"{path} lists {', '.join(listed)}; none is the short-axis (sax…) series")
+
+
+def _from_triggers(path: Path, entry: dict[str, Any]) -> CycleTiming:
+    """Mean over slices of trigger time / RR, each slice having been acquired at its own RR; mean RR."""
+    try:
+        trigger_s = np.atleast_2d(np.array(entry["trigger_ms"], dtype=np.float64)) / 1000.0
+        rr_s = np.array(entry["RR_ms"], dtype=np.float64) / 1000.0
+        fractions = (trigger_s / rr_s[:, None]).mean(axis=0)
+    except (KeyError, TypeError, ValueError) as exc:
+        raise UnreadableFileError(f"{path}: needed trigger_ms and RR_ms of each slice ({exc})") from exc
+    return CycleTiming(fractions, float(rr_s.mean()))

@@ -1,0 +1,203 @@
+"""3-D and cyclic 4-D images: NIfTI, NRRD, MetaImage through SimpleITK; LPS, mm."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core.arrays import AnyArray, FloatArray
+from dvf_ig.core.cycle import CycleTiming
+from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileError
+from dvf_ig.core.rigid import rigidity_defect
+from dvf_ig.core.volume import Grid, Volume, VolumeSeries
+from dvf_ig.io.atomic import atomic_file
+from dvf_ig.io.reading import reading
+
+from .nifti_check import check_nifti
+from .timing import read_timing
+
+DIRECTION_TOLERANCE = 1e-3
+_EXACT_KEY = "dvf_ig_origin_spacing_direction"
+SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
+
+
+def read_volume(path: Path | str, frame: str = "mr") -> Volume:
+    """Read a 3-D image; its pixel type is kept.
+
+    A left-handed grid (common in NIfTI) is turned right-handed by reversing its last axis, which moves no
+    voxel in space.
+
+    Args:
+        path: NIfTI, NRRD or MetaImage.
+        frame: name of the image's LPS frame.
+    Raises:
+        UnreadableFileError: absent, damaged, not 3-D, not scalar, or with a sheared grid.
+    """
+    grid, values = _read(Path(path), frame, 3)
+    return Volume(grid, values)
+
+
+def read_volume_series(
+    path: Path | str, timing: CycleTiming | Path | str | None = None, frame: str = "mr"
+) -> VolumeSeries:
+    """Read a cyclic 4-D image (x, y, z, phase).
+
+    Args:
+        path: NIfTI, NRRD or MetaImage.
+        timing: when each phase was taken, or a timing file; None takes `timing.json` beside the image, else
+            phase i at i/N of an RR of 1.0 s, both marked as assumed.
+        frame: name of the image's LPS frame.
+    Raises:
+        UnreadableFileError: as `read_volume`, or not 4-D.
+        InvalidInputError: timing of another number of phases.
+    """
+    path = Path(path)
+    grid, values = _read(path, frame, 4)
+    if not isinstance(timing, CycleTiming):
+        timing = read_timing(timing, beside=path.parent, phases=len(values), image=path.name)
+    if len(timing) != len(values):
+        raise InvalidInputError(f"{path} has {len(values)} phases, its timing {len(timing)}; they must agree")
+    return VolumeSeries(grid, values, timing)
+
+
+def image_dimension(path: Path | str) -> int:
+    """3 or 4 (or whatever the file says), from the header alone.
+
+    Raises:
+        UnreadableFileError: absent or not an image.
+    """
+    import SimpleITK
+
+    path = Path(path)
+    with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
+        path.stat()
+        header = SimpleITK.ImageFileReader()
+        header.SetFileName(str(path))
+        try:
+            header.ReadImageInformation()
+        except RuntimeError as exc:
+            check_nifti(path)
+            raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
+        return int(header.GetDimension())
+
+
+def write_volume(volume: Volume, path: Path | str) -> None:
+    """Write a 3-D image, compressed; the ending chooses the format.
+
+    Raises:
+        OutputError: an unknown ending, a pixel type the format lacks, or not writable.
+    """
+    _write(_image(volume.grid, volume.values), Path(path))
+
+
+def write_volume_series(series: VolumeSeries, path: Path | str) -> None:
+    """Write a cyclic 4-D image, compressed; the phase times are not in it (see `write_timing`).
+
+    Raises:
+        OutputError: as `write_volume`.
+    """
+    import SimpleITK
+
+    joined = SimpleITK.JoinSeries([_image(series.grid, phase) for phase in series.values])
+    joined.SetMetaData(_EXACT_KEY, _exact_text(series.grid))
+    _write(joined, Path(path))
+
+
+def _read(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
+    """Grid and values, indexed [x, y, z] or [phase, x, y, z]."""
+    import SimpleITK
+
+    with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
+        path.stat()
+        check_nifti(path)
+        try:
+            image = SimpleITK.ReadImage(str(path))
+        except RuntimeError as exc:
+            raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
+        if image.GetDimension() != dimension or image.GetNumberOfComponentsPerPixel() != 1:
+            raise UnreadableFileError(
+                f"{path} is {image.GetDimension()}-D with {image.GetNumberOfComponentsPerPixel()} value(s) a "
+                f"voxel; needed {dimension}-D with one"
+            )
+        size = image.GetDimension()
+        direction = np.array(image.GetDirection()).reshape(size, size)[:3, :3]
+        values = np.transpose(SimpleITK.GetArrayViewFromImage(image))
+        if dimension == 4:
+            values = np.moveaxis(values, -1, 0)
+        origin, spacing = np.array(image.GetOrigin()[:3]), np.array(image.GetSpacing()[:3])
+        return _right_handed(path, frame, *_exact(image, origin, spacing, direction), values)
+
+
+def _exact(
+    image: Any, origin: FloatArray, spacing: FloatArray, direction: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The geometry with the digits that a product of spacing and direction loses, where we recorded them.
+
+    What was recorded counts only while it still agrees with the image's own header.
+    """
+    text = image.GetMetaData(_EXACT_KEY) if image.HasMetaDataKey(_EXACT_KEY) else ""
+    try:
+        numbers = np.array([float(part) for part in text.split()])
+    except ValueError:
+        return origin, spacing, direction
+    if numbers.size != 15 or not np.allclose(
+        numbers, np.concatenate([origin, spacing, direction.ravel()]), rtol=1e-12, atol=1e-9
+    ):
+        return origin, spacing, direction
+    return numbers[:3], numbers[3:6], numbers[6:].reshape(3, 3)
+
+
+def _right_handed(
+    path: Path, frame: str, origin: FloatArray, spacing: FloatArray, direction: FloatArray, values: AnyArray
+) -> tuple[Grid, AnyArray]:
+    """A grid with a proper rotation: a left-handed one has its last axis reversed."""
+    if np.linalg.det(direction) < 0:
+        origin = origin + direction[:, 2] * spacing[2] * (values.shape[-1] - 1)
+        direction = direction * (1.0, 1.0, -1.0)
+        values = values[..., ::-1]
+    defect = rigidity_defect(direction)
+    if defect > DIRECTION_TOLERANCE:
+        raise UnreadableFileError(
+            f"{path}: the image axes are sheared (defect {defect:.3g}, needed at most "
+            f"{DIRECTION_TOLERANCE:g}); resample it with: antsApplyTransforms -d 3 -i {path.name} "
+            f"-r ORTHOGONAL_REFERENCE.nii.gz -o straight_{path.name}"
+        )
+    shape = (int(values.shape[-3]), int(values.shape[-2]), int(values.shape[-1]))
+    owned = np.array(values, order="C")  # a copy: `values` may be a view into an image that goes away
+    owned.setflags(write=False)
+    return Grid(frame, shape, origin, spacing, direction), owned
+
+
+def _image(grid: Grid, values: AnyArray) -> Any:
+    import SimpleITK
+
+    plain = values.astype(np.uint8) if values.dtype == np.bool_ else values
+    image = SimpleITK.GetImageFromArray(np.ascontiguousarray(plain.T))
+    image.SetOrigin(grid.origin_mm.tolist())
+    image.SetSpacing(grid.spacing_mm.tolist())
+    image.SetDirection(grid.direction.ravel().tolist())
+    image.SetMetaData(_EXACT_KEY, _exact_text(grid))
+    return image
+
+
+def _exact_text(grid: Grid) -> str:
+    numbers = np.concatenate([grid.origin_mm, grid.spacing_mm, grid.direction.ravel()])
+    return " ".join(map(repr, numbers.tolist()))
+
+
+def _write(image: Any, path: Path) -> None:
+    import SimpleITK
+
+    if not path.name.lower().endswith(SUFFIXES):
+        raise OutputError(f"cannot write {path}: unknown image ending; use one of {', '.join(SUFFIXES)}")
+    with atomic_file(path) as temporary:
+        try:
+            SimpleITK.WriteImage(image, str(temporary), useCompression=True, compressionLevel=1)
+        except RuntimeError as exc:
+            raise OutputError(f"cannot write {path}: {_itk_reason(exc)}") from exc
+
+
+def _itk_reason(exc: RuntimeError) -> str:
+    """The last line of ITK's message that says something, without source positions."""
+    lines = [line.strip() for line in str(exc).splitlines() if line.strip()]
+    return lines[-1].removeprefix("sitk::ERROR: ")[:200] if lines else "no reason given"

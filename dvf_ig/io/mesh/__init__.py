@@ -1,0 +1,1 @@
+"""Triangle meshes and surface series: OBJ, STL, PLY, VTP."""

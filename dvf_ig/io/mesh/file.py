@@ -1,0 +1,78 @@
+"""Triangle meshes: OBJ, STL, PLY and VTP, in mm, LPS (files tagged SPACE=RAS are converted)."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from dvf_ig.core.errors import OutputError, UnreadableFileError
+from dvf_ig.core.mesh import Mesh
+from dvf_ig.io.atomic import write_bytes
+from dvf_ig.io.reading import read_bytes, reading
+
+from .obj import decode_obj, encode_obj
+from .ply import decode_ply, encode_ply
+from .raw import MeshFormatError, RawMesh
+from .stl import decode_stl, encode_stl
+from .vtp import decode_vtp, encode_vtp
+
+DECODERS = {".obj": decode_obj, ".stl": decode_stl, ".ply": decode_ply, ".vtp": decode_vtp}
+_SPACE = re.compile(r"SPACE\s*=\s*([A-Za-z]+)")
+_TO_LPS = np.array([-1.0, -1.0, 1.0])
+
+
+def read_mesh(path: Path | str, frame: str = "mr") -> Mesh:
+    """Read a triangle mesh; polygons are split into fans, other cells are ignored.
+
+    Coordinates are LPS unless the file says SPACE=RAS, as 3D Slicer writes and assumes. STL vertices that
+    coincide exactly become one.
+
+    Args:
+        path: `.obj`, `.stl`, `.ply` (ASCII or binary) or `.vtp` (ASCII, inline or appended, zlib or plain).
+        frame: name of the mesh's LPS frame.
+    Raises:
+        UnreadableFileError: absent, another format, damaged, or without triangles.
+    """
+    path = Path(path)
+    raw = decode_mesh(path, read_bytes(path, "a triangle mesh"))
+    with reading(path, "a triangle mesh"):
+        return Mesh(frame, raw.vertices, raw.triangles)
+
+
+def write_mesh(mesh: Mesh, path: Path | str) -> None:
+    """Write a mesh tagged SPACE=LPS; the ending chooses the format.
+
+    OBJ, PLY and VTP keep every digit; STL holds 32-bit floats and no shared vertices.
+
+    Raises:
+        OutputError: another ending, or not writable.
+    """
+    path = Path(path)
+    encoders = {".obj": encode_obj, ".stl": encode_stl, ".ply": encode_ply, ".vtp": encode_vtp}
+    encode = encoders.get(path.suffix.lower())
+    if encode is None:
+        raise OutputError(f"cannot write {path}: unknown mesh ending; use one of {', '.join(encoders)}")
+    write_bytes(path, encode(RawMesh(mesh.vertices_mm, mesh.triangles, "SPACE=LPS")))
+
+
+def decode_mesh(path: Path, data: bytes) -> RawMesh:
+    """Mesh from bytes in the format that the ending of `path` names; vertices in LPS.
+
+    Raises:
+        UnreadableFileError: unknown ending, damaged content, or an unknown SPACE.
+    """
+    decode = DECODERS.get(path.suffix.lower())
+    if decode is None:
+        raise UnreadableFileError(f"{path} has no known mesh ending; needed one of {', '.join(DECODERS)}")
+    try:
+        raw = decode(data)
+    except MeshFormatError as exc:
+        raise UnreadableFileError(f"{path}: {exc}") from exc
+    except (ValueError, IndexError, KeyError, OverflowError) as exc:
+        raise UnreadableFileError(f"{path} is not a readable {path.suffix} mesh: {exc}") from exc
+    space = _SPACE.search(raw.note)
+    if space is None or space[1].upper() == "LPS":
+        return raw
+    if space[1].upper() != "RAS":
+        raise UnreadableFileError(f"{path} is in the space '{space[1]}'; needed LPS or RAS: export it again")
+    return RawMesh(raw.vertices * _TO_LPS, raw.triangles, "SPACE=LPS", raw.cell_flags)

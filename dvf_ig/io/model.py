@@ -1,0 +1,174 @@
+"""The DvfModel file: one `.npz` without pickle, a JSON header, and digests that show any changed byte."""
+
+import hashlib
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core.arrays import AnyArray
+from dvf_ig.core.cycle import CycleTiming
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.mesh import Mesh
+from dvf_ig.core.model import DvfModel
+
+from .atomic import write_bytes
+from .reading import read_bytes, reading
+
+SCHEMA = "dvf_ig.model/1"
+_SEAL = b"dvf_ig sha256 "
+_SEAL_BYTES = len(_SEAL) + 64
+
+
+def write_model(model: DvfModel, path: Path | str) -> None:
+    """Write a model as one `.npz`.
+
+    The header holds schema, units, frame, phase times, RR with its assumed flags, patient id, sources and
+    the SHA-256 over header and arrays; the zip comment seals the file byte for byte.
+
+    Raises:
+        OutputError: not writable.
+    """
+    header, arrays = _parts(model)
+    header["sha256"] = _digest(header, arrays)
+    buffer = io.BytesIO()
+    text = json.dumps(header, sort_keys=True, ensure_ascii=False, indent=1)
+    np.savez(buffer, **{"header": np.frombuffer(text.encode("utf-8"), np.uint8), **arrays})  # type: ignore[arg-type]
+    with zipfile.ZipFile(buffer, "a") as archive:
+        archive.comment = _SEAL + b"0" * 64
+    body = buffer.getvalue()[:-64]
+    write_bytes(Path(path), [body, hashlib.sha256(body).hexdigest().encode("ascii")])
+
+
+def read_model(path: Path | str, patient_id: str | None = None) -> DvfModel:
+    """Read a model and verify it.
+
+    Args:
+        path: file written by `write_model`.
+        patient_id: whose model is needed; None accepts any.
+    Raises:
+        UnreadableFileError: absent, not a model, another schema, or any byte changed since it was written.
+        InvalidInputError: the model of another patient.
+    """
+    path = Path(path)
+    data = read_bytes(path, "a model file")
+    _check_seal(path, data)
+    with reading(path, "a model file"):
+        header, arrays = _unpack(path, data)
+        if header.get("schema") != SCHEMA:
+            raise UnreadableFileError(
+                f"{path} has schema '{header.get('schema')}'; this version reads '{SCHEMA}': build it again"
+            )
+        stated = header.pop("sha256", None)
+        if stated != _digest(header, arrays):
+            raise UnreadableFileError(
+                f"{path} was changed after it was written (SHA-256 differs); build it again"
+            )
+        model = _model(path, header, arrays)
+    if patient_id is not None and model.patient_id != patient_id:
+        raise InvalidInputError(
+            f"{path} is the model of patient '{model.patient_id}', needed patient '{patient_id}'; "
+            "choose the right patient's model"
+        )
+    return model
+
+
+def model_digest(model: DvfModel) -> str:
+    """SHA-256 (hex) over the model's header and arrays: equal for equal models."""
+    return _digest(*_parts(model))
+
+
+def _parts(model: DvfModel) -> tuple[dict[str, Any], dict[str, AnyArray]]:
+    header = {
+        "schema": SCHEMA,
+        "units": {"length": "mm", "time": "s", "coefficients": "mm"},
+        "distance_sign": "positive inside the protected organ",
+        "axes": "LPS",
+        "frame": model.frame,
+        "patient_id": model.patient_id,
+        "surface_name": model.surface_name,
+        "phases": model.phases,
+        "rr_s": model.timing.rr_s,
+        "rr_assumed": model.timing.rr_assumed,
+        "timing_assumed": model.timing.timing_assumed,
+        "es_fraction": float(model.es_fraction),
+        "ed_phase": int(model.ed_phase),
+        "knot_spacing_mm": float(model.knot_spacing_mm),
+        "sources": list(model.sources),
+    }
+    arrays: dict[str, AnyArray] = {
+        "fractions": model.timing.fractions,
+        "coefficients": model.coefficients,
+        "origin_mm": model.origin_mm,
+        "reference_vertices_mm": np.concatenate([m.vertices_mm for m in model.reference]),
+        "reference_triangles": np.concatenate([m.triangles for m in model.reference]).astype(np.int32),
+        "reference_caps": np.concatenate(model.reference_caps),
+        "vertex_counts": np.array([len(m.vertices_mm) for m in model.reference], dtype=np.int64),
+        "triangle_counts": np.array([len(m.triangles) for m in model.reference], dtype=np.int64),
+    }
+    return header, arrays
+
+
+def _digest(header: dict[str, Any], arrays: dict[str, AnyArray]) -> str:
+    text = json.dumps(header, sort_keys=True, ensure_ascii=False)
+    digest = hashlib.sha256(text.encode("utf-8"))
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+        digest.update(f"\n{name} {little.dtype.str} {little.shape}\n".encode("ascii"))
+        digest.update(little.data)
+    return digest.hexdigest()
+
+
+def _check_seal(path: Path, data: bytes) -> None:
+    """Refuse what is no model file of ours, and a model file of which any byte differs from when written."""
+    if not data.startswith(b"PK"):
+        raise UnreadableFileError(f"{path} is not a model file; build one with: dvf-ig model build")
+    body, stated = data[:-64], data[-64:]
+    sealed = data[-_SEAL_BYTES:-64] == _SEAL
+    if not sealed or hashlib.sha256(body).hexdigest().encode("ascii") != stated:
+        raise UnreadableFileError(
+            f"{path} is not an intact model file ({len(data)} bytes, its seal does not match): "
+            "it was truncated, changed, or not written by dvf-ig; build it again"
+        )
+
+
+def _unpack(path: Path, data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray]]:
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        header = json.loads(arrays.pop("header").tobytes())
+    except (ValueError, KeyError, RuntimeError, zipfile.BadZipFile) as exc:
+        raise UnreadableFileError(f"{path} is not a model file ({exc}); build it again") from exc
+    if not isinstance(header, dict):
+        raise UnreadableFileError(f"{path} is not a model file: its header is no JSON object; build it again")
+    return header, arrays
+
+
+def _model(path: Path, header: dict[str, Any], arrays: dict[str, AnyArray]) -> DvfModel:
+    try:
+        vertices = np.split(arrays["reference_vertices_mm"], np.cumsum(arrays["vertex_counts"])[:-1])
+        triangles = np.split(arrays["reference_triangles"], np.cumsum(arrays["triangle_counts"])[:-1])
+        caps = np.split(arrays["reference_caps"], np.cumsum(arrays["triangle_counts"])[:-1])
+        frame = header["frame"]
+        return DvfModel(
+            patient_id=header["patient_id"],
+            surface_name=header["surface_name"],
+            frame=frame,
+            timing=CycleTiming(
+                arrays["fractions"], header["rr_s"], header["rr_assumed"], header["timing_assumed"]
+            ),
+            es_fraction=header["es_fraction"],
+            ed_phase=header["ed_phase"],
+            coefficients=arrays["coefficients"],
+            origin_mm=arrays["origin_mm"],
+            knot_spacing_mm=header["knot_spacing_mm"],
+            reference=tuple(Mesh(frame, v, t) for v, t in zip(vertices, triangles, strict=True)),
+            reference_caps=tuple(caps),
+            sources=tuple(header["sources"]),
+        )
+    except KeyError as exc:
+        raise UnreadableFileError(f"{path}: the model lacks {exc}; build it again") from exc

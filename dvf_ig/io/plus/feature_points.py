@@ -1,0 +1,92 @@
+"""Points of a calibration target as segmented in each image: a CSV with one row an image."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.sequence import TrackedSequence
+from dvf_ig.core.stream import PoseStream
+from dvf_ig.io.reading import read_text, reading
+
+from .sequence_read import read_indexed_sequence
+
+
+def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArray:
+    """Segmented points of the images of a sequence.
+
+    Args:
+        path: CSV with the columns frame, column1_px, row1_px, column2_px, row2_px, … ; cells are empty where
+            a point was not found.
+        frames: images in the sequence; None takes the highest frame number + 1.
+    Returns:
+        (frames, points, 2) column, row in px; NaN where not found or not listed.
+    Raises:
+        UnreadableFileError: absent, other columns, a cell that is no number, a frame listed twice or beyond
+            the sequence.
+    """
+    path = Path(path)
+    lines = [line for line in csv.reader(read_text(path, "segmented points").splitlines()) if line]
+    head = [name.strip() for name in lines[0]] if lines else []
+    count = (len(head) - 1) // 2
+    needed = ["frame", *(f"{axis}{k + 1}_px" for k in range(count) for axis in ("column", "row"))]
+    if count < 1 or head != needed:
+        shown = ", ".join(head)[:60] or "none"
+        raise UnreadableFileError(f"{path} has the columns {shown}; needed frame, column1_px, row1_px, …")
+    numbers: list[int] = []
+    rows: list[FloatArray] = []
+    for number, line in enumerate(lines[1:], start=2):
+        frame, *cells = _numbers(path, number, line, len(head))
+        if frame != frame or frame < 0 or frame != int(frame):
+            raise UnreadableFileError(f"{path}, line {number}: '{line[0]}' is no frame number (0, 1, 2, …)")
+        numbers.append(int(frame))
+        rows.append(np.array(cells).reshape(count, 2))
+    total = max(numbers, default=-1) + 1 if frames is None else frames
+    if len(set(numbers)) < len(numbers):
+        raise UnreadableFileError(f"{path} lists a frame twice; needed one row an image")
+    if numbers and max(numbers) >= total:
+        raise UnreadableFileError(f"{path} has frame {max(numbers)}, the sequence has {total} images")
+    points = np.full((total, count, 2), np.nan)
+    for at, row in zip(numbers, rows, strict=True):
+        points[at] = row
+    return points
+
+
+def read_target_recording(sequence_path: Path | str, points_csv: Path | str) -> tuple[PoseStream, FloatArray]:
+    """Poses of the tracked probe and the target's points, matched frame by frame.
+
+    Args:
+        sequence_path: PLUS sequence with the probe tracked against the reference sensor or the tracker.
+        points_csv: see `read_feature_points`; frame numbers count the frames of the sequence file.
+    Returns:
+        reference_from_probe where a reference was tracked, else tracker_from_probe, and (n, points, 2) px.
+    Raises:
+        UnreadableFileError: either cannot be read, or they do not belong together.
+    """
+    path = Path(sequence_path)
+    with reading(path, "a sequence with a tracked probe"):
+        sequence, kept = read_indexed_sequence(path)
+        poses = tracked_probe(sequence)
+    return poses, read_feature_points(points_csv, int(kept.max()) + 1)[kept]
+
+
+def tracked_probe(sequence: TrackedSequence) -> PoseStream:
+    """The probe against the reference sensor where one was tracked, else against the tracker.
+
+    Raises:
+        InvalidInputError: the sequence does not track the probe.
+    """
+    held = any("reference" in (stream.target, stream.source) for stream in sequence.poses.values())
+    return sequence.stream("reference" if held else "tracker", "probe")
+
+
+def _numbers(path: Path, number: int, line: list[str], count: int) -> list[float]:
+    """One line's numbers; NaN for an empty cell."""
+    if len(line) != count:
+        raise UnreadableFileError(f"{path}, line {number}: {len(line)} cells; needed {count}")
+    try:
+        return [float(cell) if cell.strip() else float("nan") for cell in line]
+    except ValueError as exc:
+        raise UnreadableFileError(f"{path}, line {number}: {exc}") from exc

@@ -1,0 +1,102 @@
+"""Temporal-calibration recordings in PLUS's files: tracker, video, and the line seen in each video frame."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from dvf_ig.core.arrays import FloatArray, IntArray
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.scenario import LatencyRecording
+from dvf_ig.core.signal import Trace
+from dvf_ig.io.reading import reading
+
+from .sequence_read import read_indexed_sequence, read_sequence
+from .xml import numbers, parse_xml, write_xml
+
+
+def read_line_table(xml: Path | str, column_px: float | None = None) -> tuple[IntArray, FloatArray]:
+    """Rows at which the tank-bottom line crosses one image column.
+
+    Args:
+        xml: PLUS line-segmentation results.
+        column_px: the column; None takes the median column of the lines' own points, which is near the
+            image's centre.
+    Returns:
+        (k,) frame index in the video file, increasing, and (k,) row in px; frames whose status is not OK
+        are left out.
+    Raises:
+        UnreadableFileError: absent, not such a table, no frame segmented, or a line parallel to the column.
+    """
+    path = Path(xml)
+    with reading(path, "a line table"):
+        frames = list(parse_xml(path, "a line table").iter("Frame"))
+        seen = [f for f in frames if f.attrib.get("SegmentationStatus", "OK").upper() == "OK"]
+        if not seen:
+            raise UnreadableFileError(f"{path}: none of its {len(frames)} frames has a line; record again")
+        index = np.array([int(numbers(path, f, "Index", 1)[0]) for f in seen], dtype=np.int64)
+        origin = np.array([numbers(path, f, "LineOriginPointPx", 2) for f in seen])
+        direction = np.array([numbers(path, f, "LineDirectionVectorPx", 2) for f in seen])
+        if (direction[:, 0] == 0).any():
+            upright = int(index[direction[:, 0] == 0][0])
+            raise UnreadableFileError(f"{path}: the line of frame {upright} is upright; it is no tank floor")
+        column = float(np.median(origin[:, 0])) if column_px is None else column_px
+        rows = origin[:, 1] + (column - origin[:, 0]) * (direction[:, 1] / direction[:, 0])
+        order = np.argsort(index, kind="stable")
+        if (np.diff(index[order]) == 0).any():
+            raise UnreadableFileError(f"{path}: a frame index repeats; needed one line a frame")
+        return index[order], rows[order]
+
+
+def read_latency_recording(
+    tracker_sequence: Path | str, video_sequence: Path | str, line_table: Path | str
+) -> LatencyRecording:
+    """Tracker poses and the depth of the tank floor at the image's centre column.
+
+    Args:
+        tracker_sequence: PLUS sequence with tracker_from_probe.
+        video_sequence: PLUS sequence whose time stamps are the video clock; it may lack images.
+        line_table: PLUS line-segmentation results of that video.
+    Raises:
+        UnreadableFileError: one cannot be read, or the table has more frames than the video.
+    """
+    with reading(Path(tracker_sequence), "a sequence with a tracked probe"):
+        probe = read_sequence(tracker_sequence).stream("tracker", "probe")
+    video, kept = read_indexed_sequence(video_sequence)
+    if not video.has_timestamps:
+        raise UnreadableFileError(f"{video_sequence} has no time stamps; the latency cannot be read from it")
+    center = None if video.images is None else (video.images.shape[2] - 1) / 2
+    index, rows = read_line_table(line_table, center)
+    if index[-1] > kept.max():
+        raise UnreadableFileError(
+            f"{line_table} has frame {index[-1]}, but {video_sequence} ends at frame {kept.max()}"
+        )
+    position = np.full(int(kept.max()) + 1, -1, dtype=np.int64)
+    position[kept] = np.arange(len(kept))
+    at = position[index]
+    order = np.argsort(at[at >= 0], kind="stable")
+    t_s, values = video.t_s[at[at >= 0]][order], rows[at >= 0][order]
+    with reading(Path(line_table), "a line table"):
+        return LatencyRecording(probe, Trace(t_s, values))
+
+
+def write_line_table(path: Path | str, rows_px: FloatArray, column_px: float = 0.0) -> None:
+    """Write level lines in PLUS's shape, one a video frame; NaN marks a frame as Failed.
+
+    Args:
+        rows_px: (n,) row of the line in each frame.
+        column_px: column of the point that is written for each line.
+    Raises:
+        InvalidInputError: not one row a frame.
+        OutputError: not writable.
+    """
+    if rows_px.ndim != 1:
+        raise InvalidInputError(f"line rows have shape {rows_px.shape}; needed one row a frame, (n,)")
+    root = ElementTree.Element("LineSegmentationResults")
+    for index, row in enumerate(rows_px.tolist()):
+        element = ElementTree.SubElement(root, "Frame", Index=str(index))
+        element.set("SegmentationStatus", "OK" if row == row else "Failed")
+        if row == row:
+            element.set("LineOriginPointPx", f"{column_px!r} {row!r}")
+            element.set("LineDirectionVectorPx", "1 0")
+    write_xml(Path(path), root)

@@ -1,0 +1,56 @@
+"""PLUS coordinate-frame names and ours.
+
+PLUS writes "ProbeToTracker" for the matrix that takes probe coordinates to tracker coordinates; here it is
+tracker_from_probe. Frame names are camel case there, lower snake case here: "StylusTip" is "stylus_tip".
+"""
+
+import re
+
+from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.frames import check_frame
+
+_TRANSFORM = re.compile(r"(.+?)To([A-Z].*)")
+_WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+_NOT_WORD = re.compile(r"[^0-9A-Za-z]+")
+
+
+def frame_from_plus(name: str) -> str:
+    """ "StylusTip" → "stylus_tip".
+
+    Raises:
+        InvalidInputError: nothing usable is left, for example a name that starts with a digit.
+    """
+    return check_frame(_NOT_WORD.sub("_", _WORD_START.sub("_", name.strip())).strip("_").lower())
+
+
+def frame_to_plus(frame: str) -> str:
+    """ "stylus_tip" → "StylusTip".
+
+    Raises:
+        InvalidInputError: the name would come back as another one ("tool_2" would be read as "tool2").
+    """
+    name = "".join(part.capitalize() for part in check_frame(frame).split("_"))
+    if not name or frame_from_plus(name) != frame:
+        raise InvalidInputError(
+            f"frame '{frame}' has no PLUS name that reads back; rename it, for example to "
+            f"'{_NOT_WORD.sub('', frame)}'"
+        )
+    return name
+
+
+def split_transform(name: str) -> tuple[str, str] | None:
+    """ "ProbeToTracker" → ("tracker", "probe"), target first; None where the name is no transform's."""
+    match = _TRANSFORM.fullmatch(name)
+    return (frame_from_plus(match[2]), frame_from_plus(match[1])) if match else None
+
+
+def join_transform(target: str, source: str) -> str:
+    """("tracker", "probe") → "ProbeToTracker".
+
+    Raises:
+        InvalidInputError: the joined name would be split elsewhere when read.
+    """
+    name = f"{frame_to_plus(source)}To{frame_to_plus(target)}"
+    if split_transform(name) != (target, source):
+        raise InvalidInputError(f"{target}_from_{source} has no PLUS name that reads back; rename a frame")
+    return name

@@ -1,0 +1,197 @@
+"""N-wire calibration recordings in PLUS's files: phantom geometry, segmented wire points, tracked poses."""
+
+from pathlib import Path
+from typing import Literal
+from xml.etree import ElementTree
+
+import numpy as np
+
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.phantom import NWirePhantom, NWireRecording, Wire
+from dvf_ig.core.rigid import Rigid
+from dvf_ig.core.sequence import TrackedSequence
+from dvf_ig.core.stream import PoseStream
+from dvf_ig.io.reading import reading
+from dvf_ig.io.transform import rigid_from_matrix
+
+from .sequence_read import read_indexed_sequence
+from .xml import CoordinateDefinition, definitions_element, numbers, parse_xml, read_calibrations, write_xml
+
+Section = Literal["CalibrationData", "ValidationData"]
+
+
+def read_nwire_phantom(device_set_xml: Path | str) -> NWirePhantom:
+    """The N patterns of a PLUS device set's `<PhantomDefinition>`.
+
+    Raises:
+        UnreadableFileError: absent, not XML, no NWire pattern, or a pattern that has not three wires.
+    """
+    path = Path(device_set_xml)
+    with reading(path, "a PLUS device set"):
+        root = parse_xml(path, "a PLUS device set")
+        patterns = [p for p in root.iter("Pattern") if p.attrib.get("Type") == "NWire"]
+        if not patterns:
+            raise UnreadableFileError(
+                f"{path} defines no NWire pattern; give the device set with the phantom"
+            )
+        return NWirePhantom(tuple(_pattern(path, pattern) for pattern in patterns))
+
+
+def read_wire_points(
+    xml: Path | str, section: Section, phantom: NWirePhantom, frames: int | None = None
+) -> FloatArray:
+    """Segmented wire crossings of one section of a PLUS calibration result.
+
+    Args:
+        xml: file with `<CalibrationData>` and `<ValidationData>`.
+        section: which of them.
+        phantom: whose wires, in whose order.
+        frames: frames in the recording; None takes the highest frame index + 1.
+    Returns:
+        (frames, wires, 2) column, row in px; NaN where a frame or a wire was not segmented.
+    Raises:
+        UnreadableFileError: absent, no such section, an unknown wire, or a frame beyond the recording.
+    """
+    path = Path(xml)
+    with reading(path, "segmented wire points"):
+        part = next(parse_xml(path, "segmented wire points").iter(section), None)
+        if part is None:
+            raise UnreadableFileError(f"{path} has no <{section}>; give a PLUS calibration result")
+        elements = [(_index(path, e), e) for e in part.findall("Frame")]
+        count = max((i for i, _ in elements), default=-1) + 1 if frames is None else frames
+        order = {wire.name: w for w, wire in enumerate(phantom.wires)}
+        points = np.full((count, len(order), 2), np.nan)
+        for index, element in elements:
+            if index >= count:
+                raise UnreadableFileError(
+                    f"{path}: <{section}> has frame {index}, the recording has {count} frames"
+                )
+            if element.attrib.get("SegmentationStatus", "OK").upper() != "OK":
+                continue
+            for point in element.findall("SegmentedPoints/Point"):
+                name = point.attrib.get("WireName", "")
+                if name not in order:
+                    raise UnreadableFileError(
+                        f"{path}: wire '{name}' is not in the phantom ({', '.join(order)})"
+                    )
+                points[index, order[name]] = numbers(path, point, "Position", 3)[:2]
+        return points
+
+
+def read_nwire_recording(
+    sequence_path: Path | str, device_set_xml: Path | str, points_xml: Path | str, section: Section
+) -> NWireRecording:
+    """Phantom, probe poses against it and wire crossings, matched frame by frame.
+
+    Args:
+        sequence_path: PLUS sequence with the probe tracked against the reference (or tracker).
+        device_set_xml: phantom geometry, and where the phantom lies: Phantom to Reference (or Tracker).
+        points_xml: segmented points; their frame index counts the frames of the sequence file.
+        section: which section of it.
+    Raises:
+        UnreadableFileError: any of the three cannot be read or lacks what is needed.
+    """
+    phantom = read_nwire_phantom(device_set_xml)
+    sequence, kept = read_indexed_sequence(sequence_path)
+    stream = phantom_from_probe(Path(sequence_path), sequence, Path(device_set_xml))
+    points = read_wire_points(points_xml, section, phantom, int(kept.max()) + 1)
+    return NWireRecording(phantom, stream, points[kept])
+
+
+def phantom_from_probe(path: Path, sequence: TrackedSequence, device_set_xml: Path) -> PoseStream:
+    """The probe against the phantom, over the reference sensor where the device set places it there."""
+    definitions = read_calibrations(device_set_xml)
+    for held in ("reference", "tracker"):
+        placed = definitions.get(f"{held}_from_phantom")
+        if placed is not None:
+            with reading(path, "a sequence with a tracked probe"):
+                probe = sequence.stream(held, "probe")
+            with reading(device_set_xml, "a PLUS device set"):
+                phantom_from_held = rigid_from_matrix(placed.matrix, held, "phantom").inverse()
+            return _moved(phantom_from_held, probe)
+    raise UnreadableFileError(
+        f'{device_set_xml} does not place the phantom; needed a Transform From="Phantom" To="Reference"'
+    )
+
+
+def write_wire_points(
+    path: Path | str, section: Section, phantom: NWirePhantom, points_px: FloatArray
+) -> None:
+    """Write wire crossings as one section of a PLUS calibration result.
+
+    Args:
+        points_px: (frames, wires, 2); NaN leaves a wire out, a frame without wires is marked Failed.
+    Raises:
+        InvalidInputError: another number of wires than the phantom's.
+        OutputError: not writable.
+    """
+    if points_px.ndim != 3 or points_px.shape[1:] != (len(phantom.wires), 2):
+        raise InvalidInputError(
+            f"wire points have shape {points_px.shape}; needed (frames, {len(phantom.wires)}, 2)"
+        )
+    root = ElementTree.Element("ProbeCalibrationResult", version="2.0")
+    part = ElementTree.SubElement(root, section)
+    for index, frame in enumerate(points_px.tolist()):
+        seen = [(w.name, c, r) for w, (c, r) in zip(phantom.wires, frame, strict=True) if c == c and r == r]
+        status = "OK" if seen else "Failed"
+        element = ElementTree.SubElement(part, "Frame", Index=str(index), SegmentationStatus=status)
+        group = ElementTree.SubElement(element, "SegmentedPoints")
+        for name, column, row in seen:
+            ElementTree.SubElement(group, "Point", WireName=name, Position=f"{column!r} {row!r} 0")
+    write_xml(Path(path), root)
+
+
+def write_nwire_phantom(path: Path | str, phantom: NWirePhantom, reference_from_phantom: Rigid) -> None:
+    """Write a device set that defines the phantom's wires and where it lies on the reference sensor.
+
+    Raises:
+        OutputError: not writable.
+    """
+    placed = CoordinateDefinition(
+        reference_from_phantom.target, reference_from_phantom.source, reference_from_phantom.matrix
+    )
+    root = ElementTree.Element("PlusConfiguration", version="2.1")
+    root.append(definitions_element([placed]))
+    geometry = ElementTree.SubElement(ElementTree.SubElement(root, "PhantomDefinition"), "Geometry")
+    for pattern in phantom.patterns:
+        element = ElementTree.SubElement(geometry, "Pattern", Type="NWire")
+        for wire in pattern:
+            ElementTree.SubElement(
+                element,
+                "Wire",
+                Name=wire.name,
+                EndPointFront=" ".join(map(repr, wire.front_mm.tolist())),
+                EndPointBack=" ".join(map(repr, wire.back_mm.tolist())),
+            )
+    write_xml(Path(path), root)
+
+
+def _pattern(path: Path, element: ElementTree.Element) -> tuple[Wire, Wire, Wire]:
+    wires = [
+        Wire(
+            wire.attrib.get("Name", ""),
+            numbers(path, wire, "EndPointFront", 3),
+            numbers(path, wire, "EndPointBack", 3),
+        )
+        for wire in element.findall("Wire")
+    ]
+    if len(wires) != 3:
+        raise UnreadableFileError(f"{path}: an NWire pattern has {len(wires)} wires; needed 3")
+    return wires[0], wires[1], wires[2]
+
+
+def _index(path: Path, element: ElementTree.Element) -> int:
+    text = element.attrib.get("Index", "")
+    if not text.isdigit():
+        raise UnreadableFileError(f"{path}: a <Frame> has Index '{text}'; needed a whole number")
+    return int(text)
+
+
+def _moved(left: Rigid, stream: PoseStream) -> PoseStream:
+    """left @ stream, sample by sample; the identity leaves every digit as it is."""
+    rotations, translations = stream.rotations, stream.translations_mm
+    if not np.array_equal(left.matrix, np.eye(4)):
+        rotations = left.rotation @ rotations
+        translations = translations @ left.rotation.T + left.translation_mm
+    return PoseStream(left.target, stream.source, stream.t_s, rotations, translations, stream.valid)

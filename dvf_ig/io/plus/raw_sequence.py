@@ -1,0 +1,241 @@
+"""A PLUS sequence file taken apart: header fields, per-frame fields, and the pixels as bytes.
+
+MetaImage (`.mha`, `.mhd` with a separate data file) and NRRD (`.nrrd`, `.nhdr`). Both headers are text; the
+per-frame fields are named Seq_FrameNNNN_<field>. What the fields mean is `sequence_read`'s concern.
+"""
+
+import re
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.io.reading import read_bytes
+
+_FRAME_FIELD = re.compile(r"Seq_Frame(\d+)_(\S+)")
+_DATA_FILE_LINE = re.compile(rb"^ElementDataFile[ \t]*=[ \t]*([^\r\n]*)(\r\n|\n|\r|\Z)", re.MULTILINE)
+_UINT8 = {"MET_UCHAR", "uchar", "unsigned char", "uint8", "uint8_t"}
+_GZIP_OR_ZLIB = 47  # zlib's "detect the header" window size
+
+
+@dataclass(frozen=True, slots=True)
+class RawSequence:
+    """What a sequence file says, not yet interpreted.
+
+    Attributes:
+        fields: header fields by name.
+        frame_fields: per-frame fields: name, then frame index, then text.
+        columns, rows: image size; 0 where the file carries no images.
+        frames: number of frames.
+        pixels: rows·columns·frames bytes, uint8, x fastest; empty where there are no images.
+    """
+
+    fields: dict[str, str]
+    frame_fields: dict[str, dict[int, str]]
+    columns: int
+    rows: int
+    frames: int
+    pixels: bytes | memoryview
+
+    @property
+    def pixel_type(self) -> str:
+        """As the header names it: ElementType in MetaImage, type in NRRD."""
+        return self.fields.get("ElementType", self.fields.get("type", "of no stated type"))
+
+    @property
+    def is_uint8(self) -> bool:
+        """True where the pixels are those of 8-bit B-mode, or there are none."""
+        return not self.columns or self.pixel_type in _UINT8
+
+    def numbers(self, name: str) -> FloatArray | None:
+        """(frames,) values of a per-frame field; None where a frame lacks it or it is no finite number."""
+        texts = self.frame_fields.get(name, {})
+        try:
+            values = np.array([float(texts[i]) for i in range(self.frames)])
+        except (KeyError, ValueError):
+            return None
+        return values if np.isfinite(values).all() else None
+
+
+@dataclass(slots=True)
+class _Header:
+    fields: dict[str, str] = field(default_factory=dict)
+    frame_fields: dict[str, dict[int, str]] = field(default_factory=dict)
+
+    def add(self, name: str, value: str) -> None:
+        match = _FRAME_FIELD.fullmatch(name)
+        if match:
+            self.frame_fields.setdefault(match[2], {})[int(match[1])] = value
+        else:
+            self.fields[name] = value
+
+
+def read_raw_sequence(path: Path, *, pixels: bool = True) -> RawSequence:
+    """Parse a sequence file of either format, told apart by its first bytes.
+
+    Args:
+        path: the file.
+        pixels: False leaves the pixels, of whatever type, unread and unchecked.
+    Raises:
+        UnreadableFileError: neither format, a damaged header, pixels other than uint8, or fewer pixels than
+            the header promises.
+    """
+    data = read_bytes(path, "a tracked sequence")
+    return (_read_nrrd if data.startswith(b"NRRD") else _read_metaimage)(path, data, pixels)
+
+
+def _read_metaimage(path: Path, data: bytes, wanted: bool) -> RawSequence:
+    end = _DATA_FILE_LINE.search(data)
+    if end is None:
+        raise UnreadableFileError(
+            f"{path} is not a sequence metafile: no ElementDataFile line in its {len(data)} bytes; "
+            "needed a PLUS .igs.mha, .igs.mhd or .igs.nrrd file"
+        )
+    header = _Header()
+    for line in _header_text(path, data[: end.start()]).splitlines():
+        name, equals, value = line.partition("=")
+        if equals:
+            header.add(name.strip(), value.strip())
+        elif line.strip():
+            raise UnreadableFileError(f"{path}: header line '{line.strip()[:60]}' is not 'name = value'")
+    fields = header.fields
+    sizes = _integers(path, "DimSize", fields.get("DimSize"))
+    columns, rows, frames = _layout(path, sizes, fields.get("Kinds", "").split())
+    expected = columns * rows * frames
+    if expected == 0:
+        _require_plausible(path, frames, len(data))
+        return RawSequence(fields, header.frame_fields, 0, 0, frames, b"")
+    if not wanted:
+        _require_plausible(path, frames, len(data))
+        return RawSequence(fields, header.frame_fields, columns, rows, frames, b"")
+    _require_uint8(path, fields.get("ElementType"), fields.get("ElementNumberOfChannels", "1"))
+    if fields.get("BinaryData", "True").lower() != "true":
+        raise UnreadableFileError(f"{path}: the pixels are stored as text; save the sequence as binary data")
+    payload = _payload(path, data, end.end(), end[1].decode("utf-8", "replace").strip())
+    if fields.get("CompressedData", "False").lower() == "true":
+        pixels: bytes | memoryview = _inflate(path, payload, expected)
+    else:
+        pixels = payload[:expected]
+    _require_size(path, len(pixels), expected)
+    return RawSequence(fields, header.frame_fields, columns, rows, frames, pixels)
+
+
+def _read_nrrd(path: Path, data: bytes, wanted: bool) -> RawSequence:
+    end = re.search(rb"\r?\n\r?\n", data)
+    stop, start = (end.start(), end.end()) if end else (len(data), len(data))
+    header = _Header()
+    for line in _header_text(path, data[:stop]).splitlines()[1:]:
+        if line.startswith("#") or not line.strip():
+            continue
+        name, colon, value = line.partition(":")
+        if not colon:
+            raise UnreadableFileError(f"{path}: header line '{line.strip()[:60]}' is not 'name: value'")
+        header.add(name.strip(), value.removeprefix("=").strip())
+    fields = header.fields
+    sizes = _integers(path, "sizes", fields.get("sizes"))
+    columns, rows, frames = _layout(path, sizes, fields.get("kinds", "").split())
+    expected = columns * rows * frames
+    if expected == 0:
+        _require_plausible(path, frames, len(data))
+        return RawSequence(fields, header.frame_fields, 0, 0, frames, b"")
+    if not wanted:
+        _require_plausible(path, frames, len(data))
+        return RawSequence(fields, header.frame_fields, columns, rows, frames, b"")
+    _require_uint8(path, fields.get("type"), "1")
+    payload = _payload(path, data, start, fields.get("data file", fields.get("datafile", "LOCAL")))
+    encoding = fields.get("encoding", "raw").lower()
+    if encoding in ("gzip", "gz"):
+        pixels: bytes | memoryview = _inflate(path, payload, expected)
+    elif encoding == "raw":
+        pixels = payload[:expected]
+    else:
+        raise UnreadableFileError(f"{path}: encoding '{encoding}' is not supported; save it as raw or gzip")
+    _require_size(path, len(pixels), expected)
+    return RawSequence(fields, header.frame_fields, columns, rows, frames, pixels)
+
+
+def _header_text(path: Path, header: bytes) -> str:
+    try:
+        return header.decode("utf-8")
+    except UnicodeDecodeError as exc:
+        raise UnreadableFileError(
+            f"{path} is not a tracked sequence: its header holds bytes that are not text"
+        ) from exc
+
+
+def _integers(path: Path, name: str, text: str | None) -> list[int]:
+    try:
+        sizes = [int(part) for part in (text or "").split()]
+    except ValueError as exc:
+        raise UnreadableFileError(f"{path}: {name} is '{text}'; needed whole numbers") from exc
+    if not sizes or min(sizes) < 0:
+        raise UnreadableFileError(
+            f"{path}: {name} is '{text or 'absent'}'; needed image size and frame count"
+        )
+    return sizes
+
+
+def _layout(path: Path, sizes: list[int], kinds: list[str]) -> tuple[int, int, int]:
+    """Columns, rows and frames from the sizes; a missing frame axis is one frame, a unit depth is dropped."""
+    if kinds and kinds[0] in ("list", "time", "vector") and len(sizes) > 2:
+        raise UnreadableFileError(
+            f"{path}: the axes are {' '.join(kinds)}; needed columns, rows, frames (domain domain list)"
+        )
+    if len(sizes) == 4 and sizes[2] <= 1:
+        sizes = [sizes[0], sizes[1], sizes[3]]
+    if len(sizes) == 2:
+        sizes = [*sizes, 1]
+    if len(sizes) != 3:
+        raise UnreadableFileError(
+            f"{path}: {len(sizes)} axes of sizes {sizes}; needed columns, rows and frames of 2-D images"
+        )
+    columns, rows, frames = sizes
+    if frames == 0:
+        raise UnreadableFileError(f"{path} holds no frames; record again")
+    return (columns, rows, frames) if columns and rows else (0, 0, frames)
+
+
+def _require_plausible(path: Path, frames: int, size: int) -> None:
+    """A pose-only file has at least a byte a frame; a damaged count must not reserve memory."""
+    if frames > size:
+        raise UnreadableFileError(f"{path}: its header counts {frames} frames, the file has {size} bytes")
+
+
+def _require_uint8(path: Path, kind: str | None, channels: str) -> None:
+    if kind not in _UINT8 or channels.strip() != "1":
+        raise UnreadableFileError(
+            f"{path}: pixels are {kind or 'of no stated type'} with {channels} channel(s); "
+            "needed 8-bit B-mode (MET_UCHAR, 1 channel): scan-convert RF data and reduce colour to grey first"
+        )
+
+
+def _payload(path: Path, data: bytes, start: int, name: str) -> memoryview:
+    """The pixel bytes: the rest of this file, or the separate file that the header names."""
+    if name.upper() == "LOCAL":
+        return memoryview(data)[start:]
+    if name.upper().startswith("LIST") or "%" in name:
+        raise UnreadableFileError(f"{path}: pixels are spread over several files; save it as one sequence")
+    return memoryview(read_bytes(path.parent / name, f"the pixel data of {path.name}"))
+
+
+def _inflate(path: Path, payload: memoryview, expected: int) -> bytes:
+    """Decompress zlib or gzip data, never more than one byte beyond what is expected."""
+    inflater = zlib.decompressobj(_GZIP_OR_ZLIB)
+    try:
+        return inflater.decompress(payload, expected + 1)
+    except zlib.error as exc:
+        raise UnreadableFileError(
+            f"{path}: the compressed image data are damaged ({exc}); copy the file again"
+        ) from exc
+
+
+def _require_size(path: Path, got: int, needed: int) -> None:
+    if got != needed:
+        state = "truncated" if got < needed else "longer than its header says"
+        raise UnreadableFileError(
+            f"{path} is {state}: its images have {got} bytes, its header needs {needed}; "
+            "copy or record it again"
+        )

@@ -1,0 +1,1 @@
+"""A scenario folder: its layout, reading and writing it, its truth."""

@@ -1,0 +1,124 @@
+"""What stands where in a scenario folder, and the schema of its `scenario.yaml`."""
+
+import re
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.io.reading import read_text
+
+SCHEMA = "dvf_ig.scenario/1"
+CONFIG = "scenario.yaml"
+TRUTH = "truth"
+README = "README.md"
+PREVIEW = "preview.png"
+SPEC = "spec.yaml"
+"""Beside the truth, because it tells what was planted."""
+
+_OURS = re.compile(
+    r"scenario\.yaml|README\.md|preview\.png|ecg\.csv|ultrasound\.igs\.mha|tool\.igs\.mha|landmarks_(mr|tracker)\.mrk\.json"
+    r"|start\.(tfm|json)|preop/((mr|labels)\.nrrd|timing\.json|[^/]+_\d+\.vtp)"
+    r"|calibration/(pivot|nwire|latency_tracker|latency_video)\.igs\.mha"
+    r"|calibration/(nwire|nwire_points|latency_lines)\.xml"
+    r"|truth/(spec\.yaml|truth\.json|r_peaks\.csv|tool\.npz|surface\.npz)"
+)
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+class FanConfig(_Strict):
+    """The insonified sector, px and rad."""
+
+    apex_px: tuple[float, float]
+    start_px: float
+    stop_px: float
+    half_angle_rad: float
+
+
+class PreopConfig(_Strict):
+    """Which pre-operative data there are, and what their labels mean."""
+
+    kind: Literal["labels", "surfaces", "labels and surfaces"]
+    mr: str | None = None
+    labels: str | None = None
+    timing: str = "preop/timing.json"
+    surfaces_folder: str = "preop"
+    surfaces: tuple[str, ...] = ()
+    surface: str = "EPICARDIAL"
+    label_names: dict[int, str] = Field(default_factory=dict)
+    organ_labels: tuple[int, ...] = ()
+
+
+class FilesConfig(_Strict):
+    """Paths relative to the scenario folder; `ecg` may also be `wfdb:…` or `edf:…`."""
+
+    ecg: str = "ecg.csv"
+    ultrasound: str = "ultrasound.igs.mha"
+    tool: str = "tool.igs.mha"
+    pivot: str = "calibration/pivot.igs.mha"
+    nwire: str = "calibration/nwire.igs.mha"
+    nwire_device_set: str = "calibration/nwire.xml"
+    nwire_points: str = "calibration/nwire_points.xml"
+    latency_tracker: str = "calibration/latency_tracker.igs.mha"
+    latency_video: str = "calibration/latency_video.igs.mha"
+    latency_lines: str = "calibration/latency_lines.xml"
+    start: str | None = None
+    landmarks_mr: str | None = None
+    landmarks_tracker: str | None = None
+
+
+class ScenarioConfig(_Strict):
+    """The content of `scenario.yaml`."""
+
+    schema_: Literal["dvf_ig.scenario/1"] = Field(default="dvf_ig.scenario/1", alias="schema")
+    name: str
+    preset: str
+    seed: int | None = None
+    patient_id: str
+    preop: PreopConfig
+    fan: FanConfig | None = None
+    files: FilesConfig = Field(default_factory=FilesConfig)
+
+
+def read_config(folder: Path) -> ScenarioConfig:
+    """Parse and check `scenario.yaml`.
+
+    Raises:
+        UnreadableFileError: no scenario folder, not YAML, unknown keys, or missing or wrong values.
+    """
+    path = folder / CONFIG
+    if not path.is_file():
+        raise UnreadableFileError(f"{folder} is not a scenario folder: it has no {CONFIG}")
+    try:
+        document = yaml.safe_load(read_text(path, "a scenario description"))
+    except yaml.YAMLError as exc:
+        raise UnreadableFileError(f"{path} is not YAML: {' '.join(str(exc).split())}") from exc
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        got = document.get("schema") if isinstance(document, dict) else None
+        raise UnreadableFileError(f"{path} has schema '{got}'; this version reads '{SCHEMA}'")
+    try:
+        return ScenarioConfig.model_validate(document)
+    except ValidationError as exc:
+        problems = "; ".join(
+            f"{'.'.join(map(str, error['loc']))}: {error['msg']}" for error in exc.errors()[:5]
+        )
+        raise UnreadableFileError(f"{path}: {problems}") from exc
+
+
+def config_text(config: ScenarioConfig) -> str:
+    """YAML of a configuration, keys in the order of the schema."""
+    document: dict[str, Any] = config.model_dump(mode="json", by_alias=True)
+    return yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
+
+
+def is_our_folder(folder: Path) -> bool:
+    """True where a folder is a scenario and holds nothing but what a scenario holds."""
+    if not (folder / CONFIG).is_file():
+        return False
+    files = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir())
+    return all(_OURS.fullmatch(name) for name in files)

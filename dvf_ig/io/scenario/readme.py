@@ -1,0 +1,113 @@
+"""The README of a scenario folder: what is in it, in which frames, on which clocks; nothing planted."""
+
+from dataclasses import dataclass
+
+from dvf_ig.core.scenario import Preop, Scenario
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioNotes:
+    """What is known of a synthetic scenario beyond its recordings.
+
+    Attributes:
+        faults: one sentence each, without planted values.
+        spec: YAML from which the scenario can be made again; it is written into truth/.
+    """
+
+    faults: tuple[str, ...] = ()
+    spec: str = ""
+
+
+def readme_text(scenario: Scenario, notes: ScenarioNotes) -> str:
+    """Markdown for a person who opens the folder."""
+    faults = notes.faults or ("None beyond ordinary noise, mild variability and short drop-outs.",)
+    again = ["`truth/spec.yaml` makes this scenario again: `dvf-ig synth scenario --spec FILE -o DIR`.", ""]
+    return "\n".join(
+        [
+            f"# {scenario.name}",
+            "",
+            f"A {'recorded' if scenario.truth is None else 'synthetic'} intervention, preset "
+            f"`{scenario.preset}`. `preview.png` shows it at a glance; replay it with "
+            "`dvf-ig replay DIR -o RUN`.",
+            "",
+            "## Disturbances",
+            "",
+            *(f"- {fault}" for fault in faults),
+            "",
+            "## Files",
+            "",
+            "| file | content | frame | clock |",
+            "|---|---|---|---|",
+            *(f"| {' | '.join(row)} |" for row in _rows(scenario)),
+            "",
+            *_CONVENTIONS,
+            "",
+            *(again if notes.spec and scenario.truth is not None else []),
+        ]
+    )
+
+
+def _rows(scenario: Scenario) -> list[tuple[str, str, str, str]]:
+    ecg, images, tool = scenario.ecg, scenario.ultrasound, scenario.tool
+    size = "" if images.images is None else f" of {images.images.shape[2]} × {images.images.shape[1]} px"
+    rows = [
+        ("`scenario.yaml`", "which file is what; the ultrasound fan in pixels", "", ""),
+        *_preop_rows(scenario.preop),
+        ("`ecg.csv`", f"{len(ecg) / ecg.rate_hz:.1f} s, {', '.join(ecg.leads)}, {ecg.unit}", "", "tracker"),
+        (
+            "`ultrasound.igs.mha`",
+            f"{len(images)} images{size}, with the pose looked up at each video stamp",
+            "tracker_from_probe",
+            "video",
+        ),
+        ("`tool.igs.mha`", f"{len(tool)} poses of the tool", "tracker_from_tool", "tracker"),
+        (
+            "`calibration/pivot.igs.mha`",
+            "the tool turns about its resting tip",
+            "tracker_from_tool",
+            "tracker",
+        ),
+        ("`calibration/nwire*`", "N-wire sweep: poses, wires, segmented crossings", "phantom_from_probe", ""),
+        ("`calibration/latency_tracker.igs.mha`", "water tank: poses", "tracker_from_probe", "tracker"),
+        (
+            "`calibration/latency_video.igs.mha`, `…_lines.xml`",
+            "water tank: the floor's line",
+            "image",
+            "video",
+        ),
+    ]
+    if scenario.start is not None:
+        rows.append(("`start.tfm`", "coarse pose given by the operator", "mr_from_tracker", ""))
+    if scenario.landmarks_mr is not None:
+        rows.append(("`landmarks_mr.mrk.json`", "points on the pre-operative heart", "mr", ""))
+    if scenario.landmarks_tracker is not None:
+        rows.append(("`landmarks_tracker.mrk.json`", "the same points, touched", "tracker", ""))
+    if scenario.truth is not None:
+        rows.append(("`truth/`", "what was planted; a replay reads it only to score itself", "", ""))
+    return rows
+
+
+def _preop_rows(preop: Preop) -> list[tuple[str, str, str, str]]:
+    rows = []
+    if preop.mr is not None:
+        phases = len(preop.mr.timing)
+        rows.append(("`preop/mr.nrrd`", f"pre-operative MR, {phases} phases of the cycle", "mr", ""))
+    if preop.labels is not None:
+        rows.append(("`preop/labels.nrrd`", f"its {len(preop.label_names)} tissue labels", "mr", ""))
+    rows += [
+        (f"`preop/{s.name}_*.vtp`", f"surface, {len(s.timing)} phases", "mr", "") for s in preop.surfaces
+    ]
+    return rows
+
+
+_CONVENTIONS = (
+    "## Frames and clocks",
+    "",
+    "- All lengths are in mm, times in s; `mr` is LPS (left, posterior, superior are positive).",
+    "- `target_from_source` maps coordinates of the source frame to the target frame. `image` is in pixels "
+    "(column, row).",
+    "- `tracker` is the tracking system's base, `probe` the sensor on the ultrasound probe, `tool` the one "
+    "on the tool.",
+    "- ECG and tracker share one clock. The video clock differs from it by a latency that the water-tank "
+    "recording holds.",
+)

@@ -1,0 +1,177 @@
+"""The planted truth of a synthetic scenario: everything in its folder `truth/`."""
+
+import io
+import math
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core.arrays import AnyArray, FloatArray
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.image_map import ImageMap
+from dvf_ig.core.mesh import SurfaceSeries
+from dvf_ig.core.points import Landmarks, Points
+from dvf_ig.core.rigid import Rigid
+from dvf_ig.core.scenario import ScenarioTruth, ToolTruth
+from dvf_ig.io.atomic import make_folder, write_bytes, write_text
+from dvf_ig.io.image.timing import timing_document, timing_from_document
+from dvf_ig.io.json_file import read_json, write_json
+from dvf_ig.io.reading import read_bytes, read_text, reading
+from dvf_ig.io.transform import rigid_from_matrix
+
+SCHEMA = "dvf_ig.truth/1"
+FILES = ("truth.json", "r_peaks.csv", "tool.npz", "surface.npz")
+_TOOL = ("t_s", "tip_mr_mm", "phi", "model_phase", "distance_mm", "normal")
+
+
+def write_truth(truth: ScenarioTruth, folder: Path) -> None:
+    """Write the four files of the truth; every number reads back exactly.
+
+    Raises:
+        OutputError: not writable.
+    """
+    make_folder(folder)
+    calibrated = truth.calibrated_probe_from_image
+    write_json(
+        folder / "truth.json",
+        {
+            "schema": SCHEMA,
+            "units": "mm, s, rad, LPS",
+            "mr_from_tracker": [
+                {"from_s": start_s, "matrix": pose.matrix} for start_s, pose in truth.mr_from_tracker
+            ],
+            **_image_document(truth.probe_from_image),
+            "later_probe_from_image": [
+                {"from_s": start_s, **_image_document(image)}
+                for start_s, image in truth.later_probe_from_image
+            ],
+            "calibrated_probe_from_image": None if calibrated is None else _image_document(calibrated),
+            "tip_mm": truth.tip.xyz_mm,
+            "tip_frame": truth.tip.frame,
+            "lag_s": truth.lag_s,
+            "video_drift_ppm": truth.video_drift_ppm,
+            "respiration_mm": truth.respiration_mm,
+            "mismatch_mm": truth.mismatch_mm,
+            "targets": dict(zip(truth.targets.names, truth.targets.points.xyz_mm, strict=True)),
+            "surface": {
+                "name": truth.surface.name,
+                "frame": truth.surface.frame,
+                "patient_id": truth.surface.patient_id,
+                "timing": timing_document(truth.surface.timing),
+            },
+        },
+    )
+    write_text(folder / "r_peaks.csv", "\n".join(["t_s", *map(repr, truth.r_peaks_s.tolist())]) + "\n")
+    _write_arrays(folder / "tool.npz", {name: getattr(truth.tool, name) for name in _TOOL})
+    surface = truth.surface
+    _write_arrays(
+        folder / "surface.npz",
+        {"vertices_mm": surface.vertices_mm, "triangles": surface.triangles, "caps": surface.caps},
+    )
+
+
+def read_truth(folder: Path) -> ScenarioTruth:
+    """Read the truth of a scenario.
+
+    Raises:
+        UnreadableFileError: a file is missing or damaged; the message names it.
+    """
+    path = folder / "truth.json"
+    with reading(path, "the truth of a scenario"):
+        document = read_json(path, "the truth of a scenario")
+        if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+            raise UnreadableFileError(f"{path} is not the truth of a scenario; needed schema '{SCHEMA}'")
+        try:
+            return _truth(folder, document)
+        except KeyError as exc:
+            raise UnreadableFileError(f"{path} lacks {exc}; write the scenario again") from exc
+        except (TypeError, ValueError) as exc:
+            if isinstance(exc, InvalidInputError):
+                raise
+            raise UnreadableFileError(f"{path} holds a value of the wrong kind ({exc})") from exc
+
+
+def _truth(folder: Path, document: dict[str, Any]) -> ScenarioTruth:
+    tool = _read_arrays(folder / "tool.npz", _TOOL)
+    calibrated = document.get("calibrated_probe_from_image")
+    return ScenarioTruth(
+        mr_from_tracker=tuple(_planted(entry) for entry in document["mr_from_tracker"]),
+        probe_from_image=_image(document),
+        tip=Points(document["tip_frame"], np.array(document["tip_mm"]).reshape(-1, 3)),
+        lag_s=float(document["lag_s"]),
+        r_peaks_s=_read_peaks(folder / "r_peaks.csv"),
+        targets=Landmarks(
+            tuple(document["targets"]),
+            Points("mr", np.array(list(document["targets"].values())).reshape(-1, 3)),
+        ),
+        surface=_surface(folder, document["surface"]),
+        tool=ToolTruth(*(tool[name] for name in _TOOL)),
+        mismatch_mm=float(document["mismatch_mm"]),
+        later_probe_from_image=tuple(
+            (float(entry["from_s"]), _image(entry)) for entry in document.get("later_probe_from_image", ())
+        ),
+        calibrated_probe_from_image=None if calibrated is None else _image(calibrated),
+        video_drift_ppm=float(document.get("video_drift_ppm", 0.0)),
+        respiration_mm=float(document.get("respiration_mm", 0.0)),
+    )
+
+
+def _image_document(image: ImageMap) -> dict[str, Any]:
+    return {
+        "probe_from_image": image.matrix,
+        "probe_from_image_rigid": image.rigid.matrix,
+        "probe_from_image_scale_mm_per_px": image.scale_mm_per_px,
+        "probe_from_image_shear_deg": image.shear_deg,
+    }
+
+
+def _image(document: dict[str, Any]) -> ImageMap:
+    return ImageMap(
+        rigid_from_matrix(document["probe_from_image_rigid"], "probe", "image"),
+        document["probe_from_image_scale_mm_per_px"],
+        document["probe_from_image_shear_deg"],
+    )
+
+
+def _planted(entry: dict[str, Any]) -> tuple[float, Rigid]:
+    """A pose and when it starts to hold; JSON's null stands for "from the beginning"."""
+    start_s = -math.inf if entry["from_s"] is None else float(entry["from_s"])
+    return start_s, rigid_from_matrix(entry["matrix"], "mr", "tracker")
+
+
+def _surface(folder: Path, header: dict[str, Any]) -> SurfaceSeries:
+    arrays = _read_arrays(folder / "surface.npz", ("vertices_mm", "triangles", "caps"))
+    return SurfaceSeries(
+        header["name"],
+        header["frame"],
+        arrays["vertices_mm"],
+        arrays["triangles"],
+        timing_from_document(folder / "truth.json", header["timing"]),
+        header["patient_id"],
+        arrays["caps"],
+    )
+
+
+def _read_peaks(path: Path) -> FloatArray:
+    lines = read_text(path, "a list of R peaks").split()
+    try:
+        return np.array(lines[1:], dtype=np.float64)
+    except ValueError as exc:
+        raise UnreadableFileError(f"{path} is not a list of times: {exc}") from exc
+
+
+def _write_arrays(path: Path, arrays: dict[str, AnyArray]) -> None:
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    write_bytes(path, buffer.getvalue())
+
+
+def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, AnyArray]:
+    data = read_bytes(path, "the truth of a scenario")
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            return {name: archive[name] for name in names}
+    except (ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile) as exc:
+        raise UnreadableFileError(f"{path} is damaged or lacks an array ({exc}); write it again") from exc

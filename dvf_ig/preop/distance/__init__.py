@@ -1,0 +1,1 @@
+"""Signed distance to a closed surface: exact, and as the paper does it."""

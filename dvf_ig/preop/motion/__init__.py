@@ -1,0 +1,1 @@
+"""Motion of the heart over the cycle from grey levels."""

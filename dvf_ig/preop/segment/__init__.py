@@ -1,0 +1,1 @@
+"""Labels of the heart at end-diastole from a few named points."""

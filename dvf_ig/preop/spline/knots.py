@@ -1,0 +1,98 @@
+"""The coarsest knots that reach a wanted accuracy, found on one phase."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import BoolArray, FloatArray, Grid, InvalidInputError, Mesh
+from dvf_ig.preop.check import CAP_RIM_MM, away_from_caps
+from dvf_ig.preop.surface.closing import triangle_areas_mm2
+
+from .field import SplineField
+from .phase_fit import axis_solvers, fit_phase, sample_grid
+
+log = logging.getLogger(__name__)
+
+LADDER_MM = (6.0, 5.0, 4.5, 4.0, 3.6, 3.2, 2.9, 2.6, 2.3, 2.0, 1.8, 1.6)
+"""Pitches tried, coarsest first, in steps of about a tenth."""
+
+P99_SHARE = 4.0
+"""The 99th percentile may be this many times the wanted mean."""
+
+
+@dataclass(frozen=True, slots=True)
+class KnotTrial:
+    """One pitch on the pilot phase: area-weighted surface error, without caps and their rim."""
+
+    knot_spacing_mm: float
+    mean_mm: float
+    p99_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class KnotChoice:
+    """The chosen pitch, the phase it was chosen on, and all that was tried, coarsest first."""
+
+    knot_spacing_mm: float
+    pilot_phase: int
+    tried: tuple[KnotTrial, ...]
+
+
+def choose_knot_spacing(
+    reference: Sequence[Mesh],
+    caps: Sequence[BoolArray],
+    accuracy_mm: float,
+    *,
+    margin_mm: float,
+    band_mm: float,
+) -> KnotChoice:
+    """Coarsest pitch of the ladder with mean surface error <= accuracy and p99 <= 4 × accuracy on the pilot.
+
+    The pilot is the phase that encloses the least: a contracted heart is the most curved one.
+
+    Args:
+        reference: closed surfaces, one a phase; caps: their unmeasured triangles.
+        accuracy_mm: wanted mean surface error.
+        margin_mm, band_mm: of the model.
+    Raises:
+        InvalidInputError: the finest pitch does not reach it.
+    """
+    pilot = int(np.argmin([mesh.volume_mm3() for mesh in reference]))
+    tried: list[KnotTrial] = []
+    for pitch_mm in LADDER_MM:
+        grid = sample_grid(reference, reference[pilot].frame, pitch_mm, margin_mm)
+        tried.append(_trial(reference[pilot], caps[pilot], grid, pitch_mm, band_mm))
+        log.info("knots every %g mm: mean %.4f, p99 %.4f mm", pitch_mm, tried[-1].mean_mm, tried[-1].p99_mm)
+        if tried[-1].mean_mm <= accuracy_mm and tried[-1].p99_mm <= P99_SHARE * accuracy_mm:
+            return KnotChoice(pitch_mm, pilot, tuple(tried))
+    last = tried[-1]
+    raise InvalidInputError(
+        f"an accuracy of {accuracy_mm:g} mm is out of reach: knots every {last.knot_spacing_mm:g} mm leave "
+        f"{last.mean_mm:.3f} mm mean and {last.p99_mm:.3f} mm p99 on phase {pilot}; ask for less, smooth the "
+        "surface, or give --knot-mm"
+    )
+
+
+def _trial(mesh: Mesh, caps: BoolArray, grid: Grid, pitch_mm: float, band_mm: float) -> KnotTrial:
+    fitted = fit_phase(mesh, grid, axis_solvers(grid), band_mm)
+    points, area = _quadrature(mesh, caps)
+    error = SplineField(fitted[None], grid.origin_mm, pitch_mm).off_surface_mm(points)
+    order = np.argsort(error)
+    below = np.cumsum(area[order]) / area.sum()
+    p99 = error[order][min(int(np.searchsorted(below, 0.99)), len(error) - 1)]
+    return KnotTrial(pitch_mm, float(np.average(error, weights=area)), float(p99))
+
+
+def _quadrature(mesh: Mesh, caps: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) centroids of the quarters of every measured triangle, and the area each stands for."""
+    measured = mesh.triangles[~caps]
+    inner = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]], dtype=np.float64)
+    weights = inner / inner.sum(axis=1, keepdims=True)
+    points = np.einsum("qk,tkx->qtx", weights, mesh.vertices_mm[measured]).reshape(-1, 3)
+    area = np.repeat(0.25 * triangle_areas_mm2(mesh.vertices_mm, measured), len(inner))
+    judged = away_from_caps(mesh, caps, points)
+    if not judged.any():
+        raise InvalidInputError(f"all of the surface lies within {CAP_RIM_MM} mm of a cap; give --knot-mm")
+    return np.ascontiguousarray(points[judged]), area[judged]

@@ -1,0 +1,39 @@
+"""One phase of a model: the box and its samples, their distances, the spline that fits them best."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, Grid, Mesh
+from dvf_ig.preop.distance.signed import LEVELS, signed_distance_mm
+
+from .fit import SAMPLES_PER_KNOT, AxisSolver, AxisSolvers, fit_weighted, surface_weights
+
+CELLS_IN_STEP = (1 << LEVELS) // SAMPLES_PER_KNOT
+"""The number of knot cells along an axis is a multiple of this, as the sampling asks."""
+
+
+def sample_grid(reference: Sequence[Mesh], frame: str, knot_spacing_mm: float, margin_mm: float) -> Grid:
+    """Samples at half the knot pitch over everything the surfaces sweep, plus the margin."""
+    lower = np.min([mesh.vertices_mm.min(axis=0) for mesh in reference], axis=0) - margin_mm
+    upper = np.max([mesh.vertices_mm.max(axis=0) for mesh in reference], axis=0) + margin_mm
+    steps = np.ceil((upper - lower) / (CELLS_IN_STEP * knot_spacing_mm)).astype(int)
+    cells = CELLS_IN_STEP * steps
+    origin = 0.5 * (lower + upper) - 0.5 * cells * knot_spacing_mm
+    shape = tuple(int(n) * SAMPLES_PER_KNOT + 1 for n in cells)
+    return Grid.axis_aligned(
+        frame, (shape[0], shape[1], shape[2]), origin, knot_spacing_mm / SAMPLES_PER_KNOT
+    )
+
+
+def axis_solvers(grid: Grid) -> AxisSolvers:
+    """Least squares along each axis of a sample grid."""
+    x, y, z = (AxisSolver.of((n - 1) // SAMPLES_PER_KNOT) for n in grid.shape)
+    return x, y, z
+
+
+def fit_phase(mesh: Mesh, grid: Grid, solvers: AxisSolvers, band_mm: float) -> FloatArray:
+    """(cx, cy, cz) coefficients in mm of the spline nearest to the signed distance, surface first."""
+    samples = signed_distance_mm(mesh, grid, band_mm)
+    knot_spacing_mm = SAMPLES_PER_KNOT * float(grid.spacing_mm[0])
+    return fit_weighted(samples, surface_weights(samples, knot_spacing_mm), solvers)

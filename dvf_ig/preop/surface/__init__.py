@@ -1,0 +1,1 @@
+"""Closed surfaces: from labels, repaired, with normals."""

@@ -1,0 +1,65 @@
+"""How exact a surface taken from a mask can be: measured on a ball of its volume, in the same voxels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, Grid, InvalidInputError
+
+from .from_labels import FINEST_VOXEL_MM, SMOOTHING_VOXELS, surface_of_mask
+
+_OFFSETS = np.array([[0.0, 0.0, 0.0], [0.5, 0.25, 0.0], [0.25, 0.5, 0.75], [0.75, 0.0, 0.5]])
+"""Where the ball's centre lies between voxels, in voxels."""
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceBudget:
+    """Errors of segmentation that no later step can undo, for a perfect mask.
+
+    Attributes:
+        radius_mm: of the ball.
+        voxel_mm: SD of the surface about the ball: voxels and triangles.
+        shrinkage_mm: how far the Gaussian alone would pull the surface in: σ²/R.
+        left_mm: mean offset that remains once that is compensated; positive outwards.
+        chord_mm: how far the middle of a triangle's edge lies below the ball.
+    """
+
+    radius_mm: float
+    voxel_mm: float
+    shrinkage_mm: float
+    left_mm: float
+    chord_mm: float
+
+
+def surface_budget(spacing_mm: FloatArray, volume_mm3: float) -> SurfaceBudget:
+    """Measure the way from mask to surface on a ball.
+
+    Args:
+        spacing_mm: (3,) voxel pitch.
+        volume_mm3: of the organ.
+    Raises:
+        InvalidInputError: an organ smaller than a few voxels.
+    """
+    radius = float((0.75 * volume_mm3 / np.pi) ** (1.0 / 3.0))
+    if not radius > 2.0 * float(spacing_mm.min()):
+        raise InvalidInputError(
+            f"the organ encloses {volume_mm3:.0f} mm³, a few voxels of {spacing_mm.tolist()} mm; "
+            "check the label values"
+        )
+    half = np.ceil(radius / spacing_mm).astype(int) + 2
+    shape = (2 * int(half[0]) + 1, 2 * int(half[1]) + 1, 2 * int(half[2]) + 1)
+    grid = Grid.axis_aligned("mr", shape, -half * spacing_mm, spacing_mm)
+    centers = grid.centers_mm()
+    off, edges = [], []
+    for offset in _OFFSETS * spacing_mm:
+        mesh = surface_of_mask(np.linalg.norm(centers - offset, axis=-1) < radius, grid)
+        off.append(np.linalg.norm(mesh.vertices_mm - offset, axis=1) - radius)
+        a, b, _ = (mesh.vertices_mm[mesh.triangles[:, k]] for k in range(3))
+        edges.append(np.linalg.norm(a - b, axis=1))
+    apart = np.concatenate(off)
+    edge = float(np.sqrt(np.mean(np.concatenate(edges) ** 2)))
+    block = np.maximum(FINEST_VOXEL_MM / spacing_mm, 1.0).astype(np.int64)
+    sigma = SMOOTHING_VOXELS * float(np.prod(spacing_mm * block)) ** (1.0 / 3.0)
+    return SurfaceBudget(
+        radius, float(apart.std()), sigma**2 / radius, float(apart.mean()), edge**2 / (8.0 * radius)
+    )

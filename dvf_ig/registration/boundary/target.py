@@ -1,0 +1,120 @@
+"""How far a place in the model is from the surface that ultrasound borders are matched to, phase by phase.
+
+Either the blood pools of a label series (endocardium and vessels: the strong borders of ultrasound), or the
+fixture's own spline (the epicardium). Both are cubic splines of signed distance, positive inside. Samples of
+the blood's distance serve as spline coefficients unfiltered: that smooths them by 0.58 voxels.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.special import ndtri
+
+from dvf_ig.core import AnyArray, BoolArray, DvfModel, FloatArray, IntArray, InvalidInputError, VolumeSeries
+from dvf_ig.registration.lc2.channels import BLOOD
+
+SOFTENING_VOXELS = 0.8
+"""Standard deviation of the Gaussian on the blood mask: its 0.5 level lies between voxels."""
+PLANE_VOXELS = 3.0
+"""Up to here the distance is that of a tangent plane; from three times as far that of a point."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeTarget:
+    """Attributes:
+    frame: of the model.
+    coefficients: (n, cx, cy, cz) float32 mm, as in `DvfModel`.
+    knots_from_mm: (3, 4) knot coordinates from mm.
+    fractions: (n,) when in the cycle each phase was taken.
+    brighter: −1 where the inside is the dark side of the border (blood), +1 where it is the bright one.
+    """
+
+    frame: str
+    coefficients: NDArray[np.float32]
+    knots_from_mm: FloatArray
+    fractions: FloatArray
+    brighter: float
+
+    def nearest_phase(self, model_phase: FloatArray) -> IntArray:
+        """(n,) index of the phase nearest in the cycle."""
+        return _nearest(self.fractions, model_phase)
+
+
+def target_from_labels(labels: VolumeSeries, model_phase: FloatArray) -> EdgeTarget:
+    """The surface of the blood of a label series (0 outside, 1 wall, 2 blood), at the phases in use only.
+
+    Args:
+        model_phase: phases in use, any number and order.
+    Raises:
+        InvalidInputError: a used phase has no blood, or nothing else.
+    """
+    used = np.unique(_nearest(labels.timing.fractions, model_phase))
+    grid = labels.grid
+    distance = np.stack([signed_distance_mm(labels.values[i] == BLOOD, grid.spacing_mm) for i in used])
+    knots = np.empty((3, 4))
+    knots[:, :3] = np.linalg.inv(grid.axes_mm)
+    # coefficient j of a row is centred on knot coordinate j − 1
+    knots[:, 3] = -knots[:, :3] @ grid.origin_mm - 1.0
+    return EdgeTarget(grid.frame, distance, knots, labels.timing.fractions[used], -1.0)
+
+
+def target_from_model(model: DvfModel) -> EdgeTarget:
+    """The surface of a fixture model, seen from darker surroundings; fit it with `EPICARDIUM_FIT`."""
+    knots = np.empty((3, 4))
+    knots[:, :3] = np.eye(3) / model.knot_spacing_mm
+    knots[:, 3] = -model.origin_mm / model.knot_spacing_mm
+    # kernels are compiled for writable arrays; a copy of float32 coefficients costs milliseconds
+    return EdgeTarget(model.frame, model.coefficients.copy(), knots, model.timing.fractions, 1.0)
+
+
+def _nearest(fractions: FloatArray, model_phase: FloatArray) -> IntArray:
+    away = np.abs(np.asarray(model_phase)[:, None] - fractions[None, :])
+    return np.asarray(np.minimum(away, 1 - away).argmin(axis=1), dtype=np.int64)
+
+
+def signed_distance_mm(inside: BoolArray, spacing_mm: FloatArray) -> NDArray[np.float32]:
+    """Distance to the surface of a voxel mask, positive inside, to a tenth of a voxel.
+
+    Beside the surface the softened mask is Φ(d/s) of a plane, with s² = softening² + voxel²/12: hence d,
+    normal and foot point there. Any other voxel asks the nearest of those: it is as far as its tangent plane
+    when near, as its foot point when far (where a plane beyond an edge of the surface misleads).
+    """
+    h = np.asarray(spacing_mm, dtype=np.float32)
+    soften_mm = SOFTENING_VOXELS * float(h.mean())
+    soft = ndimage.gaussian_filter(inside.astype(np.float32), soften_mm / h)
+    normal = np.stack([np.gradient(soft, float(step), axis=a) for a, step in enumerate(h)])
+    normal /= np.maximum(np.sqrt(np.square(normal).sum(axis=0)), np.float32(1e-9))
+    within = soft > 0.5
+    beside = _beside_surface(within)
+    if not beside.any():
+        raise InvalidInputError("a phase of the label map has no blood or nothing else; check its labels")
+    nearest = ndimage.distance_transform_edt(
+        ~beside, sampling=h, return_distances=False, return_indices=True
+    ).astype(np.intp)
+    at = tuple(nearest)
+    spread_mm = np.sqrt(soften_mm**2 + np.square(normal * h[:, None, None, None]).sum(axis=0) / 12)
+    depth = spread_mm * ndtri(np.clip(soft, 0.02, 0.98))
+    index = np.indices(soft.shape, dtype=np.float32, sparse=True)
+    squared, plane = np.zeros_like(soft), np.zeros_like(soft)
+    for axis, step in enumerate(h):
+        apart = (index[axis] - nearest[axis]) * step + (normal[axis] * depth)[at]
+        squared += apart * apart
+        plane += apart * normal[axis][at]
+    point = np.copysign(np.sqrt(squared), soft - np.float32(0.5))
+    far = np.clip((np.abs(point) / h.mean() - PLANE_VOXELS) / (2 * PLANE_VOXELS), 0, 1)
+    return np.asarray(plane + far * (point - plane), dtype=np.float32)
+
+
+def _beside_surface(inside: AnyArray) -> BoolArray:
+    """Voxels with a neighbour along an axis on the other side."""
+    out = np.zeros(inside.shape, dtype=np.bool_)
+    for axis in range(3):
+        low = [slice(None)] * 3
+        high = [slice(None)] * 3
+        low[axis], high[axis] = slice(None, -1), slice(1, None)
+        change = inside[tuple(low)] != inside[tuple(high)]
+        out[tuple(low)] |= change
+        out[tuple(high)] |= change
+    return out

@@ -1,0 +1,1 @@
+"""The pose between registrations, from heart beat to heart beat."""

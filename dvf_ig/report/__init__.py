@@ -1,0 +1,1 @@
+"""Every figure and HTML page. Takes values and arrays; computes no estimate."""

@@ -1,0 +1,146 @@
+"""One picture of a carried surface: end-diastole and end-systole with their contours, quality by phase.
+
+Uses matplotlib, loaded when a picture is written.
+"""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.mesh import Mesh, SurfaceSeries
+from dvf_ig.core.volume import Grid, VolumeSeries
+from dvf_ig.io.atomic import write_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from dvf_ig.preop.motion.quality import MotionQuality
+
+ORGAN, BAR, INK, FAINT = "#e07b00", "#1f6fb4", "#222222", "#b8b8b8"
+BEYOND_MM = 15.0
+PIXEL_MM = 1.0
+_VIEWS = (("across axis k", 2), ("across axis j", 1), ("across axis i", 0))
+
+
+def write_motion_picture(
+    path: Path | str,
+    image: VolumeSeries,
+    surfaces: SurfaceSeries,
+    quality: MotionQuality,
+    *,
+    ed_phase: int,
+    es_phase: int,
+) -> None:
+    """Write three planes through the organ at end-diastole and end-systole, and bars of quality, as a PNG.
+
+    Raises:
+        InvalidInputError: a suffix that is not .png.
+        OutputError: not writable.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".png":
+        raise InvalidInputError(f"a picture is written as .png; got {path.name}")
+    buffer = BytesIO()
+    figure = _figure(image, surfaces, quality, ed_phase, es_phase)
+    figure.savefig(buffer, format="png", dpi=90, metadata={"Software": None})
+    write_bytes(path, buffer.getvalue())
+
+
+def _figure(
+    image: VolumeSeries, surfaces: SurfaceSeries, quality: MotionQuality, ed_phase: int, es_phase: int
+) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 10.5), layout="constrained")
+    upper, lower = figure.subfigures(2, 1, squeeze=False, height_ratios=(3.0, 1.6))[:, 0]
+    axes = upper.subplots(2, 3)
+    index = image.grid.to_index(surfaces.vertices_mm)
+    low, high = index.min(axis=(0, 1)), index.max(axis=(0, 1))
+    for row, (word, phase) in enumerate((("end-diastole", ed_phase), ("end-systole", es_phase))):
+        for axis, (view, normal) in zip(axes[row], _VIEWS, strict=True):
+            _draw_plane(axis, image, surfaces, (phase, ed_phase), normal, (low, high))
+            percent = 100 * image.timing.fractions[phase]
+            axis.set_title(f"{word} ({percent:.0f} % of the cycle), {view}", fontsize=8, color=INK)
+    _draw_bars(lower.subplots(2, 2).ravel(), image, quality, es_phase)
+    return figure
+
+
+def _draw_plane(
+    axis: Axes,
+    image: VolumeSeries,
+    surfaces: SurfaceSeries,
+    phases: tuple[int, int],
+    normal: int,
+    box: tuple[FloatArray, FloatArray],
+) -> None:
+    """A plane of voxels in mm, the contour of the phase and, dotted, that of end-diastole."""
+    from matplotlib.collections import LineCollection
+
+    grid, spacing = image.grid, image.grid.spacing_mm
+    level = round(float(0.5 * (box[0] + box[1])[normal]))
+    across, up = (a for a in range(3) if a != normal)
+    low = np.maximum(box[0] * spacing - BEYOND_MM, 0.0)
+    high = np.minimum(box[1] * spacing + BEYOND_MM, (np.array(grid.shape) - 1) * spacing)
+    x, y = (np.arange(low[a], high[a] + 1e-6, PIXEL_MM) for a in (across, up))
+    at = np.empty((3, len(y), len(x)))
+    at[normal], at[across], at[up] = level, x / spacing[across], (y / spacing[up])[:, None]
+    grey = map_coordinates(image.values[phases[0]].astype(np.float64), at, order=1, mode="nearest")
+    top = float(np.percentile(grey, 99.5))
+    extent = (x[0], x[-1], y[0], y[-1])
+    axis.imshow(grey, cmap="gray", vmin=0.0, vmax=max(top, 1e-9), origin="lower", extent=extent)
+    for phase, style, colour in ((phases[1], ":", FAINT), (phases[0], "-", ORGAN)):
+        lines = section(surfaces.phase(phase), grid, normal, level + 1e-3)
+        segments = (lines * spacing)[..., [across, up]]
+        axis.add_collection(LineCollection(list(segments), colors=colour, linewidths=1.2, linestyles=style))
+    axis.set_xticks([])
+    axis.set_yticks([])
+
+
+def section(mesh: Mesh, grid: Grid, axis: int, level: float) -> FloatArray:
+    """(s, 2, 3) segments, in voxel indices, in which a mesh meets the plane index[axis] = level."""
+    corners = grid.to_index(mesh.vertices_mm)[mesh.triangles]
+    height = corners[..., axis] - level
+    cut = np.flatnonzero((height.min(axis=1) < 0.0) & (height.max(axis=1) > 0.0))
+    corners, height = corners[cut], height[cut]
+    ends, crossing = np.empty((len(cut), 3, 3)), np.empty((len(cut), 3), dtype=np.bool_)
+    for k in range(3):
+        a, b = height[:, k], height[:, (k + 1) % 3]
+        crossing[:, k] = (a < 0.0) != (b < 0.0)
+        share = a / np.where(a == b, 1.0, a - b)
+        ends[:, k] = corners[:, k] + share[:, None] * (corners[:, (k + 1) % 3] - corners[:, k])
+    return np.asarray(ends[crossing].reshape(-1, 2, 3))
+
+
+def _draw_bars(axes: list[Axes], image: VolumeSeries, quality: MotionQuality, es_phase: int) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    shown = [
+        ("correlation with end-diastole", quality.correlation_before, quality.correlation),
+        ("smallest local volume ratio (folds at 0)", None, quality.min_jacobian),
+        ("mean motion of the organ, mm", None, quality.mean_motion_mm),
+    ]
+    if quality.dice is not None:
+        shown.append(("overlap with labels (Dice)", quality.dice_before, quality.dice))
+    else:
+        shown.append(("RMS left, share of grey-level spread", None, quality.residual))
+    phases = np.arange(len(image.timing))
+    for axis, (title, before, after) in zip(axes, shown, strict=True):
+        if before is not None:
+            axis.bar(phases, before, color=FAINT, label="as they lie")
+        axis.bar(phases, after, color=BAR, width=0.5, label="after the motion")
+        axis.axvline(es_phase, color=ORGAN, linewidth=0.8, linestyle=":")
+        axis.set_title(title, fontsize=8, color=INK)
+        axis.tick_params(labelsize=7)
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axis.set_xlim(-0.7, len(phases) - 0.3)
+    axes[0].legend(fontsize=7, loc="lower left")
+    for axis in axes[2:]:
+        axis.set_xlabel("phase (dotted: end-systole)", fontsize=8)

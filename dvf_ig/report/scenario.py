@@ -1,0 +1,142 @@
+"""One picture of a scenario: the pre-operative heart over its cycle, ultrasound over the sweep, the ECG."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from dvf_ig.core.arrays import AnyArray, FloatArray
+from dvf_ig.core.scenario import Preop, Scenario
+from dvf_ig.core.volume import Grid, VolumeSeries
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PHASES = 5
+FRAMES = 10
+ECG_S = 10.0
+HALF_MM, PITCH_MM = 78.0, 1.5
+"""Half the size of the planes through the heart, and their pixels."""
+CUT_MM = 1.5
+"""Surface vertices this close to a plane are drawn."""
+
+_VIEWS = (("axial", 2), ("coronal", 1), ("sagittal", 0))
+_ORGAN, _TRACE = "#e07b00", "#222222"
+
+
+def preview_png(scenario: Scenario) -> bytes:
+    """The contact sheet as a PNG."""
+    buffer = io.BytesIO()
+    preview(scenario).savefig(buffer, format="png", dpi=90, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def preview(scenario: Scenario) -> Figure:
+    """Rows: three views by PHASES phases, FRAMES ultrasound images, the first seconds of the ECG."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 13.0), layout="constrained")
+    upper, middle, lower = figure.subfigures(3, 1, squeeze=False, height_ratios=(6.6, 4.6, 1.5))[:, 0]
+    upper.suptitle(scenario.name)
+    _draw_preop(upper.subplots(3, PHASES), scenario.preop)
+    images = scenario.ultrasound.images
+    if images is not None:
+        t_s = scenario.ultrasound.t_s
+        chosen = np.unique(np.linspace(0, len(images) - 1, FRAMES).astype(int))
+        axes = middle.subplots(2, FRAMES // 2).ravel()
+        for axis, i in zip(axes, chosen.tolist(), strict=False):
+            axis.imshow(images[i], cmap="gray", vmin=0, vmax=255)
+            axis.set_title(f"ultrasound, {t_s[i]:.1f} s", fontsize=8)
+        _bare(axes)
+    _draw_ecg(lower.subplots(), scenario)
+    return figure
+
+
+def _draw_preop(axes: AnyArray, preop: Preop) -> None:
+    shown = preop.mr or preop.labels
+    timing = (shown or preop.surfaces[0]).timing
+    phases = np.linspace(0, len(timing), PHASES, endpoint=False).astype(int).tolist()
+    center = _heart_center(preop)
+    for column, phase in enumerate(phases):
+        axes[0, column].set_title(f"{100 * timing.fractions[phase]:.0f} % of the cycle", fontsize=8)
+        for row, (_, normal) in enumerate(_VIEWS):
+            if shown is not None:
+                _draw_slice(axes[row, column], shown, preop, phase, center, normal)
+            else:
+                _draw_cut(axes[row, column], preop, phase, center, normal)
+    _bare(axes.ravel())
+    for row, (name, _) in enumerate(_VIEWS):
+        axes[row, 0].set_ylabel(f"{name}, pre-operative", fontsize=8)
+
+
+def _heart_center(preop: Preop) -> FloatArray:
+    """(3,) middle of the organ at end-diastole, frame "mr"."""
+    if preop.labels is not None:
+        where = np.argwhere(np.isin(preop.labels.values[0], preop.organ_labels))
+        if len(where):
+            return preop.labels.grid.to_mm(0.5 * (where.min(axis=0) + where.max(axis=0)))
+    if preop.surfaces:
+        return np.asarray(preop.surfaces[0].vertices_mm[0].mean(axis=0))
+    return np.zeros(3)
+
+
+def _draw_slice(
+    axis: Axes, shown: VolumeSeries, preop: Preop, phase: int, center: FloatArray, normal: int
+) -> None:
+    """A plane through the heart's centre in LPS, whatever way the voxels run, with the organ's outline."""
+    values = _plane(shown.values[phase], shown.grid, center, normal)
+    extent = (-HALF_MM, HALF_MM, -HALF_MM, HALF_MM)
+    top = max(float(np.percentile(shown.values[0], 99.7)), 1.0)
+    axis.imshow(values, cmap="gray", vmin=0, vmax=top, origin="lower", extent=extent)
+    if preop.labels is not None and phase < len(preop.labels.timing):
+        organ = np.isin(preop.labels.values[phase], preop.organ_labels).astype(np.float32)
+        outline = _plane(organ, preop.labels.grid, center, normal)
+        if outline.min() < 0.5 < outline.max():
+            axis.contour(outline, levels=[0.5], colors=[_ORGAN], linewidths=0.9, extent=extent)
+    _head_up(axis, normal)
+
+
+def _plane(values: AnyArray, grid: Grid, center: FloatArray, normal: int) -> FloatArray:
+    """(n, n) values on the plane through `center`; rows run along the later of the two LPS axes."""
+    steps = np.arange(-HALF_MM, HALF_MM + 0.5 * PITCH_MM, PITCH_MM)
+    a, b = (k for k in range(3) if k != normal)
+    points = np.tile(center, (len(steps), len(steps), 1))
+    points[..., a] += steps
+    points[..., b] += steps[:, None]
+    index = grid.to_index(points.reshape(-1, 3))
+    seen = map_coordinates(values.astype(np.float32), index.T, order=1, cval=0.0)
+    return np.asarray(seen.reshape(len(steps), -1), dtype=np.float64)
+
+
+def _head_up(axis: Axes, normal: int) -> None:
+    """Axial views show the front at the top, the others the head."""
+    if normal == 2:
+        axis.invert_yaxis()
+
+
+def _draw_cut(axis: Axes, preop: Preop, phase: int, center: FloatArray, normal: int) -> None:
+    """Surface vertices near the same plane, where there is no image."""
+    a, b = (k for k in range(3) if k != normal)
+    for series in preop.surfaces:
+        vertices = series.vertices_mm[phase % len(series.vertices_mm)] - center
+        near = vertices[np.abs(vertices[:, normal]) < CUT_MM]
+        axis.plot(near[:, a], near[:, b], ".", ms=1.5)
+    axis.set(aspect="equal", xlim=(-HALF_MM, HALF_MM), ylim=(-HALF_MM, HALF_MM))
+    _head_up(axis, normal)
+
+
+def _draw_ecg(axis: Axes, scenario: Scenario) -> None:
+    ecg = scenario.ecg
+    shown = ecg.t_s < ecg.start_s + ECG_S
+    axis.plot(ecg.t_s[shown], ecg.samples[shown, 0], color=_TRACE, lw=0.8)
+    axis.set(xlabel="time, s", ylabel=f"{ecg.leads[0]}, {ecg.unit}")
+    axis.margins(x=0)
+
+
+def _bare(axes: AnyArray) -> None:
+    for axis in axes:
+        axis.set(xticks=[], yticks=[])

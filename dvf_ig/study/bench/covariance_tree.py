@@ -1,0 +1,62 @@
+"""A covariance tree over triangles (Li and Taylor): the peer among mesh searches in `dvf-ig bench`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, Mesh
+from dvf_ig.study.bench.covariance_tree_kernel import NODE, WORK, nearest_batch, nearest_in_covariance_tree
+
+LEAF_SIZE = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CovarianceTree:
+    """Complete binary tree of oriented boxes.
+
+    Attributes:
+        nodes: (2L − 1, 15), see `dvf_ig.study.bench.covariance_tree_kernel`.
+        corners: (t, 9) triangle corners in leaf order, mm.
+        work: work space of the search; one tree serves one thread.
+    """
+
+    nodes: FloatArray
+    corners: FloatArray
+    work: FloatArray
+
+    def distance_mm(self, point_mm: FloatArray) -> float:
+        """Unsigned distance of one (3,) point; quickest when it is near the last one."""
+        return nearest_in_covariance_tree(self.nodes, self.corners, point_mm, self.work)
+
+    def distances_mm(self, points_mm: FloatArray) -> FloatArray:
+        """(n,) unsigned distances of (n, 3) points."""
+        out = np.empty(len(points_mm))
+        nearest_batch(self.nodes, self.corners, points_mm, self.work, out)
+        return out
+
+
+def build_covariance_tree(mesh: Mesh) -> CovarianceTree:
+    """Every node is halved at the median along its longest axis; boxes fit its triangles' corners."""
+    triangles = mesh.vertices_mm[mesh.triangles]
+    count = len(triangles)
+    levels = max(0, int(np.ceil(np.log2(count / LEAF_SIZE))))
+    order = np.arange(count)
+    nodes = np.empty(((2 << levels) - 1, NODE))
+    for level in range(levels + 1):
+        start = (np.arange((1 << level) + 1, dtype=np.int64) * count) >> level
+        for k in range(1 << level):
+            part = slice(start[k], start[k + 1])
+            center, axes, half = _box(triangles[order[part]].reshape(-1, 3))
+            nodes[(1 << level) - 1 + k] = [*center, *axes.ravel(), *half]
+            if level < levels:
+                along = triangles[order[part]].mean(axis=1) @ axes[int(half.argmax())]
+                order[part] = order[part][np.argsort(along, kind="stable")]
+    return CovarianceTree(nodes, triangles[order].reshape(count, 9), np.zeros(WORK))
+
+
+def _box(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Centre, (3, 3) axes as rows, and half lengths of the box along the principal axes of (n, 3) points."""
+    axes = np.linalg.eigh(np.cov(points.T, bias=True))[1].T
+    along = points @ axes.T
+    low, high = along.min(axis=0), along.max(axis=0)
+    return 0.5 * (low + high) @ axes, axes, 0.5 * (high - low)

@@ -1,0 +1,249 @@
+"""The fixture's speed and error beside other ways to the same distance, on one heart in one run."""
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, Rigid
+from dvf_ig.guidance import Continuity, Evaluator, Gaussian, PoseAndPhase, Sigmoid, Status, check_continuity
+from dvf_ig.guidance.blend import BLEND_CODES
+from dvf_ig.kernels.dynamic import force_batch
+from dvf_ig.kernels.spline import spline_batch, spline_tick
+from dvf_ig.preop import build_triangle_tree
+from dvf_ig.study.bench.covariance_tree_kernel import no_operation
+
+from .heart import CYCLE_S, RATE_HZ, hand_path, random_points
+from .peers import STATIC, TREE, TREE_KERNEL, peer_rows, signs
+from .timing import KERNEL_CALLS, Row, row, time_batches, time_calls
+
+OURS = "dvf_ig"
+POSE = Rigid.from_rotation_vector([0.4, -1.1, 0.7], [30.0, -80.0, 12.0], "mr", "tracker")
+"""Any registration costs the same."""
+FIRST_CALL = """
+import time, numpy as np
+from dvf_ig.kernels.dynamic import force_tick as tick, packed_fixture
+c, n = np.zeros((2, 4, 4, 4), np.float32), np.zeros(3)
+packed = packed_fixture(n, 1.0, np.array([0.0, 0.5]), np.zeros((0, 4, 4)), np.ones(5), 0, np.eye(3, 4))
+start = time.perf_counter()
+tick(c, packed, n, 0.1, 0, np.empty(7))
+print(time.perf_counter() - start)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class BenchOptions:
+    """How much is timed.
+
+    Attributes:
+        calls: points of the path, one a millisecond.
+        repeats: passes over the path; the quietest counts.
+        batch: points in a batch.
+        peers: whether to time other libraries too.
+        seed: of the path.
+    """
+
+    calls: int = 10_000
+    repeats: int = 5
+    batch: int = 5_000
+    peers: bool = True
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if self.calls < KERNEL_CALLS:
+            raise InvalidInputError(f"{self.calls} calls asked for; needed at least {KERNEL_CALLS}")
+        if self.repeats < 1 or self.batch < 1:
+            raise InvalidInputError("repeats and batch must be at least 1")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """What `dvf-ig bench` measured.
+
+    Attributes:
+        rows: one a thing timed.
+        first_call_s: first force of a new process whose kernels were compiled before.
+        vertices, triangles, phases, megabytes: of the heart.
+        near_error_mm: RMS error of our static distance within 2 mm of the surface.
+    """
+
+    rows: tuple[Row, ...]
+    first_call_s: float
+    vertices: int
+    triangles: int
+    phases: int
+    megabytes: float
+    near_error_mm: float
+
+    def ratios(self) -> dict[str, float]:
+        """How many times quicker our call is than theirs, by medians of this run."""
+        ours = {r.what: r.median_us for r in self.rows if r.name == OURS}
+        theirs = [r for r in self.rows if r.name != OURS]
+        out = {
+            f"{r.name} / static python": r.median_us / ours["static python"]
+            for r in theirs
+            if r.what == STATIC
+        }
+        for kind, mine in ((TREE, "static python"), (TREE_KERNEL, "static kernel")):
+            medians = [r.median_us for r in theirs if r.what == kind]
+            if medians:
+                out[f"best {kind} / {mine}"] = min(medians) / ours[mine]
+        out["random static kernel / static kernel"] = ours["random static kernel"] / ours["static kernel"]
+        out["random kernel / dynamic kernel"] = ours["random kernel"] / ours["dynamic kernel"]
+        return out
+
+
+def run_bench(model: DvfModel, options: BenchOptions) -> Bench:
+    """Time the model against its own end-diastolic mesh, on a hand's path around it."""
+    rng = np.random.default_rng(options.seed)
+    mesh = model.reference[model.ed_phase]
+    path = hand_path(mesh, options.calls, rng)
+    scattered = random_points(mesh, options.calls, rng)
+    exact = build_triangle_tree(mesh.vertices_mm, mesh.triangles).distance_mm(path)
+    static, errors = _static_rows(model, path, scattered, exact * signs(mesh, path), options)
+    rows = [
+        *static,
+        *_dynamic_rows(model, path, scattered, exact, options),
+        row("numba", "no-op python", time_calls(no_operation, [(1,)] * options.calls, options.repeats), None),
+    ]
+    if options.peers:
+        rows += peer_rows(mesh, path, exact, batch=min(options.batch, len(path)), repeats=options.repeats)
+    return Bench(
+        tuple(rows),
+        first_call_seconds(),
+        len(mesh.vertices_mm),
+        len(mesh.triangles),
+        model.phases,
+        model.megabytes,
+        float(np.sqrt(np.mean(errors[exact < 2.0] ** 2))) if (exact < 2.0).any() else float("nan"),
+    )
+
+
+def continuity_checks(model: DvfModel, pairs: int, seed: int) -> list[Continuity]:
+    """Every blend with a sigmoid and a Gaussian; nothing for 0 pairs."""
+    if pairs == 0:
+        return []
+    rng = np.random.default_rng(seed)
+    laws = (Sigmoid(), Gaussian(3.0, 2.0, depth_mm=1.0))
+    return [
+        check_continuity(Evaluator(model, law, blend=blend), pairs, rng)
+        for law in laws
+        for blend in BLEND_CODES
+    ]
+
+
+def first_call_seconds() -> float:
+    """Of a new process; run once before, so that the kernels lie compiled on disk."""
+    seconds = [
+        float(
+            subprocess.run(
+                [sys.executable, "-c", FIRST_CALL], check=True, capture_output=True, text=True
+            ).stdout
+        )
+        for _ in range(2)
+    ]
+    return min(seconds)
+
+
+def _static_rows(
+    model: DvfModel,
+    path: FloatArray,
+    scattered: FloatArray,
+    exact_mm: FloatArray,
+    options: BenchOptions,
+) -> tuple[list[Row], FloatArray]:
+    """Distance and gradient at end-diastole, and the signed error of each point's distance."""
+    n, phase = len(path), model.ed_phase
+    coefficients, origin = model.coefficients.copy(), model.origin_mm.copy()
+    knot = float(model.knot_spacing_mm)
+    value, gradient, status = np.empty(n), np.empty((n, 3)), np.empty(n, dtype=np.int64)
+    box, out = np.array([*origin, knot]), np.empty(4)
+
+    def batch(i: int, j: int, points: FloatArray = path) -> None:
+        spline_batch(coefficients, origin, knot, phase, points[i:j], value[i:j], gradient[i:j], status[i:j])
+
+    batch(0, n)
+    if (status != Status.OK).any():
+        raise InvalidInputError(
+            "the path leaves the model's box; build the model with a margin of 15 mm or more"
+        )
+    errors = np.asarray(value - exact_mm)
+    rms = float(np.sqrt(np.mean(errors**2)))
+    size = min(options.batch, n)
+    in_kernel = time_batches(batch, n, KERNEL_CALLS, options.repeats)
+    anywhere = time_batches(lambda i, j: batch(i, j, scattered), n, KERNEL_CALLS, options.repeats)
+    calls = [(coefficients, box, phase, point, out) for point in path]
+    in_batch = time_batches(batch, n, size, options.repeats)
+    return [
+        row(OURS, "static kernel", in_kernel, rms, calls_per_sample=KERNEL_CALLS, note="with gradient"),
+        row(
+            OURS, "random static kernel", anywhere, None, calls_per_sample=KERNEL_CALLS, note="with gradient"
+        ),
+        row(OURS, STATIC, time_calls(spline_tick, calls, options.repeats), rms, note="with gradient"),
+        row(OURS, "batch", in_batch, rms, calls_per_sample=size, note="with gradient"),
+    ], errors
+
+
+def _dynamic_rows(
+    model: DvfModel,
+    path: FloatArray,
+    scattered: FloatArray,
+    exact_mm: FloatArray,
+    options: BenchOptions,
+) -> Iterator[Row]:
+    """Force from tracker position and phase; the error is that of the distance at end-diastole."""
+    phi = (np.arange(len(path)) / (RATE_HZ * CYCLE_S)) % 1.0
+    tip = np.ascontiguousarray(POSE.inverse().apply_array(path))
+    law = Sigmoid()
+    ed = float(model.timing.fractions[model.ed_phase])
+    ok = np.ones(1, dtype=np.bool_)
+    for blend in BLEND_CODES:
+        evaluator = Evaluator(model, law, blend=blend)
+        pose = PoseAndPhase(Rigid(model.frame, "tracker", POSE.rotation, POSE.translation_mm))
+        tick = pose.bind(evaluator)
+        found = pose.evaluate(evaluator, tip, ed, np.ones(len(tip), dtype=np.bool_)).distance_mm
+        error = float(np.sqrt(np.mean((np.abs(found) - exact_mm) ** 2)))
+        suffix = "" if blend == "force" else f", {blend} blend"
+        yield _kernel_row(f"dynamic kernel{suffix}", tick.args, tip, phi, error, options)
+        out = np.empty(7)
+        calls = [(point, at, 0, out) for point, at in zip(tip, phi.tolist(), strict=True)]
+        yield row(OURS, f"dynamic python{suffix}", time_calls(tick, calls, options.repeats), error)
+        if blend != "force":
+            continue
+        elsewhere = np.ascontiguousarray(POSE.inverse().apply_array(scattered))
+        anywhen = np.random.default_rng(options.seed).uniform(size=len(phi))
+        yield _kernel_row("random kernel", tick.args, elsewhere, anywhen, None, options)
+        few = [(evaluator, tip[k : k + 1], phi[k], ok) for k in range(min(len(tip), 1000))]
+        spent = time_calls(pose.evaluate, few, options.repeats)
+        yield row(OURS, "dynamic safe", spent, error, note="PoseAndPhase.evaluate, every argument checked")
+
+
+def _kernel_row(
+    what: str,
+    arguments: Sequence[object],
+    tip: FloatArray,
+    phi: FloatArray,
+    error_mm: float | None,
+    options: BenchOptions,
+) -> Row:
+    n = len(tip)
+    force, distance, gradient, rate = np.empty((n, 3)), np.empty(n), np.empty((n, 3)), np.empty(n)
+    status = np.zeros(n, dtype=np.int64)
+    batch: Callable[..., None] = force_batch
+
+    def chunk(i: int, j: int) -> None:
+        batch(
+            *arguments,
+            tip[i:j],
+            phi[i:j],
+            force[i:j],
+            distance[i:j],
+            gradient[i:j],
+            rate[i:j],
+            status[i:j],
+        )
+
+    spent = time_batches(chunk, n, KERNEL_CALLS, options.repeats)
+    return row(OURS, what, spent, error_mm, calls_per_sample=KERNEL_CALLS)

@@ -1,0 +1,1 @@
+"""How many phases a dynamic fixture needs."""

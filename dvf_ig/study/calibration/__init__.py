@@ -1,0 +1,1 @@
+"""Whether calibration intervals hold the truth as often as they say."""

@@ -1,0 +1,181 @@
+"""Do the 95 % intervals of the calibrations hold the truth 95 times in 100? Synthetic recordings know."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from data_synth.phantoms.crosswire import CrossWireSpec, crosswire_recording
+from data_synth.phantoms.nwire import nwire_recording
+from data_synth.phantoms.wall import WallSpec, wall_recording
+from data_synth.phantoms.watertank import watertank_recording
+from data_synth.scenario.ground_truth import Planted, plant
+from data_synth.scenario.presets import Preset
+from data_synth.seeds import child_rng
+from data_synth.ultrasound.probe import SectorProbe
+from dvf_ig.calibration import (
+    MapUncertainty,
+    ProbeOptions,
+    calibrate_crosswire,
+    calibrate_probe,
+    calibrate_wall,
+    compare_methods,
+    estimate_latency,
+)
+from dvf_ig.core import FloatArray, InvalidInputError
+
+KINDS = ("nwire", "cross-wire", "wall", "watertank")
+GROUPS: dict[str, tuple[str, ...]] = {
+    "position_mm": ("lateral_mm", "axial_mm", "elevation_mm"),
+    "rotation_deg": ("about_lateral_deg", "about_axial_deg", "about_elevation_deg"),
+    "scale_percent": ("column_percent", "row_percent"),
+    "lag_ms": ("lag_ms",),
+}
+"""Numbers that are judged together; positions are those of the middle of the fan."""
+_MAP_NAMES = GROUPS["rotation_deg"] + GROUPS["position_mm"] + GROUPS["scale_percent"]
+_MAP_UNITS = np.array([180 / np.pi] * 3 + [1.0] * 3 + [100.0] * 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """One number, or a group of like ones, over all trials.
+
+    Attributes:
+        name: key of GROUPS, or one of its entries.
+        trials: intervals judged.
+        share: of them that held the truth.
+        bias: mean of estimate minus truth, in the unit of the name; the largest of a group.
+        sd: standard deviation of estimate minus truth; of the same member.
+        half_width: mean 95 % half-width; root mean square over a group.
+    """
+
+    name: str
+    trials: int
+    share: float
+    bias: float
+    sd: float
+    half_width: float
+
+
+def coverage_trial(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """One synthetic calibration recording, calibrated; errors and 95 % half-widths by name.
+
+    Args:
+        settings: "kind", one of KINDS; "method" of an N-wire calibration ("chosen": by cross-validation).
+        seed: of the planted truth and of the recording.
+    Raises:
+        InvalidInputError: another kind.
+    """
+    kind = settings["kind"]
+    if kind not in KINDS:
+        raise InvalidInputError(f"there is no calibration '{kind}'; choose {', '.join(KINDS)}")
+    probe = SectorProbe()
+    planted = plant(np.zeros(3), probe.plane_from_image, 150.0, child_rng(seed, "planting"))
+    rng = child_rng(seed, str(kind))
+    if kind == "watertank":
+        return _latency_trial(planted, probe, rng)
+    spread, extra = _MAPS[kind](planted, probe, rng, settings)
+    middle = np.array(probe.apex_px) + np.array([0.0, 0.5 * (probe.fan.start_px + probe.fan.stop_px)])
+    spread = spread.about(middle)
+    error = -spread.parameters.away(planted.probe_from_image) * _MAP_UNITS
+    half = spread.half_width[[*range(spread.parameters.count), *[-1] * (8 - spread.parameters.count)]]
+    return {**_line(_MAP_NAMES, error, half * _MAP_UNITS), **extra}
+
+
+def summarise_coverage(lines: Sequence[Mapping[str, Any]]) -> list[Coverage]:
+    """Every number, and every group of numbers, of the trials that gave an estimate."""
+    good = [line for line in lines if "refused" not in line]
+    if not good:
+        return []
+    single = {}
+    for name in good[0]["error"]:
+        error = np.array([line["error"][name] for line in good])
+        half = np.array([line["half_width"][name] for line in good])
+        single[name] = (error, half, _coverage(name, error, half))
+    out = []
+    for group, names in GROUPS.items():
+        members = [single[name] for name in names if name in single]
+        if not members:
+            continue
+        inside = np.concatenate([np.abs(error) <= half for error, half, _ in members])
+        worst = max((c for _, _, c in members), key=lambda c: abs(c.bias) / max(c.sd, 1e-30))
+        width = float(np.sqrt(np.mean([c.half_width**2 for _, _, c in members])))
+        out.append(Coverage(group, len(inside), float(inside.mean()), worst.bias, worst.sd, width))
+        if len(members) > 1:
+            out += [c for _, _, c in members]
+    return out
+
+
+def _coverage(name: str, error: FloatArray, half: FloatArray) -> Coverage:
+    sd = float(error.std(ddof=1)) if len(error) > 1 else 0.0
+    inside = float((np.abs(error) <= half).mean())
+    return Coverage(name, len(error), inside, float(error.mean()), sd, float(half.mean()))
+
+
+def _nwire(
+    planted: Planted, probe: SectorProbe, rng: np.random.Generator, settings: Mapping[str, Any]
+) -> tuple[MapUncertainty, dict[str, Any]]:
+    options = Preset()
+    size = (probe.columns, probe.rows)
+    recording = nwire_recording(
+        planted.probe_from_image, probe.fan, size, options.nwire_tracker, options.nwire, rng
+    )
+    method = settings["method"]
+    if method == "chosen":
+        found = compare_methods(recording, rng=rng).best
+    else:
+        found = calibrate_probe(recording, rng=rng, options=ProbeOptions(method=method))
+    return found.uncertainty, {"method": found.method}
+
+
+def _crosswire(
+    planted: Planted, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
+) -> tuple[MapUncertainty, dict[str, Any]]:
+    made = crosswire_recording(
+        planted.probe_from_image, probe, Preset().nwire_tracker, CrossWireSpec(), rng, rendered=False
+    ).recording
+    poses = made.sequence.stream("tracker", "probe")
+    return calibrate_crosswire(poses, made.features_px, rng=rng).uncertainty, {}
+
+
+def _wall(
+    planted: Planted, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
+) -> tuple[MapUncertainty, dict[str, Any]]:
+    made = wall_recording(
+        planted.probe_from_image, probe, Preset().nwire_tracker, WallSpec(), rng, rendered=False
+    ).recording
+    poses = made.sequence.stream("tracker", "probe")
+    return calibrate_wall(poses, made.features_px, rng=rng).uncertainty, {}
+
+
+def _latency_trial(planted: Planted, probe: SectorProbe, rng: np.random.Generator) -> dict[str, Any]:
+    options = Preset()
+    recording = watertank_recording(
+        planted.probe_from_image,
+        probe.fan,
+        planted.lag_s,
+        options.watertank_tracker,
+        options.watertank,
+        rng,
+    )
+    found = estimate_latency(recording)
+    low, high = found.interval_s
+    # an interval need not lie evenly about its estimate: its middle is what is judged
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    line = _line(("lag_ms",), np.array([1000 * (middle - planted.lag_s)]), np.array([1000 * half]))
+    return {**line, "estimate_error_ms": 1000 * (found.lag_s - planted.lag_s)}
+
+
+def _line(names: Sequence[str], error: FloatArray, half: FloatArray) -> dict[str, Any]:
+    return {
+        "error": dict(zip(names, error.tolist(), strict=True)),
+        "half_width": dict(zip(names, half.tolist(), strict=True)),
+    }
+
+
+_MAPS: dict[str, Callable[..., tuple[MapUncertainty, dict[str, Any]]]] = {
+    "nwire": _nwire,
+    "cross-wire": _crosswire,
+    "wall": _wall,
+}

@@ -1,0 +1,1 @@
+"""Ways to make a distance map, side by side."""

@@ -1,0 +1,1 @@
+"""The registration studies: experiments, scenes, baselines, summaries."""

@@ -1,0 +1,1 @@
+"""Uniform against two-segment retiming."""

@@ -1,0 +1,1 @@
+"""A stylus held to the beating surface by a guidance fixture alone."""

@@ -1,0 +1,126 @@
+"""`dvf-ig model` and `dvf-ig force` as a user types them."""
+
+import json
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from dvf_ig.cli import force
+from dvf_ig.cli.model import commands as model
+from dvf_ig.core import CycleTiming, Grid, VolumeSeries
+from dvf_ig.io import write_surface_series, write_timing, write_volume_series
+
+app = typer.Typer()
+app.add_typer(model.app, name="model")
+app.command("force")(force.force)
+
+
+def run(*args):
+    return CliRunner().invoke(app, [str(a) for a in args])
+
+
+@pytest.fixture(scope="module")
+def built(beating_sphere, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("surfaces")
+    write_surface_series(beating_sphere, folder)
+    write_timing(beating_sphere.timing, folder / "timing.json")
+    output = folder / "model.npz"
+    result = run("model", "build", "--surfaces", folder, "-o", output, "--json")
+    assert result.exit_code == 0, result.output
+    return output, json.loads(result.stdout)
+
+
+def test_build_reports_the_surface_error(built):
+    output, report = built
+    assert output.is_file()
+    assert report["phases"] == 3
+    assert report["surface_error_mm"]["mean"] < 0.02
+    assert len(report["surface_error_mm"]["per_phase"]) == 3
+    assert report["megabytes"] > 0
+    assert report["seconds"] > 0
+    assert report["rr_s"] == pytest.approx(0.85)
+
+
+def test_check_repeats_with_a_seed(built):
+    first, second = (run("model", "check", built[0], "--json", "--seed", 3) for _ in range(2))
+    assert first.exit_code == 0
+    one, two = json.loads(first.stdout), json.loads(second.stdout)
+    assert one["surface_error_mm"] == two["surface_error_mm"]
+    assert "surface error" in run("model", "check", built[0]).stdout
+
+
+def test_wanted_accuracy_sets_the_knots(built, tmp_path):
+    folder, output = built[0].parent, tmp_path / "m.npz"
+    result = run("model", "build", "--surfaces", folder, "-o", output, "--accuracy-mm", 0.02, "--json")
+    report = json.loads(result.stdout)
+    assert report["surface_error_mm"]["mean"] < 0.02
+    assert report["knot_spacing_mm"] > built[1]["knot_spacing_mm"]
+    assert report["megabytes"] < built[1]["megabytes"]
+    assert report["normal_error_deg"]["p95"] < 5.0
+    assert set(report["definitions"]) >= {"surface_error_mm", "normal_error_deg", "megabytes"}
+    both = run("model", "build", "--surfaces", folder, "-o", output, "--accuracy-mm", 0.1, "--knot-mm", 3)
+    assert both.exit_code == 2
+
+
+def test_force_at_points(built, tmp_path):
+    points = tmp_path / "points.csv"
+    points.write_text("x_mm,y_mm,z_mm\n0,0,20\n500,0,0\n\n", encoding="utf-8")
+    result = run("force", built[0], "--points", points, "--phase", 0.0, "--json")
+    answer = json.loads(result.stdout)
+    assert answer["status"] == ["OK", "OUT_OF_VOLUME"]
+    np.testing.assert_allclose(answer["force_n"], [[0, 0, 0.3], [0, 0, 0]], atol=0.01)
+    assert answer["distance_mm"][0] == pytest.approx(0.0, abs=0.03)
+    assert answer["distance_mm"][1] is None
+    assert "OUT_OF_VOLUME" in run("force", built[0], "--points", points, "--phase", 0.0).stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [("", "no points"), ("1,2\n", "2 columns"), ("1,2,3\na,b,c\n", "line 2"), (None, "cannot read points")],
+)
+def test_bad_points_exit_3_with_one_sentence(built, tmp_path, text, complaint):
+    points = tmp_path / "points.csv"
+    if text is not None:
+        points.write_text(text, encoding="utf-8")
+    result = run("force", built[0], "--points", points, "--phase", 0.0)
+    assert result.exit_code == 3
+    assert complaint in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_a_law_beyond_the_device_exits_3(built, tmp_path):
+    points = tmp_path / "points.csv"
+    points.write_text("0,0,0\n", encoding="utf-8")
+    result = run("force", built[0], "--points", points, "--phase", 0.0, "--gamma", 5.0)
+    assert result.exit_code == 3
+    assert "750 N/m" in result.stderr
+
+
+def test_build_from_labels(tmp_path):
+    grid = Grid.axis_aligned("mr", (26, 26, 26), [-25.0] * 3, 2.0)
+    radius = np.linalg.norm(grid.centers_mm(), axis=-1)
+    values = np.stack([radius < 18, radius < 15]).astype(np.uint8)
+    write_volume_series(VolumeSeries(grid, values, CycleTiming.uniform(2, 0.9)), tmp_path / "p7.nrrd")
+    output = tmp_path / "model.npz"
+    result = run("model", "build", "--labels", tmp_path / "p7.nrrd", "--organ", "1", "-o", output, "--json")
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.stdout)
+    assert report["patient_id"] == "p7"
+    assert report["surface_error_mm"]["mean"] < 0.05
+    missing = run("model", "build", "--labels", tmp_path / "p7.nrrd", "--organ", "9", "-o", output)
+    assert missing.exit_code == 3
+    assert "organ labels [9]" in missing.stderr
+
+
+def test_usage_errors_exit_2_and_unwritable_places_4(built, tmp_path):
+    assert run("model", "build", "-o", tmp_path / "m.npz").exit_code == 2
+    series = tmp_path / "labels.nrrd"
+    assert run("model", "build", "--labels", series, "-o", tmp_path / "m.npz").exit_code == 2
+    assert (
+        run("model", "build", "--labels", series, "--organ", "1,a", "-o", tmp_path / "m.npz").exit_code == 2
+    )
+    nowhere = run("model", "build", "--surfaces", built[0].parent, "-o", tmp_path / "no" / "m.npz")
+    assert nowhere.exit_code == 4
+    assert not (tmp_path / "no").exists()

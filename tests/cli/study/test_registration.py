@@ -1,0 +1,155 @@
+"""`dvf-ig study same-image|capture|gating-error|planes|failures` on a stubbed scene."""
+
+import json
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
+from typer.testing import CliRunner, Result
+
+import dvf_ig.report.study.registration_page as capture_page
+import dvf_ig.study.registration.experiments as arms
+from dvf_ig.cli.main import app
+from dvf_ig.core import InvalidInputError, Points, Rigid
+from dvf_ig.registration import (
+    Level,
+    RegistrationOptions,
+    RegistrationResult,
+    channels_from_mr,
+    register_rigid,
+)
+from dvf_ig.study.registration.scene import Scene
+
+COMMANDS = {"same-image": "A", "capture": "B", "gating-error": "D", "planes": "E", "failures": "F"}
+FILES = ("study.json", "trials.jsonl", "summary.json", "report.html")
+PAGE = capture_page.write_capture_page
+TARGETS = Points("mr", CENTER_MM + np.random.default_rng(1).uniform(-45, 45, (27, 3)))
+
+
+@lru_cache(maxsize=1)
+def found() -> RegistrationResult:
+    """One registration of the toy heart; every trial of the stub ends there."""
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.1)
+    level = Level(slices, channels_from_mr(toy_mr(), smoothing_mm=3.0), 3.0)
+    options = RegistrationOptions(starts=1)
+    return register_rigid(level, level, toy_pose(), CENTER_MM, rng=np.random.default_rng(0), options=options)
+
+
+@pytest.fixture(autouse=True)
+def stubbed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    def make(pair: int, condition: dict[str, Any]) -> Scene:
+        def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
+            if pair == 13:
+                raise InvalidInputError("pair 13 is refused")
+            return found()
+
+        return Scene(toy_pose(), TARGETS, CENTER_MM, register)
+
+    def page(lines: list[dict[str, Any]], path: Path) -> None:
+        path.write_text(f"{len(lines)} registrations")
+
+    arms._scene.cache_clear()
+    monkeypatch.setattr(arms, "make_scene", make)
+    monkeypatch.setattr(capture_page, "write_capture_page", page)
+    yield
+    arms._scene.cache_clear()
+
+
+def invoke(command: str, out: Path, *options: str) -> Result:
+    arguments = ["study", command, "-o", str(out), "--workers", "1", *options]
+    return CliRunner().invoke(app, arguments)
+
+
+def lines_of(out: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (out / "trials.jsonl").read_text().splitlines()]
+
+
+def test_help_names_the_commands() -> None:
+    shown = CliRunner().invoke(app, ["study", "--help"], env={"COLUMNS": "120"})
+    assert shown.exit_code == 0
+    assert all(f" {name} " in shown.stdout for name in COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_study_writes_its_four_files(command: str, tmp_path: Path) -> None:
+    out = tmp_path / "study"
+    done = invoke(command, out, "--pairs", "1", "--seed", "5", "--json")
+    assert done.exit_code == 0, done.output
+    assert sorted(p.name for p in out.iterdir()) == sorted(FILES)
+    summary = json.loads(done.stdout)
+    assert summary == json.loads((out / "summary.json").read_text())
+    assert (summary["arm"], summary["pairs"], summary["seed"]) == (COMMANDS[command], 1, 5)
+    lines = lines_of(out)
+    assert {line["pair"] for line in lines} == {5}
+    assert sum(group["n"] for group in summary["groups"]) == len(lines)
+    near = sum(line["start_mm"] <= 12.0 for line in lines)
+    assert sum(group["n"] for group in summary["starts_up_to_12_mm"]) == near
+    assert json.loads((out / "study.json").read_text())["settings"]["arm"] == COMMANDS[command]
+    assert f"{len(lines)} registrations" in (out / "report.html").read_text()
+
+
+def test_the_page_is_that_of_the_trials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capture_page, "write_capture_page", PAGE)
+    assert invoke("same-image", tmp_path, "--pairs", "1").exit_code == 0
+    page = (tmp_path / "report.html").read_text()
+    assert "6 registrations" in page
+    assert all(motion in page for motion in arms.MOTIONS)
+
+
+def test_options_of_capture_are_those_of_the_trials(tmp_path: Path) -> None:
+    chosen = ("--quality", "poor-image", "--quality", "no-mismatch", "--per-bin", "2", "--to", "4")
+    done = invoke("capture", tmp_path, "--pairs", "2", *chosen)
+    assert done.exit_code == 0, done.output
+    lines = lines_of(tmp_path)
+    assert {line["quality"] for line in lines} == {"poor-image", "no-mismatch"}
+    assert len(lines) == 2 * 2 * 2 * 4, "pairs, qualities, motions, starts"
+    assert max(line["start_mm"] for line in lines) <= 4.0
+    assert "TRE median" in done.output
+    assert all(name in done.output.replace("\n", "") for name in FILES)
+
+
+def test_a_study_goes_on_and_its_folder_is_of_one_study(tmp_path: Path) -> None:
+    assert invoke("same-image", tmp_path, "--pairs", "1").exit_code == 0
+    first = lines_of(tmp_path)
+    assert invoke("same-image", tmp_path, "--pairs", "2").exit_code == 0
+    assert lines_of(tmp_path)[: len(first)] == first
+    assert len(lines_of(tmp_path)) == 2 * len(first)
+    other = invoke("failures", tmp_path, "--pairs", "1")
+    assert other.exit_code == 3
+    assert "another study" in other.output
+    assert len(lines_of(tmp_path)) == 2 * len(first)
+
+
+def test_refused_trials_are_counted_and_said(tmp_path: Path) -> None:
+    done = invoke("same-image", tmp_path, "--pairs", "2", "--seed", "12")
+    assert done.exit_code == 0, done.output
+    assert "6 of 12 trials were refused; the first: pair 13 is refused" in done.output.replace("\n", " ")
+    assert (
+        sum(group["refused"] for group in json.loads((tmp_path / "summary.json").read_text())["groups"]) == 6
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [
+        ("capture", ("--quality", "excellent")),
+        ("capture", ("--to", "1")),
+        ("capture", ("--per-bin", "0")),
+        ("same-image", ("--pairs", "0")),
+        ("planes", ("--per-bin", "2")),
+        ("failures", ("--workers", "0")),
+        ("gating-error", ("--seed", "one")),
+    ],
+)
+def test_a_bad_option_ends_with_2_and_no_trial(
+    command: str, options: tuple[str, ...], tmp_path: Path
+) -> None:
+    done = invoke(command, tmp_path / "study", *options)
+    assert done.exit_code == 2, done.output
+    assert not (tmp_path / "study" / "summary.json").exists()
+    trials = tmp_path / "study" / "trials.jsonl"
+    assert not trials.exists() or not trials.read_text()

@@ -1,0 +1,124 @@
+"""A scenario is described in full by one YAML, and its folder says what is in it."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+import dvf_ig.cli.synth.commands as synth_module
+from data_synth import PRESETS, ScenarioSpec, describe_faults
+from dvf_ig.cli.synth.commands import app
+from dvf_ig.cli.synth.spec import SpecFile, read_spec, scenario_spec, spec_text
+from dvf_ig.core import InvalidInputError, Scenario, UnreadableFileError
+from dvf_ig.io import ScenarioNotes, read_scenario, write_scenario
+
+
+def from_text(folder: Path, text: str) -> ScenarioSpec:
+    path = folder / "spec.yaml"
+    path.write_text(text)
+    return scenario_spec(read_spec(path))
+
+
+@pytest.mark.parametrize("preset", sorted(PRESETS))
+def test_every_preset_reads_back_equal(tmp_path: Path, preset: str) -> None:
+    file = SpecFile(preset=preset, seed=9, seconds=31.5, motion="physiological", mismatch_mm=0.5)
+    got = from_text(tmp_path, spec_text(file))
+    assert got.options == PRESETS[preset]
+    assert (got.preset, got.seed, got.seconds, got.motion, got.mismatch) == (
+        preset,
+        9,
+        31.5,
+        "physiological",
+        0.5,
+    )
+
+
+def test_few_keys_change_a_preset_and_nothing_else(tmp_path: Path) -> None:
+    text = "preset: ectopy\noptions:\n  ecg: {lead_off_s: [[5, 9.5]]}\n  tool_tracker: {latency_s: 0.02}\n"
+    options = from_text(tmp_path, text).options
+    assert options.ecg.lead_off_s == ((5.0, 9.5),)
+    assert options.tool_tracker.latency_s == 0.02
+    assert options.tool_tracker.rate_hz == PRESETS["ectopy"].tool_tracker.rate_hz
+    assert options.rhythm == PRESETS["ectopy"].rhythm
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "words"),
+    [
+        ("seed: one", UnreadableFileError, "seed"),
+        ("sed: 1", UnreadableFileError, "sed"),
+        ("- 1", UnreadableFileError, "needed keys"),
+        ("{", UnreadableFileError, "not YAML"),
+        ("preset: storm", InvalidInputError, "choose from calm"),
+        ("motion: fast", InvalidInputError, "choose from paper5mm"),
+        ("options: {ecg: {colour: 1}}", InvalidInputError, "ecg.colour"),
+        ("options: {ecg: {leads: 7}}", InvalidInputError, "needed 1 or 2"),
+        ("options: {ecg: 3}", InvalidInputError, "ecg"),
+        ("options: {mismatch_mm: .nan}", InvalidInputError, "mismatch_mm"),
+        ("schema: other/1", UnreadableFileError, "schema"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, text: str, error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        from_text(tmp_path, text)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableFileError, match="cannot read"):
+        read_spec(tmp_path / "none.yaml")
+
+
+def test_print_spec_prints_yaml_and_makes_nothing(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["scenario", "--preset", "poor image", "--seed", "4", "--print-spec"])
+    assert done.exit_code == 0
+    document = yaml.safe_load(done.stdout)
+    assert document["preset"] == "poor-image"
+    assert document["seed"] == 4
+    assert document["options"]["image"]["clutter"] == 5.0
+    path = tmp_path / "spec.yaml"
+    path.write_text(done.stdout)
+    again = CliRunner().invoke(app, ["scenario", "--spec", str(path), "--print-spec", "--seed", "5"])
+    assert again.stdout == done.stdout.replace("seed: 4", "seed: 5")
+
+
+def test_without_a_folder_or_with_two_presets_it_is_a_usage_error(tmp_path: Path) -> None:
+    assert CliRunner().invoke(app, ["scenario"]).exit_code == 2
+    path = tmp_path / "spec.yaml"
+    path.write_text("preset: ectopy\n")
+    both = ["scenario", "--spec", str(path), "--preset", "calm", "-o", str(tmp_path / "out")]
+    assert CliRunner().invoke(app, both).exit_code == 2
+
+
+def test_the_folder_tells_what_is_in_it_but_nothing_planted(
+    tmp_path: Path, scenario: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(synth_module, "_on_the_phantom", lambda spec: scenario)
+    out = tmp_path / "made"
+    for _ in range(2):  # a folder of ours is replaced
+        done = CliRunner().invoke(app, ["scenario", "--preset", "probe slip", "-o", str(out)])
+        assert done.exit_code == 0, done.output
+    readme = (out / "README.md").read_text()
+    for fault in describe_faults(PRESETS["probe-slip"]):
+        assert fault in readme
+    assert scenario.truth is not None
+    assert f"{scenario.truth.lag_s:.3f}" not in readme
+    for path in out.rglob("*"):
+        if path.is_file() and path.suffix not in (".md", ".png") and "truth" not in path.parts:
+            listed = path.name in readme or any(
+                part in readme for part in ("calibration/nwire", path.name.split(".")[0])
+            )
+            assert listed, path
+    assert (out / "preview.png").read_bytes()[:4] == b"\x89PNG"
+    spec = scenario_spec(read_spec(out / "truth" / "spec.yaml"))
+    assert spec.options == PRESETS["probe-slip"]
+    assert len(read_scenario(out).ultrasound) == len(scenario.ultrasound)
+
+
+def test_notes_are_optional_and_reading_ignores_them(tmp_path: Path, scenario: Scenario) -> None:
+    write_scenario(scenario, tmp_path / "plain")
+    assert not (tmp_path / "plain" / "README.md").exists()
+    assert not (tmp_path / "plain" / "truth" / "spec.yaml").exists()
+    write_scenario(scenario, tmp_path / "plain", ScenarioNotes())
+    assert (tmp_path / "plain" / "README.md").is_file()
+    assert not (tmp_path / "plain" / "truth" / "spec.yaml").exists()

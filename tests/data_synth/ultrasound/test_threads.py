@@ -1,0 +1,70 @@
+"""The same seed gives the same bits, however many threads do the work."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+SCRIPT = """
+import concurrent.futures as futures
+import dataclasses, hashlib, sys
+
+threads, Pool = int(sys.argv[1]), futures.ThreadPoolExecutor
+futures.ThreadPoolExecutor = lambda *_: Pool(threads)
+
+import numpy as np
+import data_synth.heart.anatomy as anatomy
+from data_synth import PRESETS, ScenarioSpec, phantom_scenario
+
+# a coarse world: the same code at a fraction of the time
+anatomy.REFERENCE_SPACING_MM = 3.0
+Protocol = anatomy.MrProtocol
+anatomy.MrProtocol = lambda: Protocol(phases=4, spacing_mm=4.0)
+
+def digest(value, into):
+    if isinstance(value, np.ndarray):
+        into.update(repr((value.shape, str(value.dtype))).encode() + np.ascontiguousarray(value).tobytes())
+    elif dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            into.update(field.name.encode())
+            digest(getattr(value, field.name), into)
+    elif isinstance(value, dict):
+        digest(tuple(value.items()), into)
+    elif isinstance(value, (tuple, list)):
+        for part in value:
+            digest(part, into)
+    else:
+        into.update(repr(value).encode())
+
+total = hashlib.sha256()
+spec = ScenarioSpec("poor-image", seconds=5.0, us_rate_hz=6.0, seed=11)
+digest(phantom_scenario(spec), total)
+sys.stdout.write(total.hexdigest())
+"""
+
+
+def start_with(threads: int) -> subprocess.Popen[str]:
+    """A process that prints the SHA-256 over every array and value of a short scenario."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+    paths = os.pathsep.join([str(Path(__file__).parents[2]), *sys.path])
+    environment = {**os.environ, "PYTHONPATH": paths, **dict.fromkeys(names, str(threads))}
+    return subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, str(threads)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def digest_from(process: subprocess.Popen[str]) -> str:
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    return out
+
+
+def test_one_thread_or_two_make_the_same_scenario() -> None:
+    with start_with(1) as one, start_with(2) as two:
+        first = digest_from(one)
+        assert len(first) == 64
+        assert digest_from(two) == first

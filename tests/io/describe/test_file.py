@@ -1,0 +1,205 @@
+"""What `inspect` says of sequences and PLUS files: clocks, validity, frame trees, image maps. Pictures."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import SimpleITK
+from typer.testing import CliRunner
+
+from dvf_ig.calibration import estimate_latency
+from dvf_ig.cli.main import app
+from dvf_ig.core import (
+    InvalidInputError,
+    LatencyRecording,
+    PoseStream,
+    Trace,
+    TrackedSequence,
+    UnreadableFileError,
+)
+from dvf_ig.io import (
+    describe,
+    read_image_map,
+    write_coordinate_definitions,
+    write_latency_picture,
+    write_residual_picture,
+    write_sequence,
+)
+from dvf_ig.io.describe.sequence import clock_facts, frame_tree
+
+
+def shown(path: Path) -> str:
+    done = CliRunner().invoke(app, ["inspect", str(path)])
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def sequence(path: Path) -> Path:
+    """20 frames at 10 Hz without frame 12; the probe is lost for three of them and frozen for six."""
+    t_s = np.delete(np.arange(21) / 10.0, 12)
+    turns = np.tile(np.eye(3), (20, 1, 1))
+    shifts = np.column_stack([np.arange(20.0), np.zeros(20), np.zeros(20)])
+    shifts[10:16] = shifts[10]
+    valid = np.ones(20, bool)
+    valid[:3] = False
+    streams = [
+        PoseStream("tracker", "probe", t_s, turns, shifts, valid),
+        PoseStream("tracker", "reference", t_s, turns, 0 * shifts, np.ones(20, bool)),
+    ]
+    images = np.zeros((20, 4, 6), np.uint8)
+    write_sequence(TrackedSequence(t_s, images, np.arange(20) > 0, {s.name: s for s in streams}), path)
+    return path
+
+
+def test_facts_of_a_sequence(tmp_path: Path) -> None:
+    facts = describe(str(sequence(tmp_path / "s.igs.mha"))).facts
+    assert facts["image_size_px"] == [6, 4]
+    assert facts["invalid_image_share"] == pytest.approx(1 / 20)
+    assert facts["rate_hz"] == pytest.approx(10.0)
+    assert facts["jitter_s"] == pytest.approx(0.0, abs=1e-9)
+    assert facts["missing_frames"] == 1
+    assert facts["longest_gap_s"] == pytest.approx(0.2)
+    assert facts["transforms"]["tracker_from_probe"]["invalid_share"] == pytest.approx(3 / 20)
+    assert facts["transforms"]["tracker_from_probe"]["frozen_share"] == pytest.approx(6 / 17)
+    assert (facts["repeated_stamps"], facts["backward_stamps"]) == (0, 0)
+    assert facts["frame_tree"] == ["tracker", "├─ probe", "└─ reference"]
+
+
+def test_a_sequence_as_text(tmp_path: Path) -> None:
+    text = shown(sequence(tmp_path / "s.igs.mha"))
+    assert "10.00 frames/s for 2.00 s from 0.000 s" in text
+    assert "1 frames missing" in text
+    assert (
+        "├─ probe      tracker_from_probe: 15.0% INVALID, frozen for 35%, moves 16.0 x 0.0 x 0.0 mm" in text
+    )
+    assert "6 x 4 px, orientation MFA, 5.0% INVALID" in text
+
+
+def test_frame_tree_of_several_groups_and_rings() -> None:
+    edges = [("tracker", "probe"), ("probe", "image"), ("tracker", "stylus"), ("stylus", "stylus_tip")]
+    assert frame_tree([*edges, ("room", "table")]) == [
+        "tracker",
+        "├─ probe",
+        "│  └─ image",
+        "└─ stylus",
+        "   └─ stylus_tip",
+        "room",
+        "└─ table",
+    ]
+    ring = frame_tree([("a", "b"), ("b", "c"), ("c", "a")])
+    assert sorted(line.lstrip("│├└─ ") for line in ring) == ["a", "b", "c"]
+    assert frame_tree([]) == []
+
+
+def test_clock_of_one_stamp_and_of_jitter() -> None:
+    assert clock_facts(np.array([3.0]))["rate_hz"] is None
+    rng = np.random.default_rng(0)
+    t_s = np.arange(2000) * 0.05 + 0.002 * rng.standard_normal(2000)
+    # a step is the difference of two stamps: its SD is √2 of theirs
+    assert clock_facts(t_s)["jitter_s"] == pytest.approx(0.002 * np.sqrt(2), rel=0.06)
+
+
+def test_pixels_that_are_not_b_mode_are_described_all_the_same(tmp_path: Path) -> None:
+    image = SimpleITK.GetImageFromArray(np.zeros((3, 5, 7), np.int16))
+    for i in range(3):
+        image.SetMetaData(f"Seq_Frame{i:04d}_Timestamp", str(i / 10))
+        image.SetMetaData(f"Seq_Frame{i:04d}_ProbeToTrackerTransform", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1")
+        image.SetMetaData(f"Seq_Frame{i:04d}_ImageToProbeTransform", ".1 0 0 0 0 .1 0 0 0 0 .1 0 0 0 0 1")
+    path = tmp_path / "rf.igs.mha"
+    SimpleITK.WriteImage(image, str(path))
+    facts = describe(str(path)).facts
+    assert facts["image_size_px"] == [7, 5]
+    assert facts["pixel_type"] == "MET_SHORT"
+    assert facts["image_maps"] == ["probe_from_image"]
+    text = shown(path)
+    assert "probe_from_image: a map from pixels, not a pose" in text
+    assert "pixels MET_SHORT" in text
+
+
+def test_every_real_sequence_is_described(data_dir: Path) -> None:
+    paths = [p for p in sorted(data_dir.glob("plus-*/*.igs.m*")) if p.stat().st_size < 2_600_000]
+    assert len(paths) >= 10
+    for path in paths:
+        lines = shown(path).splitlines()
+        assert lines[2].startswith("frames")
+        assert any(line.startswith("poses") for line in lines)
+    video = describe(str(next(p for p in paths if "VideoBuffer" in p.name))).facts
+    assert video["stamp_filter_shift_s"] == pytest.approx(0.0703, abs=0.002)
+    assert video["missing_frames"] == 2
+
+
+def test_a_plus_image_calibration_is_made_orthogonal(data_dir: Path) -> None:
+    path = data_dir / "plus-fcal20-nwire" / "FreehandCalibration3NWires_fCal2.0.results.xml"
+    placed = read_image_map(path)
+    assert placed.shear_deg == pytest.approx(0.333, abs=0.001)
+    assert np.abs(placed.rigid.rotation.T @ placed.rigid.rotation - np.eye(3)).max() < 1e-12
+    assert np.allclose(placed.scale_mm_per_px, [0.0803289, 0.0744631], atol=1e-6)
+    facts = describe(str(path)).facts["transforms"]["probe_from_image"]
+    assert facts["shear_deg"] == pytest.approx(0.333, abs=0.001)
+    with pytest.raises(UnreadableFileError, match="no transform stylus_from_image; it has probe_from_image"):
+        read_image_map(path, "stylus")
+
+
+def test_an_image_calibration_beyond_a_degree_is_refused_and_told(tmp_path: Path) -> None:
+    path = tmp_path / "bad.xml"
+    matrix = np.diag([0.1, 0.1, 0.1, 1.0])
+    matrix[0, 1] = 0.1 * np.tan(np.radians(1.5))
+    write_coordinate_definitions(path, {"probe_from_image": matrix})
+    with pytest.raises(UnreadableFileError, match=r"1\.50° off orthogonal, needed at most 1"):
+        read_image_map(path)
+    assert "1.50° off orthogonal" in describe(str(path)).facts["transforms"]["probe_from_image"]["problem"]
+    matrix[0, 1] = 0.1 * np.tan(np.radians(0.9))
+    write_coordinate_definitions(path, {"probe_from_image": matrix})
+    assert read_image_map(path).shear_deg == pytest.approx(0.9, abs=1e-6)
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    data = path.read_bytes()
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+
+
+def test_residual_pictures(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    values = rng.rayleigh(0.3, 200)
+    values[:20] = 60.0
+    values[30] = np.nan
+    write_residual_picture(tmp_path / "dots.png", values, title="Tip: 0.4 mm", used=values < 3.0)
+    names = [f"#{i}" for i in range(8)]
+    write_residual_picture(
+        tmp_path / "bars.png", values[100:108], title="8 landmarks", names=names, second=values[110:118]
+    )
+    assert picture_size(tmp_path / "dots.png")[0] > 1000
+    assert picture_size(tmp_path / "bars.png")[1] > 400
+    with pytest.raises(InvalidInputError, match="no finite residual"):
+        write_residual_picture(tmp_path / "x.png", np.full(3, np.nan), title="")
+    with pytest.raises(InvalidInputError, match="2 names for 3 residuals"):
+        write_residual_picture(tmp_path / "x.png", np.ones(3), title="", names=["a", "b"])
+    with pytest.raises(InvalidInputError, match=r"does not end in \.png"):
+        write_residual_picture(tmp_path / "x.jpg", np.ones(3), title="")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bars.png", "dots.png"]
+
+
+def test_latency_picture(tmp_path: Path) -> None:
+    tracker_t, video_t = np.arange(-1.0, 19.0, 1 / 46), np.arange(0.0, 17.0, 1 / 12)
+
+    def depth(
+        t_s: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+    ) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        return np.asarray(12 * np.sin(2 * np.pi * (t_s / 1.03 + 0.2 * np.sin(0.9 * t_s))))
+
+    moved = np.column_stack([0 * tracker_t, 0 * tracker_t, depth(tracker_t)])
+    turns = np.tile(np.eye(3), (len(tracker_t), 1, 1))
+    poses = PoseStream("tracker", "probe", tracker_t, turns, moved, np.ones(len(tracker_t), bool))
+    found = estimate_latency(LatencyRecording(poses, Trace(video_t, 300 + 10 * depth(video_t - 0.05))))
+    write_latency_picture(tmp_path / "lag.png", found, title="Lag -50 ms")
+    assert picture_size(tmp_path / "lag.png")[0] > 1000
+
+
+def test_json_of_a_real_sequence_keeps_its_names(data_dir: Path) -> None:
+    path = data_dir / "plus-temporal-watertank" / "WaterTankBottomTranslationCombined.igs.mha"
+    done = CliRunner().invoke(app, ["inspect", str(path), "--json"])
+    facts = json.loads(done.stdout)
+    assert {"frames", "rate_hz", "gaps", "longest_gap_s", "transforms", "orientation"} <= set(facts)
+    assert facts["frame_tree"][0] == "tracker"

@@ -1,0 +1,115 @@
+"""The model file: exact, tamper-evident, and never another patient's by mistake."""
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dvf_ig.core import CycleTiming, DvfModel, InvalidInputError, Mesh, UnreadableFileError
+from dvf_ig.io import model_digest, read_model, write_model
+
+Same = Callable[..., None]
+
+
+def model(seed: int = 0, patient: str = "patient-1") -> DvfModel:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 5))
+    meshes = tuple(
+        Mesh("mr", rng.normal(size=(v, 3)) * 40, rng.integers(0, v, (int(rng.integers(1, 9)), 3)))
+        for v in rng.integers(3, 12, n).tolist()
+    )
+    return DvfModel(
+        patient_id=patient,
+        surface_name="EPICARDIAL",
+        frame="mr",
+        timing=CycleTiming(np.sort(rng.random(n)), 0.8288, rr_assumed=bool(seed % 2)),
+        es_fraction=0.36,
+        ed_phase=0,
+        coefficients=rng.normal(size=(n, 5, 4, 6)).astype(np.float32),
+        origin_mm=rng.normal(size=3) * 100,
+        knot_spacing_mm=3.3,
+        reference=meshes,
+        reference_caps=tuple(rng.random(len(m.triangles)) > 0.5 for m in meshes),
+        sources=("surfaces", "Zürich"),
+    )
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32))
+def test_round_trip_is_exact(tmp_path_factory: pytest.TempPathFactory, assert_same: Same, seed: int) -> None:
+    path = tmp_path_factory.mktemp("case") / "m.npz"
+    write_model(model(seed), path)
+    back = read_model(path, "patient-1")
+    assert_same(back, model(seed))
+    assert model_digest(back) == model_digest(model(seed))
+
+
+def test_digest_depends_on_content() -> None:
+    assert model_digest(model(1)) != model_digest(model(2))
+    assert model_digest(model(1)) != model_digest(model(1, "patient-2"))
+
+
+def test_same_model_same_bytes(tmp_path: Path) -> None:
+    write_model(model(1), tmp_path / "a.npz")
+    write_model(model(1), tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_plain_numpy_reads_header_and_arrays(tmp_path: Path) -> None:
+    write_model(model(3), tmp_path / "m.npz")
+    with np.load(tmp_path / "m.npz", allow_pickle=False) as archive:
+        header = json.loads(archive["header"].tobytes())
+        np.testing.assert_array_equal(archive["coefficients"], model(3).coefficients)
+    assert header["schema"] == "dvf_ig.model/1"
+    assert header["units"]["length"] == "mm"
+    assert header["patient_id"] == "patient-1"
+    assert header["sha256"] == model_digest(model(3))
+
+
+def test_another_patients_model(tmp_path: Path) -> None:
+    write_model(model(), tmp_path / "m.npz")
+    with pytest.raises(InvalidInputError, match="patient 'patient-1', needed patient 'patient-2'"):
+        read_model(tmp_path / "m.npz", "patient-2")
+
+
+def test_every_changed_byte_is_seen(tmp_path: Path) -> None:
+    write_model(model(), tmp_path / "m.npz")
+    data = bytearray((tmp_path / "m.npz").read_bytes())
+    for at in (*range(0, len(data), 41), *range(len(data) - 90, len(data))):
+        data[at] ^= 0x10
+        (tmp_path / "x.npz").write_bytes(data)
+        data[at] ^= 0x10
+        with pytest.raises(UnreadableFileError, match=r"not an intact model|not a model"):
+            read_model(tmp_path / "x.npz")
+
+
+def test_bad_files(tmp_path: Path) -> None:
+    path = tmp_path / "m.npz"
+    with pytest.raises(UnreadableFileError, match="does not exist"):
+        read_model(path)
+    for data in (b"", b"garbage", b"PK garbage"):
+        path.write_bytes(data)
+        with pytest.raises(UnreadableFileError, match="model file"):
+            read_model(path)
+    buffer = io.BytesIO()
+    np.savez(buffer, a=np.zeros(3))
+    path.write_bytes(buffer.getvalue())
+    with pytest.raises(UnreadableFileError, match="not written by dvf-ig"):
+        read_model(path)
+    write_model(model(), path)
+    path.write_bytes(path.read_bytes()[:-1000])
+    with pytest.raises(UnreadableFileError, match="truncated, changed"):
+        read_model(path)
+
+
+def test_another_schema(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("dvf_ig.io.model.SCHEMA", "dvf_ig.model/2")
+        write_model(model(), tmp_path / "m.npz")
+    with pytest.raises(UnreadableFileError, match=r"schema 'dvf_ig\.model/2'; this version reads"):
+        read_model(tmp_path / "m.npz")

@@ -1,0 +1,165 @@
+"""Gradient and curvature of the misfit against differences of the score, and closed forms of what follows."""
+
+import numpy as np
+import pytest
+from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
+
+from dvf_ig.core import FloatArray, Grid, Points, Rigid
+from dvf_ig.registration import (
+    HEART_RADIUS_MM,
+    LandmarkPrior,
+    Lc2,
+    ModelChannels,
+    PoseChart,
+    channels_from_mr,
+    distance_between,
+)
+from dvf_ig.registration.lc2.curvature import STEP_MM, Curvature, curvature_about
+from dvf_ig.registration.lc2.optimise import ClimbOptions, climb
+
+AWAY = np.array([2.0, -1.0, 1.5, 1.0, -2.0, 1.5])
+AXES = np.vstack([np.eye(3), -np.eye(3)])
+
+
+def whole_model(smoothing_mm: float) -> ModelChannels:
+    return channels_from_mr(toy_mr(), smoothing_mm=smoothing_mm)
+
+
+def cut_model(smoothing_mm: float) -> ModelChannels:
+    """The middle of the same, so that walls and blood reach its border and most of each slice lies beyond."""
+    model, low, high = whole_model(smoothing_mm), (14, 10, 16), (52, 50, 58)
+    values = model.values[:, low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+    first = model.grid.to_mm(np.array(low, dtype=np.float64))
+    shape = (high[0] - low[0], high[1] - low[1], high[2] - low[2])
+    grid = Grid.axis_aligned("mr", shape, first, model.grid.spacing_mm)
+    return ModelChannels(grid, np.ascontiguousarray(values), model.fractions)
+
+
+def metric(model: ModelChannels, speckle: float = 0.1) -> Lc2:
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=speckle)
+    return Lc2(slices, model, patch_mm=13.0, pitch_mm=3.0)
+
+
+def misfit(lc2: Lc2, pose: Rigid) -> FloatArray:
+    """(s,) Σ w(1 − S), from the score's own kernel."""
+    out = lc2.per_slice(pose)
+    return np.asarray(out[:, 1] - out[:, 0])
+
+
+@pytest.mark.parametrize(("model", "most_overlap"), [(whole_model(3.0), 1.0), (cut_model(3.0), 0.45)])
+def test_gradient_of_each_slice_is_that_of_the_score_also_beyond_the_model(
+    model: ModelChannels, most_overlap: float
+) -> None:
+    lc2, chart = metric(model), PoseChart(PoseChart(toy_pose(), CENTER_MM).pose(AWAY), CENTER_MM)
+    assert 0.35 < lc2.score(chart.base).overlap < most_overlap
+    slopes, step = lc2.slopes(chart.base, CENTER_MM), 1e-4
+    np.testing.assert_allclose(slopes.misfit, misfit(lc2, chart.base), rtol=1e-9)
+    expected = np.empty_like(slopes.gradient)
+    for i, xi in enumerate(step * np.eye(6)):
+        expected[:, i] = (misfit(lc2, chart.pose(xi)) - misfit(lc2, chart.pose(-xi))) / (2 * step)
+    # trilinear channels bend at voxel faces, which a pixel in some ten thousand crosses within such a step
+    np.testing.assert_allclose(slopes.gradient, expected, atol=1e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("model", [whole_model(3.0), cut_model(3.0)])
+def test_hessian_is_that_of_the_score(model: ModelChannels) -> None:
+    lc2 = metric(model)
+    chart = PoseChart(climb(lc2, toy_pose(), CENTER_MM, None, ClimbOptions(30, 2.0, 0.01)).pose, CENTER_MM)
+    found = curvature_about(lc2, chart)
+
+    def slope_of_score(about: Rigid) -> FloatArray:
+        local, step = PoseChart(about, CENTER_MM), 1e-4 * np.eye(6)
+        ahead, behind = ([misfit(lc2, local.pose(s * xi)).sum() for xi in step] for s in (1, -1))
+        return (np.array(ahead) - behind) / 2e-4
+
+    ends = [[slope_of_score(chart.pose(s * xi)) for xi in STEP_MM * np.eye(6)] for s in (1, -1)]
+    expected = np.subtract(*ends) / (2 * STEP_MM)
+    expected = 0.5 * (expected + expected.T)
+    np.testing.assert_allclose(found.hessian, expected, atol=2e-3 * np.abs(expected).max())
+    assert found.definite
+    np.testing.assert_array_equal(found.gradient, lc2.slopes(chart.base, CENTER_MM).gradient)
+
+
+def bowls(centers: FloatArray, weights: FloatArray, matrix: FloatArray) -> Curvature:
+    """Curvature at ξ = 0 of slices with misfits of one shape, quadratic about optima (s, 6) of their own."""
+    shares = weights / weights.sum()
+    gradient = -shares[:, None] * (centers @ matrix)
+    return Curvature(PoseChart(toy_pose(), CENTER_MM), weights, gradient, matrix)
+
+
+def spd(rng: np.random.Generator) -> FloatArray:
+    root = rng.normal(size=(6, 6))
+    return np.asarray(root @ root.T + 2.0 * np.eye(6))
+
+
+def test_a_part_wishes_for_the_optimum_it_has() -> None:
+    rng = np.random.default_rng(4)
+    wanted = np.array([[1.0, -0.5, 0.2, 0.6, -0.8, 1.2], [-0.4, 0.3, 0.9, -1.1, 0.2, 0.5]])
+    weights = np.array([3.0, 3.0, 2.0, 4.0])
+    centers = np.stack([wanted[0], wanted[0], wanted[1], wanted[1]])
+    # the whole is at its optimum where the weighted mean of the optima is nought
+    centers -= weights @ centers / weights.sum()
+    found = bowls(centers, weights, spd(rng))
+    part = np.array([True, True, False, False])
+    for chosen, center in ((part, centers[0]), (~part, centers[2])):
+        np.testing.assert_allclose(found.chart.coordinates(found.wish(chosen)), center, atol=1e-9)
+    apart = distance_between(found.chart.pose(centers[0]), found.chart.pose(centers[2]), CENTER_MM)
+    assert found.disagreement_mm(part, ~part) == pytest.approx(apart, rel=1e-9)
+    all_of_it = np.ones(4, dtype=np.bool_)
+    np.testing.assert_allclose(found.wish(all_of_it).matrix, toy_pose().matrix, atol=1e-12)
+
+
+def test_what_the_parts_have_in_common_is_no_disagreement() -> None:
+    rng = np.random.default_rng(5)
+    weights, matrix, part = rng.uniform(1, 2, 8), spd(rng), np.arange(8) % 2 == 0
+    alike = bowls(np.tile(rng.normal(size=6), (8, 1)), weights, matrix)
+    assert alike.disagreement_mm(part, ~part) < 1e-9
+    # what pulls the whole, as where landmarks hold it off its optimum, is not the part's own wish
+    np.testing.assert_allclose(alike.wish(part).matrix, toy_pose().matrix, atol=1e-9)
+
+
+def test_no_minimum_and_no_part_disagree_without_bound() -> None:
+    weights, part = np.ones(4), np.arange(4) % 2 == 0
+    saddle = bowls(np.zeros((4, 6)), weights, np.diag([1.0, 1, 1, 1, 1, -0.1]))
+    assert not saddle.definite
+    assert saddle.disagreement_mm(part, ~part) == np.inf
+    assert bowls(np.zeros((4, 6)), weights, np.eye(6)).disagreement_mm(part & ~part, part) == np.inf
+
+
+def six_landmarks(sigma_mm: float, reach_mm: float) -> LandmarkPrior:
+    """Points on the axes about the heart's centre, met exactly at the toy's pose."""
+    fixed = CENTER_MM + reach_mm * AXES
+    moving = toy_pose().inverse().apply_array(fixed)
+    return LandmarkPrior(Points("mr", fixed), Points("tracker", moving), sigma_mm)
+
+
+def test_covariance_is_that_of_the_likelihood() -> None:
+    information, weights, stiff = 90.0, np.array([1.5, 2.5]), 3.0
+    found = bowls(np.zeros((2, 6)), weights, stiff * np.eye(6))
+    # −n/2·log(1 − S) with 1 − S ∝ Σ w(1 − S): its curvature is n/2 of the misfit's over the misfit
+    variance = 2.0 * weights.sum() / (information * stiff)
+    expected = np.diag([variance / HEART_RADIUS_MM**2] * 3 + [variance] * 3)
+    np.testing.assert_allclose(found.covariance(information, None), expected, rtol=1e-12)
+
+
+def test_landmarks_alone_leave_the_covariance_of_a_point_fit() -> None:
+    sigma, reach = 1.3, 35.0
+    flat = bowls(np.zeros((2, 6)), np.ones(2), np.zeros((6, 6)))
+    assert np.isnan(flat.covariance(50.0, None)).all()
+    # six points: σ²/6 of translation; four of them at `reach` from each axis of rotation
+    expected = np.diag([sigma**2 / (4 * reach**2)] * 3 + [sigma**2 / 6] * 3)
+    found = flat.covariance(50.0, six_landmarks(sigma, reach))
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
+
+
+def test_landmarks_add_their_information_and_rescue_a_valley() -> None:
+    prior, information, weights = six_landmarks(1.0, 30.0), 60.0, np.array([2.0, 1.0])
+    matrix = spd(np.random.default_rng(6))
+    image = bowls(np.zeros((2, 6)), weights, matrix)
+    flat = bowls(np.zeros((2, 6)), weights, np.zeros((6, 6)))
+    parts = [np.linalg.inv(c) for c in (image.covariance(information, None), flat.covariance(1.0, prior))]
+    both = np.linalg.inv(image.covariance(information, prior))
+    np.testing.assert_allclose(both, parts[0] + parts[1], rtol=1e-8, atol=1e-8 * np.abs(both).max())
+    valley = bowls(np.zeros((2, 6)), weights, np.diag([1.0, 1, 1, 1, 1, -0.01]))
+    assert np.isnan(valley.covariance(information, None)).all()
+    assert np.linalg.eigvalsh(valley.covariance(information, prior)).min() > 0

@@ -1,0 +1,135 @@
+"""LC2: the kernel against its readable twin, and what the score must not depend on."""
+
+import numpy as np
+import pytest
+from numba import config
+from scipy import ndimage
+from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
+
+from dvf_ig.core import Rigid
+from dvf_ig.kernels.lc2 import RIDGE, sample_channels
+from dvf_ig.registration import Lc2, ModelChannels, SliceSet, channels_from_mr
+from dvf_ig.registration.pose_chart import PoseChart
+
+
+def lc2_twin(slices: SliceSet, model: ModelChannels, pose: Rigid, radius: int) -> tuple[float, float]:
+    """What LC2 says, spelt out: loop over patches and solve each ridge regression."""
+    score = weight = 0.0
+    rows, cols = slices.images.shape[1:]
+    for image, mask, to_mm in zip(slices.images, slices.masks, slices.frame_from_pixel, strict=True):
+        row, col = np.mgrid[:rows, :cols]
+        mm = pose.apply_array(np.stack([col, row, np.ones_like(row)], -1) @ to_mm.T)
+        index = np.moveaxis(model.grid.to_index(mm), -1, 0)
+        first, second = (
+            ndimage.map_coordinates(model.values[0, ..., c].astype(float), index, order=1, mode="nearest")
+            for c in range(2)
+        )
+        for r in range(0, rows, 2):
+            for c in range(0, cols, 2):
+                window = np.zeros_like(mask)
+                window[max(0, r - radius) : r + radius + 1, max(0, c - radius) : c + radius + 1] = True
+                window &= mask
+                if not mask[r, c] or window.sum() < 0.6 * (2 * radius + 1) ** 2:
+                    continue
+                u = image[window].astype(float)
+                design = np.column_stack([first[window], second[window]])
+                design -= design.mean(axis=0)
+                normal = design.T @ design / window.sum() + RIDGE * np.eye(2)
+                right = design.T @ (u - u.mean()) / window.sum()
+                score += u.std() * (right @ np.linalg.solve(normal, right)) / u.var()
+                weight += u.std()
+    return score, weight
+
+
+def test_kernel_equals_readable_twin() -> None:
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=5.0, speckle=0.3)
+    masks = np.random.default_rng(3).random(slices.images.shape) > 0.15
+    holed = SliceSet(
+        slices.frame,
+        np.where(masks, slices.images, 0).astype(np.float32),
+        masks,
+        slices.frame_from_pixel,
+        slices.model_phase,
+        slices.t_s,
+    ).subset(np.array([0, 5, 9]))
+    model = channels_from_mr(toy_mr(), smoothing_mm=2.0)
+    out = Lc2(holed, model, patch_mm=20.0, pitch_mm=5.0).per_slice(toy_pose())
+    score, weight = lc2_twin(holed, model, toy_pose(), radius=2)
+    assert out[:, 1].sum() == pytest.approx(weight, rel=1e-5)
+    assert out[:, 0].sum() == pytest.approx(score, rel=1e-5)
+
+
+def test_sampling_is_trilinear_inside_and_counts_the_overlap() -> None:
+    grid = np.stack(np.meshgrid(*(np.arange(8.0),) * 3, indexing="ij"), -1)
+    linear = 2 * grid[..., 0] - grid[..., 1] + 0.5 * grid[..., 2]
+    channels = np.stack([linear, -linear], -1)[None].astype(np.float32)
+    matrix = np.array([[0.5, 0.0, 0.25], [0.0, 0.5, 1.0], [0.0, 0.0, 3.5]])
+    mask = np.ones((20, 10), dtype=bool)
+    out = np.empty((20, 10, 2))
+    inside = sample_channels(channels, 0, matrix, mask, out)
+    row, col = np.mgrid[:20, :10]
+    within = 0.5 * row + 1 <= 7
+    expected = 2 * (0.5 * col + 0.25) - (0.5 * row + 1) + 0.5 * 3.5
+    np.testing.assert_allclose(out[..., 0][within], expected[within], atol=1e-4)
+    np.testing.assert_allclose(out[..., 1], -out[..., 0])
+    assert inside == within.mean()
+
+
+def _metric(slices: SliceSet) -> Lc2:
+    return Lc2(slices, channels_from_mr(toy_mr(), smoothing_mm=1.0), patch_mm=13.0, pitch_mm=3.0)
+
+
+def test_score_ignores_brightness_and_contrast_of_the_ultrasound() -> None:
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
+    brighter = SliceSet(
+        slices.frame,
+        (5.0 - 2.0 * slices.images).astype(np.float32),
+        slices.masks,
+        slices.frame_from_pixel,
+        slices.model_phase,
+        slices.t_s,
+    )
+    first, second = _metric(slices).score(toy_pose()), _metric(brighter).score(toy_pose())
+    assert abs(first.similarity - second.similarity) < 1e-5
+
+
+def test_true_pose_scores_above_displaced_ones() -> None:
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
+    metric, rng = _metric(slices), np.random.default_rng(1)
+    best = metric.score(toy_pose()).similarity
+    for _ in range(12):
+        shift = rng.normal(size=3)
+        moved = toy_pose().perturbed_left(
+            0.05 * rng.normal(size=3), 6 * shift / np.linalg.norm(shift), [0, 0, 0]
+        )
+        assert metric.score(moved).similarity < best
+
+
+def test_normal_equations_carry_the_score_and_its_gradient() -> None:
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.1)
+    metric = Lc2(slices, channels_from_mr(toy_mr(), smoothing_mm=3.0), patch_mm=13.0, pitch_mm=3.0)
+    away = PoseChart(toy_pose(), CENTER_MM).pose(np.array([2.0, -1.0, 1.5, 1.0, -2.0, 1.5]))
+    here = metric.normal_equations(away, CENTER_MM)
+    assert here.similarity == pytest.approx(metric.score(away).similarity, rel=1e-9)
+    chart, slope = PoseChart(away, CENTER_MM), np.empty(6)
+    for i, step in enumerate(0.05 * np.eye(6)):
+        ahead, behind = (metric.score(chart.pose(s)).similarity for s in (step, -step))
+        slope[i] = here.weight * (ahead - behind) / 0.1
+    # half the gradient of the weighted score; trilinear channels bend at every voxel
+    np.testing.assert_allclose(2 * here.right, slope, atol=0.04 * np.abs(slope).max())
+    assert np.linalg.eigvalsh(here.matrix).min() > 0
+
+
+@pytest.mark.parametrize("threads", [2, 5])
+def test_score_is_the_same_at_any_thread_count(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 1)
+    alone = _metric(slices).per_slice(toy_pose())
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", threads)
+    np.testing.assert_array_equal(_metric(slices).per_slice(toy_pose()), alone)
+
+
+def test_overlap_falls_to_nothing_far_away() -> None:
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
+    away = Rigid("mr", "tracker", toy_pose().rotation, toy_pose().translation_mm + 500.0)
+    assert _metric(slices).score(away).overlap == 0.0
