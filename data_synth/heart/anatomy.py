@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from data_synth.kernels import lv
 from data_synth.mr.cine import MrProtocol, cine_preop
 from data_synth.mr.stack import StackCine, StackProtocol, stack_cine, stack_grid
-from dvf_ig.core import FloatArray, IntArray, Landmarks, Points, Preop, Rigid
+from dvf_ig.core import FloatArray, IntArray, Landmarks, Points, Preop, Rigid, read_only_arrays
 
 from .anatomical_points import TOUCHABLE, heart_landmarks, with_box_grid
 from .mismatch import SmoothField, random_mismatch, tabulated_inverse
@@ -81,6 +81,7 @@ class BeatingAnatomy(Protocol):
         ...
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PhantomShapes:
     """The heart's implicit shapes and its neighbours, in frame "mr"."""
@@ -106,6 +107,7 @@ class PhantomShapes:
         return outside_layers(xyz_mm - self.center_mm, organ)
 
 
+@read_only_arrays
 @dataclass(frozen=True, eq=False)
 class PhantomAnatomy:
     """A four-chamber heart whose motion is known everywhere (see `kernels.lv` and `kernels.flow`).

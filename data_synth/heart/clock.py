@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, IntArray, InvalidInputError
+from dvf_ig.core import FloatArray, IntArray, InvalidInputError, read_only_arrays
 from dvf_ig.core.arrays import frozen_floats
 
 SYSTOLE_S_PER_BPM = 0.002
@@ -14,6 +14,7 @@ SYSTOLE_SHARE = (0.25, 0.65)
 """Systole stays within this share of the running RR interval."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class HeartClock:
     """Physiological two-segment timing of the true heart.

@@ -6,7 +6,7 @@ import numpy as np
 
 from data_synth.kernels.lookup import cubic_at
 from data_synth.kernels.waves import wave_sum
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 
 CORRELATION_MM = 30.0
 MODES = 48
@@ -14,6 +14,7 @@ TABLE_MM = 5.0
 _FIT_CELLS = 16
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothField:
     """A smooth random displacement m(x) = Σ A cos(k·x) + B sin(k·x) − t − ω×(x − c), frame "mr".
@@ -61,6 +62,7 @@ class SmoothField:
         return out
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class InverseField:
     """The inverse of a smooth field on a grid, cubic between nodes: x + displacement(x).

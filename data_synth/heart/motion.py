@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from data_synth.kernels import lookup
-from dvf_ig.core import FloatArray, IntArray, InvalidInputError
+from dvf_ig.core import FloatArray, IntArray, InvalidInputError, read_only_arrays
 
 MotionPreset = Literal["paper5mm", "physiological"]
 
@@ -56,6 +56,7 @@ class PullBack(Protocol):
         ...
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class InverseMotion:
     """χ⁻¹ on a grid, tabulated at knots: X = x + displacement(x, knot), trilinear in space, linear in knots.

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.kernels import heart_motion
-from dvf_ig.core import AnyArray, FloatArray, Rigid
+from dvf_ig.core import AnyArray, FloatArray, Rigid, read_only_arrays
 
 from .mismatch import InverseField
 from .motion import activation
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PhantomMotion:
     """χ and χ⁻¹ of the phantom in frame "mr", for any phase, without tables in between.

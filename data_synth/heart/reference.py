@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_synth.kernels import lookup
-from dvf_ig.core import FloatArray
+from dvf_ig.core import FloatArray, read_only_arrays
 
 from .fibre_orientation import muscle_grain
 from .tissue import ACOUSTICS, BLOOD, Tissue, bssfp_signal
@@ -47,6 +47,7 @@ class ReferenceShapes(Protocol):
         ...
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceMap:
     """Soft-edged tissue fields on one grid, frame "mr", end-diastole, before any mismatch.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from data_synth.kernels.lv import BASE, CAVITY_APEX, INNER, OUTER, POWER
-from dvf_ig.core import FloatArray
+from dvf_ig.core import FloatArray, read_only_arrays
 
 from .reference import Layers
 from .tissue import Tissue
@@ -76,6 +76,7 @@ def smooth_union(a: FloatArray, b: FloatArray, blend_mm: float = BLEND_MM) -> Fl
     return np.asarray(np.maximum(a, b) + overlap**2 * blend_mm / 4)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class HeartShape:
     """Sizes and places of the parts around the left ventricle, heart frame, mm."""

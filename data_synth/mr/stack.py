@@ -10,7 +10,7 @@ from data_synth.heart.clock import two_segment_phase
 from data_synth.heart.motion import PullBack
 from data_synth.heart.reference import ReferenceMap
 from data_synth.heart.respiration import DIRECTION
-from dvf_ig.core import CycleTiming, FloatArray, Grid, InvalidInputError, VolumeSeries
+from dvf_ig.core import CycleTiming, FloatArray, Grid, InvalidInputError, VolumeSeries, read_only_arrays
 
 from .cine import FWHM_PER_SIGMA, coil_shading, heart_labels, measured
 
@@ -50,6 +50,7 @@ class StackProtocol:
             )
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class StackCine:
     """One short-axis cine, and what is true of each of its k slices.

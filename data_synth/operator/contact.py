@@ -8,7 +8,7 @@ import numpy as np
 
 from data_synth.heart.clock import HeartClock
 from data_synth.surfaces.closest_triangle import signed_distances
-from dvf_ig.core import FloatArray, IntArray, InvalidInputError, ToolTruth
+from dvf_ig.core import FloatArray, IntArray, InvalidInputError, ToolTruth, read_only_arrays
 
 MAX_INTERPOLATION_ERROR_MM = 0.005
 """The cached surface is closer than this to the anatomy at every phase."""
@@ -27,6 +27,7 @@ class MovingMesh(Protocol):
     def surface_vertices(self, model_phase: float) -> FloatArray: ...
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingSurface:
     """A closed mesh at any phase of the cycle, and distances to it.

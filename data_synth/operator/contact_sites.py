@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError
+from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError, read_only_arrays
 
 from .contact import MovingSurface
 from .hand import perpendicular
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Site:
     """A place on the heart: a point of the end-diastolic surface, its outward normal, a slide direction."""

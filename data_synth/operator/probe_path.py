@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from data_synth.signals.smooth_noise import smooth_noise
 from data_synth.signals.tracker import PosePath
-from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Rigid
+from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Rigid, read_only_arrays
 
 from .hand import perpendicular, tremor
 
@@ -41,6 +41,7 @@ class SweepSpec:
     variation: float = 0.15
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class HeartOutline:
     """Smooth outline of the heart seen from its centre.
@@ -112,6 +113,7 @@ def central_view(shape: HeartOutline, window: FloatArray) -> Rigid:
     return Rigid("mr", "plane", rotation, shape.center_mm + reach * window)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ReplayedPath:
     """A recorded hand motion about its own mean pose, traversed back and forth.

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from data_synth.heart.clock import HeartClock
 from data_synth.signals.smooth_noise import smooth_noise
 from data_synth.signals.tracker import PosePath
-from dvf_ig.core import FloatArray, Points
+from dvf_ig.core import FloatArray, Points, read_only_arrays
 
 from .contact import MovingSurface
 from .contact_sites import Site
@@ -56,6 +56,7 @@ class ToolSpec:
     retreat_s: float = 1.5
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TipPath:
     """The tip's motion in frame "mr": a spline through knots plus tremor; `t_s` (n,), `xyz_mm` (n, 3)."""

@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from data_synth.signals.tracker import TrackerSpec, tracked
 from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.core import Fan, FloatArray, ImageMap, PoseStream, Rigid, TrackedSequence
+from dvf_ig.core import Fan, FloatArray, ImageMap, PoseStream, Rigid, TrackedSequence, read_only_arrays
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TankRecording:
     """What was recorded of one phantom.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from data_synth.ultrasound.beam import receive_gain
 from data_synth.ultrasound.probe import FWHM_PER_SIGMA, SectorProbe
 from data_synth.ultrasound.scan_conversion import ScanConverter
-from dvf_ig.core import FloatArray, Rigid, Wire
+from dvf_ig.core import FloatArray, Rigid, Wire, read_only_arrays
 
 PIECE_MM = 0.4
 """Length of the pieces of wire that echo independently: nylon is rough."""
@@ -27,6 +27,7 @@ WALL_LINES = 8
 _REACH = 3.0
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Echoes:
     """Point reflectors in frame "plane": (n, 3) mm and (n,) complex amplitude re myocardium."""

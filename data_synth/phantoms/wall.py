@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, Rigid
+from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, Rigid, read_only_arrays
 
 from .tank import (
     TankRecording,
@@ -47,6 +47,7 @@ class WallSpec:
             )
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Wall:
     """The recording (two points of the line in each image), and the wall in frame "tracker".

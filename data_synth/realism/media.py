@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 from data_synth.heart.fibre_orientation import no_grain
 from data_synth.heart.reference import CHANNELS, ReferenceMap
 from data_synth.heart.tissue import ACOUSTICS, BLOOD, Tissue
-from dvf_ig.core import FloatArray
+from dvf_ig.core import FloatArray, read_only_arrays
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RigidShift:
     """Everything has moved rigidly: x = R X + shift, at every phase but 0."""

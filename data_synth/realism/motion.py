@@ -10,7 +10,7 @@ from data_synth.heart.tissue import Tissue
 from data_synth.ultrasound.probe import SectorProbe
 from data_synth.ultrasound.sequence import simulate_frame
 from data_synth.ultrasound.views import standard_view
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 
 from .gates import STANDARD, Gate
 from .media import medium
@@ -26,6 +26,7 @@ AXIAL_MM, LATERAL_MM = 0.15, 0.3
 """Bounds of the median errors: a third of the pulse, a sixth of the beam at the focus."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
     """Blocks followed from one image to the next, plane frame, mm.

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_synth.operator.hand import minimum_jerk
-from dvf_ig.core import FloatArray, InvalidInputError, Rigid
+from dvf_ig.core import FloatArray, InvalidInputError, Rigid, read_only_arrays
 
 STEP_S = 0.02
 """Longest step of the truth while a pose is changing."""
@@ -45,6 +45,7 @@ class Displacement:
         return self.shift_mm > 0 or self.turn_deg > 0
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class DisplacedPose:
     """target_from_source over time: `before`, then turned and moved on the target's side.

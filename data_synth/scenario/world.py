@@ -12,7 +12,7 @@ from data_synth.operator.contact import MovingSurface
 from data_synth.operator.probe_path import HeartOutline, acoustic_window
 from data_synth.seeds import child_rng
 from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.core import FloatArray, ImageMap
+from dvf_ig.core import FloatArray, ImageMap, read_only_arrays
 
 from .displacement import DisplacedPose, Displacement, displaced
 from .ground_truth import Planted, plant
@@ -22,6 +22,7 @@ ANTERIOR_LEFT = np.array([0.52, -0.83, -0.20])
 """Preferred acoustic window in LPS: from the left front, slightly below."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
     """One synthetic operating room.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, InvalidInputError
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, read_only_arrays
 
 SHORTEST_RR_S = 0.24
 
@@ -41,6 +41,7 @@ class RhythmSpec:
                 raise InvalidInputError(f"heart rate is {rate:g}/min; needed 25 to 220")
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Beats:
     """R peaks with what kind of beat each is.

@@ -16,7 +16,16 @@ from data_synth.heart.reference import Layers, ReferenceMap, build_reference, ti
 from data_synth.heart.shapes import outside_layers
 from data_synth.heart.tissue import Tissue
 from data_synth.kernels import distance
-from dvf_ig.core import FloatArray, IntArray, InvalidInputError, Landmarks, Points, Preop, SurfaceSeries
+from dvf_ig.core import (
+    FloatArray,
+    IntArray,
+    InvalidInputError,
+    Landmarks,
+    Points,
+    Preop,
+    SurfaceSeries,
+    read_only_arrays,
+)
 from dvf_ig.core.mesh import enclosed_volume_mm3
 
 from .closing import ClosedSeries, closed_series, refined
@@ -27,6 +36,7 @@ MIN_VERTICES = 8000
 _BAND_MM = {EPICARDIAL: 14.0, LV: 6.0, RV: 6.0}
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthGrid:
     """Signed distance to a closed surface, positive inside, clipped to its band; linear between nodes."""
@@ -60,6 +70,7 @@ def depth_grid(
     return DepthGrid(values.astype(np.float32), np.array(box_mm[0]), spacing_mm)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceShapes:
     """Tissues at end-diastole bounded by real surfaces, frame "mr"."""

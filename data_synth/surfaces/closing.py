@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, IntArray, InvalidInputError, SurfaceSeries
+from dvf_ig.core import FloatArray, IntArray, InvalidInputError, SurfaceSeries, read_only_arrays
 from dvf_ig.core.mesh import enclosed_volume_mm3
 
 WELD_MM = 1e-6
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedSeries:
     """A watertight surface over the cycle.

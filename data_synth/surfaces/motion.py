@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from data_synth.heart.mismatch import InverseField
 from data_synth.heart.motion import InverseMotion
 from data_synth.kernels import distance, lookup
-from dvf_ig.core import CycleTiming, FloatArray, IntArray
+from dvf_ig.core import CycleTiming, FloatArray, IntArray, read_only_arrays
 
 NODE_MM = 3.5
 CONTROL_MM = 3.5
@@ -23,6 +23,7 @@ MODE_TOLERANCE_MM = 0.03
 _THREADS = 2
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class GriddedMotion:
     """x = X + u(X, phase): u trilinear on a grid, linear between knots at i/k of the cycle.

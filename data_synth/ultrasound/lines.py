@@ -11,7 +11,7 @@ from data_synth.heart.fibre_orientation import STRIDE
 from data_synth.heart.motion import PullBack
 from data_synth.heart.reference import ReferenceMap
 from data_synth.kernels import receive, sector
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.core.frames import require_same_frame
 
 from . import beam
@@ -31,6 +31,7 @@ class Insonified(Protocol):
     def inverse_motion(self) -> PullBack: ...
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamTables:
     """Tables that depend on the probe alone.

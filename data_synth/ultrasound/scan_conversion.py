@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_synth.kernels import scan
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +59,7 @@ class PixelGrid:
     apex_px: tuple[float, float]
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanConverter:
     """The lookup from pixels to lines and samples, made once for a geometry.

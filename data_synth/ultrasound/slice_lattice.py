@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray
+from dvf_ig.core import FloatArray, read_only_arrays
 
 from .beam import LATTICE_MM
 from .probe import SectorProbe
@@ -19,6 +19,7 @@ _COUNT = 24
 """Orientations over the half sphere; a slice is never more than some 20° from one."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
     """Attributes:

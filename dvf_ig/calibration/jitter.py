@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from dvf_ig.core import FloatArray, InvalidInputError, PoseStream
+from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, read_only_arrays
 
 RATE_REACH, RATES = 0.12, 73
 """Rates tried around one over the median step, which jitter of a fifth of a period moves as far."""
@@ -112,6 +112,7 @@ def _frame_numbers(stamp_s: FloatArray) -> FloatArray:
     return np.asarray(count + dropped)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class FilteredStamps:
     """Stamps after the filter.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray
+from dvf_ig.core import BoolArray, FloatArray, read_only_arrays
 
 MAX_RR_DEVIATION = 0.2
 """A beat is regular when its RR is within this share of the median of its neighbourhood."""
@@ -12,6 +12,7 @@ NEIGHBOURS = 4
 """Beats on each side that make the neighbourhood."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BeatPhase:
     """Attributes:

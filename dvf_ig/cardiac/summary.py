@@ -5,13 +5,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, PhaseState, PhaseTrack
+from dvf_ig.core import FloatArray, InvalidInputError, PhaseState, PhaseTrack, read_only_arrays
 
 from .rpeak import RPeak
 
 FEWEST_BEATS = 5
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class GateSummary:
     """Attributes:

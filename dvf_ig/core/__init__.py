@@ -4,6 +4,7 @@ from .arrays import AnyArray as AnyArray
 from .arrays import BoolArray as BoolArray
 from .arrays import FloatArray as FloatArray
 from .arrays import IntArray as IntArray
+from .arrays import read_only_arrays as read_only_arrays
 from .cycle import CycleTiming as CycleTiming
 from .errors import DvfIgError as DvfIgError
 from .errors import FrameMismatchError as FrameMismatchError

@@ -1,6 +1,9 @@
 """Read-only arrays that a value owns: copied once, validated once."""
 
-from typing import Any
+from collections.abc import Callable
+from dataclasses import fields
+from functools import wraps
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +14,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 AnyArray = NDArray[Any]
+T = TypeVar("T")
 
 
 def frozen_floats(
@@ -51,3 +55,43 @@ def check_shape(array: AnyArray, name: str, shape: tuple[int | None, ...]) -> No
     if not fits:
         needed = "(" + ", ".join("n" if want is None else str(want) for want in shape) + ")"
         raise InvalidInputError(f"{name} has shape {array.shape}; needed {needed}")
+
+
+def read_only_arrays(cls: type[T]) -> type[T]:
+    """Class decorator of a frozen dataclass: the arrays that an instance holds cannot be written to.
+
+    A writable array given at construction is copied once, so that its owner cannot change the value either; a
+    read-only one is shared. The same holds for arrays in a tuple or a dict, and after unpickling. It stands
+    above `@dataclass`.
+    """
+    names = [f.name for f in fields(cls)]  # type: ignore[arg-type]
+    for method in ("__init__", "__setstate__"):
+        if hasattr(cls, method):
+            setattr(cls, method, _then_protect(getattr(cls, method), names))
+    return cls
+
+
+def _then_protect(method: Callable[..., None], names: list[str]) -> Callable[..., None]:
+    @wraps(method)
+    def protecting(self: object, *args: Any, **kwargs: Any) -> None:
+        method(self, *args, **kwargs)
+        for name in names:
+            given = getattr(self, name)
+            kept = _protected(given)
+            if kept is not given:
+                object.__setattr__(self, name, kept)
+
+    return protecting
+
+
+def _protected(value: Any) -> Any:
+    if isinstance(value, np.ndarray) and value.flags.writeable:
+        copy = value.copy(order="K")
+        copy.setflags(write=False)
+        return copy
+    if isinstance(value, tuple) and any(isinstance(v, np.ndarray) for v in value):
+        kept = [_protected(v) for v in value]
+        return type(value)(*kept) if hasattr(value, "_fields") else tuple(kept)
+    if isinstance(value, dict) and any(isinstance(v, np.ndarray) for v in value.values()):
+        return {k: _protected(v) for k, v in value.items()}
+    return value

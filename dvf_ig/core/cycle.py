@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import FloatArray, frozen_floats
+from .arrays import FloatArray, frozen_floats, read_only_arrays
 from .errors import InvalidInputError
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class CycleTiming:
     """Phase times of a cyclic series.

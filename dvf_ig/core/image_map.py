@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import FloatArray, frozen_floats
+from .arrays import FloatArray, frozen_floats, read_only_arrays
 from .errors import InvalidInputError
 from .points import Points
 from .rigid import Rigid, nearest_rotation
@@ -13,6 +13,7 @@ from .rigid import Rigid, nearest_rotation
 MAX_SHEAR_DEG = 1.0
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageMap:
     """sensor_from_image = rigid · diag(sx, sy, 1): pixel (column, row) to mm at the sensor.

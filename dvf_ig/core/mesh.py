@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray, IntArray, frozen, frozen_floats
+from .arrays import BoolArray, FloatArray, IntArray, frozen, frozen_floats, read_only_arrays
 from .cycle import CycleTiming
 from .errors import InvalidInputError
 from .frames import check_frame
@@ -13,6 +13,7 @@ LV_CAVITY = "LV_ENDOCARDIAL"
 """Name of the series whose volume tells end-diastole from end-systole."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
     """Triangles in one frame; counter-clockwise seen from outside.
@@ -38,6 +39,7 @@ class Mesh:
         return enclosed_volume_mm3(self.vertices_mm, self.triangles)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSeries:
     """One surface that keeps its vertices through the cycle.

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import BoolArray, FloatArray, frozen, frozen_floats
+from .arrays import BoolArray, FloatArray, frozen, frozen_floats, read_only_arrays
 from .cycle import CycleTiming
 from .errors import InvalidInputError
 from .frames import check_frame
 from .mesh import Mesh
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class DvfModel:
     """Signed distance d(q, phase i) = Σ p_ijk B(x) B(y) B(z), cubic (Ren 2008, eq. 1); d > 0 inside.

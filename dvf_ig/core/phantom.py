@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 
-from .arrays import FloatArray, frozen_floats
+from .arrays import FloatArray, frozen_floats, read_only_arrays
 from .errors import InvalidInputError
 from .stream import PoseStream
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Wire:
     """A straight wire between two points of the phantom, (3,) mm each."""
@@ -31,6 +32,7 @@ class NWirePhantom:
         return tuple(wire for pattern in self.patterns for wire in pattern)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class NWireRecording:
     """Wire crossings seen in tracked images of an N-wire phantom.

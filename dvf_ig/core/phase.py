@@ -5,7 +5,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray, IntArray, frozen, frozen_floats
+from .arrays import BoolArray, FloatArray, IntArray, frozen, frozen_floats, read_only_arrays
 from .errors import InvalidInputError
 
 
@@ -19,6 +19,7 @@ class PhaseState(IntEnum):
     IRREGULAR = 4
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PhaseTrack:
     """Phase as it was known at each time, from the past alone.

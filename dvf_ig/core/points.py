@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 
-from .arrays import FloatArray, frozen_floats
+from .arrays import FloatArray, frozen_floats, read_only_arrays
 from .errors import InvalidInputError
 from .frames import check_frame
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
     """(n, 3) positions in mm in one frame."""

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .arrays import FloatArray, frozen_floats
+from .arrays import FloatArray, frozen_floats, read_only_arrays
 from .errors import FrameMismatchError, InvalidInputError
 from .frames import check_frame, require_same_frame
 from .points import Points
@@ -15,6 +15,7 @@ RIGID_TOLERANCE = 1e-3
 """Largest accepted |RᵀR − I| and |det R − 1| of an imported matrix (theory: safety, shear/scale)."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Rigid:
     """target_from_source: p_target = rotation @ p_source + translation_mm.

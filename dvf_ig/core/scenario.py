@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from .arrays import FloatArray, frozen_floats
+from .arrays import FloatArray, frozen_floats, read_only_arrays
 from .image_map import ImageMap
 from .mesh import SurfaceSeries
 from .phantom import NWireRecording
@@ -47,6 +47,7 @@ class LatencyRecording:
     wall_row_px: Trace
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolTruth:
     """What the tool tip truly met, sampled on the tracker clock.
@@ -80,6 +81,7 @@ class ToolTruth:
             object.__setattr__(self, name, frozen_floats(getattr(self, name), f"truth {name}", shape))
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ScenarioTruth:
     """Everything planted. A replay reads it only to score what it has already estimated.

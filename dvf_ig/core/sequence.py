@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import BoolArray, FloatArray, frozen, frozen_floats
+from .arrays import BoolArray, FloatArray, frozen, frozen_floats, read_only_arrays
 from .errors import InvalidInputError
 from .stream import PoseStream
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Fan:
     """The insonified sector in pixels of the B-mode image, as the scanner's geometry gives it.
@@ -41,6 +42,7 @@ class Fan:
         return np.asarray(inside & (np.abs(angle) <= self.half_angle_rad))
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedSequence:
     """Image frames with time stamps and the poses recorded with them.

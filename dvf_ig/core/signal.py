@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import FloatArray, frozen_floats
+from .arrays import FloatArray, frozen_floats, read_only_arrays
 from .errors import InvalidInputError
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Signal:
     """A uniformly sampled recording, one column a lead.
@@ -57,6 +58,7 @@ class Signal:
         )
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
     """One scalar against its own, possibly uneven, time stamps: (n,) each, time strictly increasing."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .arrays import BoolArray, FloatArray, frozen, frozen_floats
+from .arrays import BoolArray, FloatArray, frozen, frozen_floats, read_only_arrays
 from .errors import InvalidInputError
 from .frames import check_frame
 from .rigid import Rigid
@@ -14,6 +14,7 @@ MAX_GAP_S = 0.25
 """Longest gap between valid samples that is interpolated over."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseStream:
     """target_from_source over time.

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import AnyArray, FloatArray, frozen_floats
+from .arrays import AnyArray, FloatArray, frozen_floats, read_only_arrays
 from .cycle import CycleTiming
 from .errors import InvalidInputError
 from .frames import check_frame
 from .rigid import rigidity_defect
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Grid:
     """Where the voxels of an image lie.
@@ -74,6 +75,7 @@ class Grid:
         return cls(frame, shape, origin_mm, np.broadcast_to(spacing_mm, 3), np.eye(3))
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Volume:
     """One 3-D image: `values` (nx, ny, nz) on `grid`."""
@@ -85,6 +87,7 @@ class Volume:
         object.__setattr__(self, "values", _owned(self.values, self.grid.shape, "volume"))
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class VolumeSeries:
     """A cyclic 4-D image: `values` (n, nx, ny, nz) on one grid, with its phase times."""

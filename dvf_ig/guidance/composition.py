@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.core.arrays import frozen_floats
 
 CONFLICT_SHARE = 0.25
@@ -17,6 +17,7 @@ FELT_SHARE = 0.1
 """Forces below this share of the cap are in conflict with nothing."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Contribution:
     """What one fixture asks for.
@@ -47,6 +48,7 @@ class Contribution:
         return min(1.0, float(np.linalg.norm(self.force_n)) / self.cap_n)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Composed:
     """One force and what it cost.

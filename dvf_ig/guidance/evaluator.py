@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError
+from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError, read_only_arrays
 from dvf_ig.core.arrays import check_shape
 from dvf_ig.kernels.dynamic import force_batch, packed_fixture
 
@@ -17,6 +17,7 @@ from .periodic import periodic_coefficients, periodic_powers
 from .status import Status
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceSamples:
     """What the fixture answers at n points; vectors are in the frame in which the points were given.

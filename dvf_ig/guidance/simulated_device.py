@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.core.arrays import frozen_floats
 from dvf_ig.kernels.device import advance
 
@@ -13,6 +13,7 @@ from .device import DeviceLimits
 from .feed_forward import NO_FEED_FORWARD, FeedForward
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceState:
     """Where the stylus tip is and how it moves.

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import CycleTiming, FloatArray, InvalidInputError
+from dvf_ig.core import CycleTiming, FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.core.arrays import check_shape, frozen_floats
 from dvf_ig.core.frames import check_frame
 
@@ -19,6 +19,7 @@ CORNER_MM = 0.5
 """Where several parts of a path are as near as this to being the nearest, their directions are blended."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PathTarget:
     """A polyline, still or moving with the heart; two points make a line.

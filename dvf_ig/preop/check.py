@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, DvfModel, FloatArray, IntArray, InvalidInputError, Mesh
+from dvf_ig.core import BoolArray, DvfModel, FloatArray, IntArray, InvalidInputError, Mesh, read_only_arrays
 from dvf_ig.preop.distance.triangle_tree import build_triangle_tree
 from dvf_ig.preop.spline.field import SplineField
 from dvf_ig.preop.surface.closing import triangle_areas_mm2
@@ -19,6 +19,7 @@ MIN_OFFSET_MM = 0.05
 """Nearer to the surface the exact distance has no direction but its facet's."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PhaseErrors:
     """What one phase of a model gets wrong, at random points.
@@ -39,6 +40,7 @@ class PhaseErrors:
     normal_points_mm: FloatArray
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelCheck:
     """Errors of a model against its reference surfaces; see PhaseErrors for what each one is.

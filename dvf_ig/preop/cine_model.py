@@ -13,6 +13,7 @@ from dvf_ig.core import (
     SurfaceSeries,
     Volume,
     VolumeSeries,
+    read_only_arrays,
 )
 from dvf_ig.preop.motion.cavity import cavity_volumes_mm3
 from dvf_ig.preop.motion.cycle import CycleMotion, MotionOptions, carry_surface, track_cycle
@@ -45,6 +46,7 @@ class CineOptions:
     model: ModelOptions = field(default_factory=ModelOptions)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class CineModel:
     """A model with everything it rests on.

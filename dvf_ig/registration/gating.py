@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, IntArray
+from dvf_ig.core import BoolArray, FloatArray, IntArray, read_only_arrays
 
 PHASE_WINDOW = 0.02
 """Largest distance, in fractions of the cycle, between a frame and the model phase it is compared with."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Gated:
     """Frames kept, and how many were turned away for each reason.

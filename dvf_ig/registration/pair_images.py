@@ -6,7 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dvf_ig.core import AnyArray, BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Rigid, Volume
+from dvf_ig.core import (
+    AnyArray,
+    BoolArray,
+    FloatArray,
+    Grid,
+    IntArray,
+    InvalidInputError,
+    Rigid,
+    Volume,
+    read_only_arrays,
+)
 from dvf_ig.registration.lc2.slices import SliceSet, slices_of_volume
 
 PLANES = 14
@@ -19,6 +29,7 @@ _VOXELS_PER_PITCH = 1.25
 """The anatomy is averaged down to this many voxels a pitch where it is finer."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class FanVolume:
     """A 3-D ultrasound image at one isotropic pitch.

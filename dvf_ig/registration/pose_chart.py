@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 
 HEART_RADIUS_MM = 40.0
 """Turns rad into mm, so that rotation and translation steps move the heart equally."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseChart:
     """Six coordinates about a pose; see the module docstring."""

@@ -13,7 +13,7 @@ from time import perf_counter
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid, Stop
+from dvf_ig.core import FloatArray, Rigid, Stop, read_only_arrays
 from dvf_ig.registration.boundary.fit import Edges, edge_starts, fit_edges
 from dvf_ig.registration.evidence.checks import (
     TRACKED_LIMITS,
@@ -86,6 +86,7 @@ class Level:
     pitch_mm: float
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RegistrationResult:
     """A pose with its evidence. `stop.usable` says whether it may guide.

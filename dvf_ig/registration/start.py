@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, Landmarks, Points, Rigid
+from dvf_ig.core import FloatArray, InvalidInputError, Landmarks, Points, Rigid, read_only_arrays
 from dvf_ig.core.paired import fit_paired_points
 
 from .pose_chart import HEART_RADIUS_MM
@@ -14,6 +14,7 @@ LEAST_SIGMA_MM = 0.5
 """A stylus on a beating heart is never better than this per coordinate."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkStart:
     """mr_from_tracker from paired landmarks, with the residual of each in mm (FRE, not an accuracy)."""

@@ -25,6 +25,7 @@ from dvf_ig.core import (
     Rigid,
     Scenario,
     Stop,
+    read_only_arrays,
 )
 from dvf_ig.guidance import Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Status
 from dvf_ig.registration import RegistrationResult
@@ -41,6 +42,7 @@ from .ticks import TipTrack, predict_tip
 RATE_HZ = 1000.0
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
     """Everything a replay estimated. Arrays have one row a tick.

@@ -17,6 +17,7 @@ from dvf_ig.core import (
     NoOverlapError,
     Rigid,
     Scenario,
+    read_only_arrays,
 )
 from dvf_ig.registration import (
     PHASE_WINDOW,
@@ -48,6 +49,7 @@ MIN_SLICES = 16
 STARTS = RegistrationOptions().starts
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
     """Ultrasound frames that can be compared with the model at one moment.

@@ -15,6 +15,7 @@ from dvf_ig.core import (
     Preop,
     SurfaceSeries,
     VolumeSeries,
+    read_only_arrays,
 )
 from dvf_ig.preop import close_surface, model_from_labels, model_from_surfaces, rasterise
 from dvf_ig.registration import (
@@ -45,6 +46,7 @@ LABEL_EDGE_SHARE = 0.8
 on label maps 1.7 to 3.7 mm."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Heart:
     """Attributes:

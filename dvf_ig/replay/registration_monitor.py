@@ -11,7 +11,7 @@ explains the views of several beats.
 
 from dataclasses import dataclass, replace
 
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration import BeatLook, Belief, distance_between
 
 LANDMARKS_MM = 4.0
@@ -39,6 +39,7 @@ def disagreeing_landmarks(pose: Rigid, landmarks: Rigid | None, center_mm: Float
     )
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Trust:
     """What the next beat and the next registration are held against.

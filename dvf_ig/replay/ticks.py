@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, PoseStream
+from dvf_ig.core import BoolArray, FloatArray, PoseStream, read_only_arrays
 
 MAX_AGE_S = 0.050
 MAX_AGE_FRAMES = 2.5
@@ -12,6 +12,7 @@ VELOCITY_SPAN_S = 0.030
 """Velocity is the tip's displacement over about this long: three frames at 100 Hz."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TipTrack:
     """Attributes:

@@ -1,5 +1,7 @@
 """Known-transform recovery on the toy heart, its evidence, and what must be refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -31,7 +33,7 @@ def _levels(speckle: float, *, matching: bool = True) -> tuple[Level, Level]:
         slices = toy_slices(mr, pose, np.random.default_rng(50), pitch_mm=pitch, speckle=speckle)
         if not matching:
             noise = np.random.default_rng(9).random(slices.images.shape).astype(np.float32)
-            slices.images[:] = noise
+            slices = replace(slices, images=noise)
         out.append(Level(slices, channels_from_mr(mr, smoothing_mm=pitch / 1.5), pitch))
     return out[0], out[1]
 

@@ -19,6 +19,7 @@ from dvf_ig.core import (
     PoseStream,
     QualityGateError,
     Rigid,
+    read_only_arrays,
 )
 from dvf_ig.core.rigid import nearest_rotation
 
@@ -58,6 +59,7 @@ class HandEyeOptions:
     min_inlier_share: float = 0.5
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class HandEyeResult:
     """A camera's place on the hand, with its evidence.

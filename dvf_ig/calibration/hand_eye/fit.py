@@ -7,9 +7,10 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import FloatArray
+from dvf_ig.core import FloatArray, read_only_arrays
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
     """Paired poses: base_from_hand and camera_from_target, (n, 3, 3) and (n, 3) mm each."""
@@ -75,6 +76,7 @@ class Chain:
         return Rotation.from_matrix(turn).as_rotvec(), shift
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainFit:
     """(4, 4) hand_from_camera and base_from_target, and the (6, 6) covariance of the first (rad², mm²)."""

@@ -13,6 +13,7 @@ from dvf_ig.core import (
     Points,
     PoseStream,
     QualityGateError,
+    read_only_arrays,
 )
 
 KEEP_SIGMA = 3.0
@@ -37,6 +38,7 @@ class DwellOptions:
     keep_medians: float = 2.5
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Dwells:
     """Places where a tip rested.
@@ -55,6 +57,7 @@ class Dwells:
     spread_mm: FloatArray
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TipCheck:
     """Whether a stylus turned about the tip it was said to have.

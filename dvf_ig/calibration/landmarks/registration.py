@@ -6,7 +6,15 @@ from math import comb
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, Points, QualityGateError, Rigid, require_same_frame
+from dvf_ig.core import (
+    FloatArray,
+    InvalidInputError,
+    Points,
+    QualityGateError,
+    Rigid,
+    read_only_arrays,
+    require_same_frame,
+)
 from dvf_ig.core.paired import fit_paired_points
 
 from .dwells import Dwells
@@ -19,6 +27,7 @@ AMBIGUOUS_RATIO, AMBIGUOUS_MM = 3.0, 1.0
 """Landmarks are ambiguous where the RMS of another pairing is within this factor of theirs, or below this."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkResult:
     """A rigid map with the evidence of its landmarks.

@@ -7,7 +7,15 @@ from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.calibration.probe.nwire_geometry import MEDIAN_NORM_PER_SIGMA
-from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, Points, PoseStream, QualityGateError
+from dvf_ig.core import (
+    BoolArray,
+    FloatArray,
+    InvalidInputError,
+    Points,
+    PoseStream,
+    QualityGateError,
+    read_only_arrays,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +41,7 @@ class PivotOptions:
     max_rms_mm: float = 2.0
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PivotResult:
     """A tool tip with its evidence.

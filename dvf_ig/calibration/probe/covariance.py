@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student_t
 
-from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, QualityGateError
+from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, QualityGateError, read_only_arrays
 
 from .map_parameters import MapParameters
 
@@ -32,6 +32,7 @@ SHOWN_NAMES = {
 }
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class MapUncertainty:
     """Spread of an image calibration about its estimate.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import FloatArray, ImageMap, Rigid
+from dvf_ig.core import FloatArray, ImageMap, Rigid, read_only_arrays
 
 PARAMETERS = (
     "about_lateral_rad",
@@ -24,6 +24,7 @@ PARAMETERS = (
 """Names and units, in order; with one pixel size for both directions the last two are one."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class MapParameters:
     """Steps away from `estimate`.

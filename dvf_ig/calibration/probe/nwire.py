@@ -5,7 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from dvf_ig.core import BoolArray, FloatArray, ImageMap, InvalidInputError, NWireRecording, QualityGateError
+from dvf_ig.core import (
+    BoolArray,
+    FloatArray,
+    ImageMap,
+    InvalidInputError,
+    NWireRecording,
+    QualityGateError,
+    read_only_arrays,
+)
 
 from .covariance import MapUncertainty
 from .nwire_geometry import (
@@ -54,6 +62,7 @@ class ProbeOptions:
     max_edge_sd_mm: float = 1.0
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbeResult:
     """An image calibration with its evidence.
@@ -103,6 +112,7 @@ def calibrate_probe(
     return calibrate_agreed(recording, agree_on_frames(recording, rng, options), options)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class AgreedFrames:
     """The usable frames of a recording, and which of them agree with one free linear map.

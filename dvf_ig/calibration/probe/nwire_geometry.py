@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.calibration.error_summary import summarise
-from dvf_ig.core import FloatArray, InvalidInputError, NWirePhantom, NWireRecording, Wire
+from dvf_ig.core import FloatArray, InvalidInputError, NWirePhantom, NWireRecording, Wire, read_only_arrays
 
 MEDIAN_NORM_PER_SIGMA = 1.5382
 """Median length of a 3-D Gaussian residual over its per-coordinate sigma (Maxwell distribution)."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class NWireFrames:
     """The usable frames of a recording as plain arrays.
@@ -44,6 +45,7 @@ class NWireFrames:
         )
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class WireErrors:
     """How well an image map puts the wires where the phantom has them.

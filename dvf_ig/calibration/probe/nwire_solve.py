@@ -12,6 +12,7 @@ from dvf_ig.core import (
     NotConvergedError,
     NWirePhantom,
     QualityGateError,
+    read_only_arrays,
 )
 
 from .covariance import MapUncertainty, piece_jackknife
@@ -41,6 +42,7 @@ class MiddleWires:
         return slope.reshape(len(slope), -1, parameters.count)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class AllWires:
     """In-plane misses of every wire's dot over the noise along columns and rows; (f, 2·wires) a frame."""

@@ -6,7 +6,15 @@ from typing import Generic, Protocol, Self, TypeVar
 import numpy as np
 from scipy.stats import chi2
 
-from dvf_ig.core import BoolArray, FloatArray, ImageMap, InvalidInputError, PoseStream, QualityGateError
+from dvf_ig.core import (
+    BoolArray,
+    FloatArray,
+    ImageMap,
+    InvalidInputError,
+    PoseStream,
+    QualityGateError,
+    read_only_arrays,
+)
 
 from .covariance import MapUncertainty, piece_jackknife, refuse_unconstrained
 from .map_parameters import MapParameters
@@ -61,6 +69,7 @@ class TargetOptions:
             raise InvalidInputError(f"{self.hypotheses} subsets of frames are tried; needed at least 1")
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbeTargetResult(Generic[T]):
     """An image calibration from a fixed target, with its evidence.

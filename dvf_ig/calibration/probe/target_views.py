@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.calibration.error_summary import summarise
-from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, PoseStream
+from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, PoseStream, read_only_arrays
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Views:
     """Frames that show the target, as plain arrays.
@@ -52,6 +53,7 @@ class Views:
         return np.asarray(np.einsum("fij,fkj->fki", self.rotations, at_probe) + self.translations_mm[:, None])
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetErrors:
     """How far a calibration puts the target's points from the target.

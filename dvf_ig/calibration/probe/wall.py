@@ -6,7 +6,14 @@ from typing import Self
 import numpy as np
 from numpy.random import Generator
 
-from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, PoseStream, QualityGateError
+from dvf_ig.core import (
+    FloatArray,
+    ImageMap,
+    InvalidInputError,
+    PoseStream,
+    QualityGateError,
+    read_only_arrays,
+)
 
 from .target_fit import Fit, ProbeTargetResult, TargetOptions, agreeing, finished
 from .target_start import best_start, centred_pixels, map_from_solution
@@ -31,6 +38,7 @@ ADVICE = {
 """Which motion determines which parameter."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneTarget:
     """A plane in the poses' target frame; the misses are the signed distances of the line's two points.

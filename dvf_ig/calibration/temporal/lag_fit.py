@@ -6,12 +6,13 @@ from itertools import pairwise
 import numpy as np
 from scipy.stats import t as student_t
 
-from dvf_ig.core import BoolArray, FloatArray
+from dvf_ig.core import BoolArray, FloatArray, read_only_arrays
 
 _HALF_STEP_S = 0.01
 """Half width of the difference that gives a velocity: about half a tracker sample."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Motions:
     """The tracker's principal motion (mm) and the row (px), each on its own clock."""

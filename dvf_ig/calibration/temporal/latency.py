@@ -5,7 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import find_peaks
 
-from dvf_ig.core import BoolArray, FloatArray, LatencyRecording, NoOverlapError, PoseStream, QualityGateError
+from dvf_ig.core import (
+    BoolArray,
+    FloatArray,
+    LatencyRecording,
+    NoOverlapError,
+    PoseStream,
+    QualityGateError,
+    read_only_arrays,
+)
 
 from .lag_fit import Motions, lag_interval, misfit_sigmas, period_lags
 
@@ -40,6 +48,7 @@ class LatencyOptions:
     memory_periods: float = 2.0
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class LatencyResult:
     """A lag with its evidence: t_tracker(event) = t_video(event) + lag_s.

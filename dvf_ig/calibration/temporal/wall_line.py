@@ -6,7 +6,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, QualityGateError, Trace
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, QualityGateError, Trace, read_only_arrays
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +32,7 @@ class WallLineOptions:
     min_contrast: float = 20.0
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class WallLines:
     """Lines row = row_px + slope · (column − column_px), one a frame.

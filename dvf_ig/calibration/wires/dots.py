@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, label, maximum_filter
 
-from dvf_ig.core import AnyArray, FloatArray, IntArray, InvalidInputError
+from dvf_ig.core import AnyArray, FloatArray, IntArray, InvalidInputError, read_only_arrays
 
 Clip = tuple[int, int, int, int]
 """First column, first row, columns and rows of the part of an image that is searched."""
@@ -40,6 +40,7 @@ class DotOptions:
     most: int = 25
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Dots:
     """Candidate dots, strongest first.

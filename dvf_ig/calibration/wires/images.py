@@ -15,6 +15,7 @@ from dvf_ig.core import (
     PoseStream,
     QualityGateError,
     TrackedSequence,
+    read_only_arrays,
 )
 
 from .dots import Clip, DotOptions, Dots, find_dots
@@ -62,6 +63,7 @@ class WireFrame:
         return self.wires if isinstance(self.wires, RefusedFrame) else None
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class WireSegmentation:
     """The wires of a recording.

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, IntArray
+from dvf_ig.core import BoolArray, FloatArray, IntArray, read_only_arrays
 
 from .plan import Labelling, WirePlan
 
@@ -33,6 +33,7 @@ class LineOptions:
     end_mm: float = 2.0
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines:
     """Pairs of dots that may be the outer wires of one pattern.
@@ -49,6 +50,7 @@ class Lines:
         return len(self.ends)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class LineSet:
     """One line for each pattern.

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, IntArray
+from dvf_ig.core import FloatArray, IntArray, read_only_arrays
 
 from .dots import Dots
 from .lines import LineOptions, Lines, LineSet, find_lines, line_sets
@@ -42,6 +42,7 @@ class PatternOptions:
     max_misfit_mm: float = 0.7
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundWires:
     """The wires of one frame.
@@ -67,6 +68,7 @@ class RefusedFrame:
     detail: str
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Match:
     """One choice of dots.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.calibration.probe.nwire_geometry import diagonal_crossings
-from dvf_ig.core import FloatArray, InvalidInputError, NWirePhantom, Wire
+from dvf_ig.core import FloatArray, InvalidInputError, NWirePhantom, Wire, read_only_arrays
 
 SAME_MM = 1.0
 """Wires closer than this cannot be told apart by their place in the image."""
@@ -14,6 +14,7 @@ Labelling = tuple[int, int]
 """+1 where the phantom's across (down) axis runs as in PLUS's images, -1 where it runs the other way."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class WirePlan:
     """A phantom with two or more N patterns in the plane across its wires.

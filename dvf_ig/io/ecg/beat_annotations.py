@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dvf_ig.core import read_only_arrays
 from dvf_ig.core.arrays import BoolArray, FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io.reading import read_bytes
@@ -15,6 +16,7 @@ BEAT_SYMBOLS = frozenset("NLRBAaJSVrFejnE/fQ?")
 """Annotation codes that mark a heart beat (PhysioNet, "WFDB annotation codes")."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BeatAnnotations:
     """Attributes:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dvf_ig.core import read_only_arrays
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 
@@ -22,6 +23,7 @@ _FIELDS = {
 _BLOCK = 1 << 20
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Header:
     """What matters here of a NIfTI-1 or -2 header: the sform's (3, 3) axes or None, and the bytes needed."""

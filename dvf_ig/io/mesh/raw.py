@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dvf_ig.core import read_only_arrays
 from dvf_ig.core.arrays import AnyArray, FloatArray, IntArray
 
 
@@ -11,6 +12,7 @@ class MeshFormatError(Exception):
     """Damaged or unsupported content; the message completes the sentence "<file>: …"."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RawMesh:
     """A mesh as a file holds it.

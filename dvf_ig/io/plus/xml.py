@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from dvf_ig.core import read_only_arrays
 from dvf_ig.core.arrays import FloatArray, frozen_floats
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io.atomic import write_bytes
@@ -15,6 +16,7 @@ from dvf_ig.io.reading import read_bytes, reading
 from .names import frame_from_plus, frame_to_plus
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class CoordinateDefinition:
     """One transform of a PLUS configuration.

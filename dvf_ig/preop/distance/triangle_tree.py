@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, IntArray
+from dvf_ig.core import FloatArray, IntArray, read_only_arrays
 from dvf_ig.kernels.closest import DEPTH, closest_batch
 
 LEAF_SIZE = 4
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TriangleTree:
     """Complete binary tree; node n has children 2n+1 and 2n+2.
@@ -47,6 +48,7 @@ class TriangleTree:
         return distance_mm, place
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Nearest:
     """Nearest points of a surface.

@@ -24,6 +24,7 @@ from dvf_ig.core import (
     SurfaceSeries,
     Volume,
     VolumeSeries,
+    read_only_arrays,
 )
 from dvf_ig.core.frames import require_same_frame
 
@@ -74,6 +75,7 @@ class MotionOptions:
             raise InvalidInputError(f"{self.threads} threads asked for; needed at least 1")
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class CycleMotion:
     """Where end-diastole goes.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
-from dvf_ig.core import AnyArray, BoolArray, FloatArray, Grid, IntArray, InvalidInputError
+from dvf_ig.core import AnyArray, BoolArray, FloatArray, Grid, IntArray, InvalidInputError, read_only_arrays
 
 from .image_match import blurred, seen_axes
 
@@ -36,6 +36,7 @@ class DemonsOptions:
             raise InvalidInputError("demons need blurs of 0 mm or more, at least one step and some smoothing")
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class DisplacementField:
     """x ↦ x + u(x), u linear between voxels.

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray
+from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, read_only_arrays
 
 Axes = tuple[csr_array, csr_array, csr_array]
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
     """Control points over an image, along the axes of its grid.
@@ -117,6 +118,7 @@ class Bending:
         return np.asarray(self.cell_mm3 * np.sum(terms, axis=0)[..., None])
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeForm:
     """x ↦ x + u(x), u from a lattice.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from dvf_ig.core import AnyArray, BoolArray, FloatArray, InvalidInputError
+from dvf_ig.core import AnyArray, BoolArray, FloatArray, InvalidInputError, read_only_arrays
 
 from .free_form import Bending, FreeForm, Lattice, volume_ratio
 
@@ -47,6 +47,7 @@ class FreeFormOptions:
             raise InvalidInputError("needed at least one blur of 0 mm or more, and at least one step")
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
     """Both images at one blur, on the voxels that count.

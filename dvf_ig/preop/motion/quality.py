@@ -5,13 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from dvf_ig.core import AnyArray, BoolArray, FloatArray, InvalidInputError, VolumeSeries
+from dvf_ig.core import AnyArray, BoolArray, FloatArray, InvalidInputError, VolumeSeries, read_only_arrays
 
 from .cycle import CycleMotion
 from .free_form import volume_ratio
 from .image_match import seen_axes
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionQuality:
     """Evidence for a motion, phase by phase.

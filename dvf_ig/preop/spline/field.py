@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import DvfModel, FloatArray, InvalidInputError
+from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.kernels import status as code
 from dvf_ig.kernels.spline import spline_batch
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SplineField:
     """Signed distance of one phase.

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse import csr_array
 
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 
 SAMPLES_PER_KNOT = 2
 
@@ -39,6 +39,7 @@ def cubic_basis(cells: int, samples_per_knot: int = SAMPLES_PER_KNOT) -> csr_arr
     return csr_array((values.ravel() / 6.0, (rows, columns)), shape=(len(u), cells + 3))
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisSolver:
     """Least squares along one axis: coefficients = (AᵀA)⁻¹ Aᵀ samples."""

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
-from dvf_ig.core import FloatArray, InvalidInputError, Stop
+from dvf_ig.core import FloatArray, InvalidInputError, Stop, read_only_arrays
 from dvf_ig.core.arrays import check_shape
 
 from .network import SplineNetwork
@@ -23,6 +23,7 @@ PROBE_TOLERANCE = 1e-4
 """How closely a known network must come back from its own values at the samples."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Trained:
     """A trained network.

@@ -7,7 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Mesh, VolumeSeries
+from dvf_ig.core import (
+    BoolArray,
+    FloatArray,
+    Grid,
+    IntArray,
+    InvalidInputError,
+    Mesh,
+    VolumeSeries,
+    read_only_arrays,
+)
 from dvf_ig.core.mesh import enclosed_volume_mm3
 
 SMOOTHING_VOXELS = 1.0
@@ -64,6 +73,7 @@ def border_caps(mesh: Mesh, grid: Grid) -> BoolArray:
     return np.asarray(((index < 1.0) | (index > np.array(grid.shape) - 2.0)).any(axis=1))
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Crop:
     """The part of a phase that holds the organ, without a border, and the index at which it starts."""

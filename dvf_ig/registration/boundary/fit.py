@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import FloatArray, Rigid, require_same_frame
+from dvf_ig.core import FloatArray, Rigid, read_only_arrays, require_same_frame
 from dvf_ig.core.rigid import nearest_rotation
 from dvf_ig.kernels.boundary import SUMS, UNKNOWNS, edge_residuals, edge_step_sums
 from dvf_ig.registration.pose_chart import HEART_RADIUS_MM, PoseChart, distance_between
@@ -64,6 +64,7 @@ class Edges:
     target: EdgeTarget
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeFit:
     """Attributes:
@@ -122,6 +123,7 @@ class _Problem:
         return self.out[:square].reshape(UNKNOWNS, UNKNOWNS), self.out[square:-3], self.out[-3:]
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _End:
     """Where a descent ended; `pose` is (3, 4), R and t: no value is made and checked at every step."""

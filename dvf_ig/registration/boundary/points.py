@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.registration.lc2.slices import SliceSet, spread
 
 FULL_CONTRAST = 0.2
@@ -35,6 +35,7 @@ class EdgeOptions:
     points: int = 4000
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BoundaryPoints:
     """Attributes:

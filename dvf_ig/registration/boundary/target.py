@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.special import ndtri
 
-from dvf_ig.core import AnyArray, BoolArray, DvfModel, FloatArray, IntArray, InvalidInputError, VolumeSeries
+from dvf_ig.core import (
+    AnyArray,
+    BoolArray,
+    DvfModel,
+    FloatArray,
+    IntArray,
+    InvalidInputError,
+    VolumeSeries,
+    read_only_arrays,
+)
 from dvf_ig.registration.lc2.channels import BLOOD
 
 SOFTENING_VOXELS = 0.8
@@ -21,6 +30,7 @@ PLANE_VOXELS = 3.0
 """Up to here the distance is that of a tangent plane; from three times as far that of a point."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeTarget:
     """Attributes:

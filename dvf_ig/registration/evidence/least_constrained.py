@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.registration.pose_chart import HEART_RADIUS_MM
 
 AXES = ("left–right", "front–back", "head–foot")
@@ -17,6 +17,7 @@ NEAR = 0.9
 """Cosine from which a direction is called after an axis."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Weakness:
     """The worst known direction of a pose.

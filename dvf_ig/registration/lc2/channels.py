@@ -7,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dvf_ig.core import AnyArray, FloatArray, Grid, InvalidInputError, Volume, VolumeSeries
+from dvf_ig.core import AnyArray, FloatArray, Grid, InvalidInputError, Volume, VolumeSeries, read_only_arrays
 
 WALL, BLOOD = 1, 2
 """Values of a label map made from surfaces."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelChannels:
     """Attributes:

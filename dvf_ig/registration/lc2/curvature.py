@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, Rigid
+from dvf_ig.core import BoolArray, FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration.pose_chart import HEART_RADIUS_MM, PoseChart, distance_between
 
 from .lc2 import Lc2
@@ -18,6 +18,7 @@ from .optimise import PosePrior
 STEP_MM = 0.5
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Curvature:
     """Attributes:

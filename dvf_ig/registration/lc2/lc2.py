@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, IntArray, Rigid, require_same_frame
+from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays, require_same_frame
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.kernels.lc2 import SUMS, lc2_slices
 from dvf_ig.kernels.lc2_step import HELD, NORMAL, lc2_normal_slices
@@ -37,6 +37,7 @@ class Score:
     overlap: float
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
     """Quadratic model of Σ w(1 − S) in the coordinates of `chart`, local fits held.
@@ -52,6 +53,7 @@ class NormalEquations:
     weight: float
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Slopes:
     """Attributes:
@@ -63,6 +65,7 @@ class Slopes:
     gradient: FloatArray
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
     """Square patches of all slices, and what of them depends on the ultrasound alone.

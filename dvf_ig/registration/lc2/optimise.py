@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration.pose_chart import PoseChart
 
 from .lc2 import Lc2
@@ -58,6 +58,7 @@ class Climb:
     converged: bool
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Local:
     """Cost, its gradient (6,), and the curvature (6, 6) to start from."""

@@ -16,12 +16,14 @@ from dvf_ig.core import (
     IntArray,
     InvalidInputError,
     Rigid,
+    read_only_arrays,
     require_same_frame,
 )
 
 DYNAMIC_RANGE_DB = 60.0
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SliceSet:
     """Slices at one pixel pitch that share one unknown pose.

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import ClimbOptions, climb
 from dvf_ig.registration.pose_chart import HEART_RADIUS_MM, PoseChart, distance_between
@@ -33,6 +33,7 @@ WANDER_MM = 0.15
 BEAT_CLIMB = ClimbOptions(steps=10, cap_mm=5.0, tolerance_mm=0.1)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
     """A pose and how well it is known.
@@ -79,6 +80,7 @@ class Belief:
         return float(np.sqrt(np.trace(self.covariance_mm2) / 6.0))
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BeatLook:
     """What the slices of one beat say of a pose.

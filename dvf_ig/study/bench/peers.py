@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dvf_ig.core import FloatArray, Mesh
+from dvf_ig.core import FloatArray, Mesh, read_only_arrays
 
 from .covariance_tree import build_covariance_tree
 from .timing import KERNEL_CALLS, Row, row, time_batches, time_calls
@@ -19,6 +19,7 @@ TREE = "static tree"
 TREE_KERNEL = "static tree kernel"
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Peer:
     """A library's distance: `single` takes a prepared query, `many` (n, 3) points, both in mm."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
 from data_synth.heart.motion import MotionPreset
-from dvf_ig.core import CycleTiming, DvfModel, FloatArray, Grid, InvalidInputError, Mesh
+from dvf_ig.core import CycleTiming, DvfModel, FloatArray, Grid, InvalidInputError, Mesh, read_only_arrays
 from dvf_ig.guidance import Evaluator, Sigmoid
 from dvf_ig.guidance.blend import BLEND_CODES
 from dvf_ig.preop import (
@@ -70,6 +70,7 @@ class BlendStudy:
     largest_motion_mm: float
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Truth:
     """What the fixture should answer: (k,) phases, (k, 3) points on the surface, others around it, forces."""
@@ -127,6 +128,7 @@ def blending_errors(
     )
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Static:
     """A phase with a spline of its own: (k, 3) points on the true surface, and how deep each lies in it."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Mesh
+from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Mesh, read_only_arrays
 from dvf_ig.preop import (
     AxisSolver,
     SplineField,
@@ -35,6 +35,7 @@ WIDE_MM, NEAR_MM = 15.0, 2.0
 BAND_MM = 4.0
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class MapScore:
     """One way of making the map.
@@ -64,6 +65,7 @@ class MapScore:
     distance_mm: FloatArray
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
     """All ways on one surface, with the exact distance they are held against."""
@@ -110,6 +112,7 @@ def compare_distance_maps(
     return Comparison(tuple(scores), grid, exact_mm)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judge:
     """What every way is held against; each sees the same random points.

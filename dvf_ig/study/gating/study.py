@@ -14,7 +14,15 @@ from dvf_ig.cardiac import (
     phase_from_peaks,
     stream_recording,
 )
-from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError, PhaseTrack, Signal
+from dvf_ig.core import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    InvalidInputError,
+    PhaseTrack,
+    Signal,
+    read_only_arrays,
+)
 from dvf_ig.io import BeatAnnotations
 
 PHASE_RATE_HZ = 20.0
@@ -51,6 +59,7 @@ class BeatScore:
     speed: float
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PhaseErrors:
     """Phase at PHASE_RATE_HZ between the first and the last annotated beat.
@@ -84,6 +93,7 @@ class PhaseSummary:
     fibrillation_refused: float
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordGating:
     """One recording's scores; `predictors`: (n,) |phase error| of each predictor on its annotated beats."""

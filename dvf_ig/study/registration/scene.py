@@ -14,7 +14,17 @@ from data_synth.seeds import child_rng
 from data_synth.ultrasound.presets import PROBES
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.cardiac import retime
-from dvf_ig.core import FloatArray, Grid, ImageMap, Points, Rigid, TrackedVolume, Volume, VolumeSeries
+from dvf_ig.core import (
+    FloatArray,
+    Grid,
+    ImageMap,
+    Points,
+    Rigid,
+    TrackedVolume,
+    Volume,
+    VolumeSeries,
+    read_only_arrays,
+)
 from dvf_ig.registration import (
     VOLUME_SMOOTHING_MM,
     Edges,
@@ -40,6 +50,7 @@ PLANE_LEVELS = ((3.0, 3.0), (2.0, 2.0))
 Register = Callable[[Rigid, np.random.Generator], RegistrationResult]
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
     """Attributes:

@@ -14,7 +14,16 @@ import numpy as np
 from data_synth.heart.anatomy import phantom_anatomy
 from data_synth.operator.contact import MovingSurface
 from data_synth.scenario.presets import Motion
-from dvf_ig.core import CycleTiming, DvfModel, FloatArray, IntArray, InvalidInputError, Rigid, SurfaceSeries
+from dvf_ig.core import (
+    CycleTiming,
+    DvfModel,
+    FloatArray,
+    IntArray,
+    InvalidInputError,
+    Rigid,
+    SurfaceSeries,
+    read_only_arrays,
+)
 from dvf_ig.guidance import (
     BoundTick,
     Evaluator,
@@ -39,6 +48,7 @@ SPEED_CUTOFF_HZ = 50.0
 """Of the low-pass filter on the tool's measured speed: a sensor step in 1 ms alone is 30 to 55 mm/s."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BeatingSurface:
     """What is followed: the truth, the model fitted to some of its phases, and where the tool is put.
@@ -68,6 +78,7 @@ class Follower:
     feed_forward: FeedForward
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """A follower at each place over the cycles.

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from toy_heart import toy_mr, toy_pose, toy_slices
 
 from dvf_ig.registration import Lc2, SliceSet, channels_from_mr, even_weights
 from dvf_ig.registration.lc2.density_weights import LEAST_DENSITY, patch_centers_mm
 from dvf_ig.registration.lc2.lc2 import patches_of
-from tests.registration.toy_heart import toy_mr, toy_pose, toy_slices
 
 
 def seen(place_mm: list[float], times: int) -> np.ndarray:

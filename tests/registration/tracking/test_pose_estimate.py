@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import Rigid
 from dvf_ig.registration import (
@@ -15,7 +16,6 @@ from dvf_ig.registration import (
     look_at_beat,
 )
 from dvf_ig.registration.tracking.pose_estimate import WANDER_MM
-from tests.registration.toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 MR = toy_mr()
 MODEL = channels_from_mr(MR, smoothing_mm=2.0)
