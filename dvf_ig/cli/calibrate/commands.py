@@ -40,7 +40,8 @@ def pivot(
         import numpy as np
 
         from dvf_ig.calibration import calibrate_pivot
-        from dvf_ig.io import read_poses, write_residual_picture
+        from dvf_ig.io import read_poses
+        from dvf_ig.report import write_residual_picture
 
         found = calibrate_pivot(read_poses(poses, source=tool), rng=np.random.default_rng(seed))
         tip, divot = found.tip.xyz_mm[0].tolist(), found.pivot.xyz_mm[0].tolist()
@@ -98,7 +99,7 @@ def latency(
     """Lag of the tracker's clock behind the video's: t_tracker = t_video + lag."""
     with command():
         from dvf_ig.calibration import estimate_latency
-        from dvf_ig.io import write_latency_picture
+        from dvf_ig.report import write_latency_picture
 
         found = estimate_latency(_latency_recording(tracker, video, line_table, seed))
         result = {

@@ -44,8 +44,9 @@ def model_from_image(
     request: ImageRequest, options: "ModelOptions", *, as_json: bool
 ) -> tuple[DvfModel, dict[str, Any]]:
     """Segment if need be, carry, fit; print the evidence, write it and a picture beside the model."""
-    from dvf_ig.io import read_volume_series, write_json, write_motion_picture
+    from dvf_ig.io import read_volume_series, write_json
     from dvf_ig.preop import CineOptions, MotionOptions, model_from_cine
+    from dvf_ig.report import write_motion_picture
 
     if request.method not in METHODS:
         raise typer.BadParameter(f"--motion is '{request.method}'; needed one of {', '.join(METHODS)}")

@@ -114,13 +114,13 @@ def _study(
         import os
 
         from dvf_ig.io import output_folder, plain, write_json
-        from dvf_ig.report.study.registration_page import write_capture_page
         from dvf_ig.study.registration.experiments import (
             registration_trial,
             settings_of,
             trial_numbers,
             trials_together,
         )
+        from dvf_ig.study.registration.page import write_capture_page
         from dvf_ig.study.registration.summary import summarise_capture
         from dvf_ig.study.trials import Study, run_trials
 

@@ -47,7 +47,7 @@ def tracking(
         from dvf_ig.guidance.blend import BLEND_CODES
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
-        from dvf_ig.report.study.stylus import picture_png
+        from dvf_ig.report.study.stylus import tracking_png
         from dvf_ig.study.stylus.study import beating_surface, follow, followers
 
         devices = list(DEVICES.values()) if device is DeviceName.both else [DEVICES[device.value]]
@@ -75,7 +75,7 @@ def tracking(
                 "rows": [_entry(track) for track in tracks],
             }
             write_json(out / "tracking.json", result)
-            write_bytes(out / "tracking.png", picture_png(surface, tracks))
+            write_bytes(out / "tracking.png", tracking_png(tracks, motion=motion.value, cycle_s=cycle_s))
         emit(result, _rows(tracks), as_json=as_json)
         for each in devices:
             typer.echo(_describe(each), err=True)
