@@ -19,8 +19,8 @@ TITLE = "Dynamic virtual fixtures: the figures of Ren 2008 from this model"
 ABOUT = (
     "Ren, Patel, McIsaac, Guiraudon, Peters: Dynamic 3-D Virtual Fixtures for Minimally Invasive Beating "
     "Heart Procedures. IEEE Transactions on Medical Imaging 27(8), 2008. The figures here show what the "
-    "paper's figures are about, under their numbers, on a synthetic four-chamber heart whose surface moves by "
-    "up to 5 mm (motion preset paper5mm); they are not copies, and the heart is another one."
+    "paper's figures are about, under their numbers, on a synthetic four-chamber heart whose surface moves "
+    "by up to 5 mm (motion preset paper5mm); they are not copies, and the heart is another one."
 )
 PIXELS_PER_INCH = 88
 """Width of a figure on the page."""

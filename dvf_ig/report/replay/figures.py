@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
-from dvf_ig.report.style import DOUBT, ESTIMATE, REFUSED, START, TRUTH, without_ticks
+from dvf_ig.report.style import DOUBT, ESTIMATE, ON_GREY, REFUSED, START, TRUTH, without_ticks
 
 from .values import BeatTrace, EcgStrip, PlaneOverlay, RegistrationMark, TickTrace
 
@@ -39,7 +39,7 @@ def overlay_figure(overlays: Sequence[PlaneOverlay]) -> Figure | None:
     axes[1, 0].set_ylabel("model at the same place")
     handles = [
         axes[0, 0].plot([], [], color=color, lw=1.6, label=label)[0]
-        for color, label in ((START, "surface at the start pose"), (ESTIMATE, "surface after registration"))
+        for color, label in ((START, "surface at the start pose"), (ON_GREY, "surface after registration"))
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
     return figure
@@ -50,7 +50,7 @@ def _draw_overlay(axes: NDArray[np.object_], overlay: PlaneOverlay) -> None:
     extent = (0, columns, rows, 0)
     axes[0].imshow(overlay.image, cmap="gray", extent=extent, vmin=0, vmax=255)
     axes[1].imshow(overlay.model_grey, cmap="gray", extent=extent)
-    for distance, color in ((overlay.start_distance_mm, START), (overlay.distance_mm, ESTIMATE)):
+    for distance, color in ((overlay.start_distance_mm, START), (overlay.distance_mm, ON_GREY)):
         if np.nanmin(distance) < 0 < np.nanmax(distance):
             for axis in axes:
                 axis.contour(
@@ -125,7 +125,7 @@ def force_figure(ticks: TickTrace) -> Figure:
     upper.set(ylabel="force, N", ylim=(0, LARGEST_SHOWN_N))
     lower.set(ylabel="distance, mm\n(inside > 0)", xlabel="time, s", ylim=(-15, 5))
     lower.axhline(0, color=TRUTH, lw=0.6, ls=":")
-    lower.margins(x=0)
+    lower.set_xlim(float(ticks.t_s[0]), float(ticks.t_s[-1]))
     for axis in (upper, lower):
         shade_refused(axis, ticks.t_s, ticks.valid)
     figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)

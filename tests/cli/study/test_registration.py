@@ -11,8 +11,8 @@ import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 from typer.testing import CliRunner, Result
 
-import dvf_ig.report.study.registration_page as capture_page
 import dvf_ig.study.registration.experiments as arms
+import dvf_ig.study.registration.page as capture_page
 from dvf_ig.cli.main import app
 from dvf_ig.core import InvalidInputError, Points, Rigid
 from dvf_ig.registration import (
