@@ -19,7 +19,7 @@ from dvf_ig.io.atomic import write_bytes
 from dvf_ig.preop import check_model
 from dvf_ig.report.paper import dynamic_figure, field_figure, gaussian_figure, sigmoid_figure
 from dvf_ig.report.study.stylus import tracking_figure
-from dvf_ig.study.stylus.study import BeatingSurface, Track, beating_surface, follow, followers
+from dvf_ig.study.stylus.holding import BeatingSurface, Track, beating_surface, follow, followers
 
 Row = tuple[str, str, str]
 

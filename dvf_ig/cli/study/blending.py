@@ -8,7 +8,7 @@ import typer
 from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.study.blending.study import BlendError, BlendStudy
+    from dvf_ig.study.blending.blend_errors import BlendError, BlendStudy
 
 COUNTS = "10,15,20,30,40,50"
 
@@ -30,7 +30,7 @@ def blending(
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
         from dvf_ig.report.study.blending import blending_png
-        from dvf_ig.study.blending.study import blending_errors
+        from dvf_ig.study.blending.blend_errors import blending_errors
 
         counts = _counts(phases)
         presets: tuple[MotionPreset, ...] = ("paper5mm", "physiological")

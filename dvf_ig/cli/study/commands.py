@@ -14,7 +14,7 @@ from .gating import gating
 from .options import FolderOption, SchedulerOption, WorkersOption
 from .registration import capture, failures, gating_error, planes, same_image
 from .retiming import retiming
-from .tracking import tracking
+from .stylus import tracking
 
 if TYPE_CHECKING:
     from dvf_ig.study.calibration.intervals import Coverage

@@ -11,7 +11,7 @@ import typer
 from dvf_ig.cli.shell import JsonFlag, command, emit, progress, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.study.gating.study import PhaseErrors, PhaseSummary, RecordGating
+    from dvf_ig.study.gating.records import PhaseErrors, PhaseSummary, RecordGating
 
 HEADER = (
     "record", "rhythm", "beats", "Se150", "PPV150", "Se50", "PPV50", "timing ms", "latency p95 ms",
@@ -71,7 +71,7 @@ def _names(folder: Path, only: str | None) -> list[str]:
 
 def _score(folder: Path, names: Sequence[str]) -> "list[RecordGating]":
     from dvf_ig.io import read_annotations, read_ecg
-    from dvf_ig.study.gating.study import score_record
+    from dvf_ig.study.gating.records import score_record
 
     scored = []
     with progress("records") as report:
@@ -131,7 +131,7 @@ def _cells(phase: dict[str, float]) -> tuple[str, str, str, str]:
 
 def _draw(scored: "Sequence[RecordGating]", path: Path) -> None:
     from dvf_ig.report.study.gating_study import risk_coverage_figure
-    from dvf_ig.study.gating.study import pool
+    from dvf_ig.study.gating.records import pool
 
     classes: dict[str, PhaseErrors] = {}
     for rhythm in ("sinus", "ectopic", "fibrillation"):

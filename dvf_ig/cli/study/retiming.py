@@ -25,7 +25,7 @@ def retiming(
         from dvf_ig.core import InvalidInputError
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.report.study.retiming import retiming_figure
-        from dvf_ig.study.retiming.study import RATES_BPM, compare_retiming
+        from dvf_ig.study.retiming.surface_error import RATES_BPM, compare_retiming
 
         if motion not in PRESET_SCALE:
             raise InvalidInputError(f"motion '{motion}' is unknown; choose {', '.join(PRESET_SCALE)}")

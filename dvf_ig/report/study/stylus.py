@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from dvf_ig.core import BoolArray
-from dvf_ig.study.stylus.study import BeatingSurface, Track
+from dvf_ig.study.stylus.holding import BeatingSurface, Track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,7 +17,7 @@ from dvf_ig.core import DvfIgError, FloatArray, NotConvergedError, Rigid
 from dvf_ig.registration import HEART_RADIUS_MM, pose_difference, target_errors_mm
 
 from .baselines import mattes
-from .scene import Scene, make_scene
+from .problem import Scene, make_scene
 from .summary import BIN_MM
 
 Line = dict[str, Any]

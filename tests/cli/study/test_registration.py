@@ -22,7 +22,7 @@ from dvf_ig.registration import (
     channels_from_mr,
     register_rigid,
 )
-from dvf_ig.study.registration.scene import Scene
+from dvf_ig.study.registration.problem import Scene
 
 COMMANDS = {"same-image": "A", "capture": "B", "gating-error": "D", "planes": "E", "failures": "F"}
 FILES = ("study.json", "trials.jsonl", "summary.json", "report.html")

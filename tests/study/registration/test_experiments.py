@@ -15,7 +15,7 @@ import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 import dvf_ig.study.registration.experiments as arms
-import dvf_ig.study.registration.scene as scenes
+import dvf_ig.study.registration.problem as scenes
 from dvf_ig.core import InvalidInputError, Points, Rigid, Stop, VolumeSeries
 from dvf_ig.registration import (
     Level,
@@ -36,7 +36,7 @@ from dvf_ig.study.registration.experiments import (
     trial_numbers,
     trials_together,
 )
-from dvf_ig.study.registration.scene import GATED, Scene
+from dvf_ig.study.registration.problem import GATED, Scene
 from dvf_ig.study.registration.summary import BIN_MM, summarise_capture
 from dvf_ig.study.trials import Study, run_trials
 

@@ -10,7 +10,7 @@ from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, progress, wrot
 
 if TYPE_CHECKING:
     from dvf_ig.guidance import SimulatedDevice
-    from dvf_ig.study.stylus.study import Follower, Track
+    from dvf_ig.study.stylus.holding import Follower, Track
 
 
 class MotionName(StrEnum):
@@ -48,7 +48,7 @@ def tracking(
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
         from dvf_ig.report.study.stylus import picture_png
-        from dvf_ig.study.stylus.study import beating_surface, follow, followers
+        from dvf_ig.study.stylus.holding import beating_surface, follow, followers
 
         devices = list(DEVICES.values()) if device is DeviceName.both else [DEVICES[device.value]]
         tried = followers(devices, list(BLEND_CODES))

@@ -8,7 +8,7 @@ from dvf_ig.core import CycleTiming, FloatArray, InvalidInputError, SurfaceSerie
 from dvf_ig.guidance import DEVICES, DeviceLimits, SimulatedDevice
 from dvf_ig.preop import ModelOptions, model_from_surfaces
 from dvf_ig.report.study.stylus import picture_png
-from dvf_ig.study.stylus.study import BeatingSurface, design, follow, followers, spare_friction_n
+from dvf_ig.study.stylus.holding import BeatingSurface, design, follow, followers, spare_friction_n
 
 CENTER = np.array([10.0, -5.0, 3.0])
 PLACES = np.array([[0.6, 0.0, 0.8], [-0.48, 0.64, 0.6]])

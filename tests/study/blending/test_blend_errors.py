@@ -5,7 +5,7 @@ import pytest
 from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance.blend import BLEND_CODES
 from dvf_ig.report.study.blending import blending_png
-from dvf_ig.study.blending.study import blending_errors
+from dvf_ig.study.blending.blend_errors import blending_errors
 
 
 @pytest.fixture(scope="module")
