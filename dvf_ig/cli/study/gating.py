@@ -23,8 +23,8 @@ def gating(
     records: Annotated[
         Path, typer.Option("--records", help="Folder of WFDB records with annotations (.hea .dat .atr).")
     ],
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write summary.json and risk_coverage.png here.")
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Write summary.json and risk_coverage.png here.")
     ] = None,
     only: Annotated[str | None, typer.Option("--only", help="Records to use, separated by commas.")] = None,
     as_json: JsonFlag = False,
@@ -35,17 +35,17 @@ def gating(
         from dvf_ig.study.gating.summary import summarise_study
 
         names = _names(records, only)
-        if output is None:
+        if out is None:
             scored = _score(records, names)
             summary = summarise_study(scored)
         else:
-            with output_folder(output) as folder:
+            with output_folder(out) as folder:
                 scored = _score(records, names)
                 summary = summarise_study(scored)
                 write_json(folder / "summary.json", summary)
                 _draw(scored, folder / "risk_coverage.png")
-            wrote(output / "summary.json")
-            wrote(output / "risk_coverage.png")
+            wrote(out / "summary.json")
+            wrote(out / "risk_coverage.png")
         if as_json:
             for record in summary["records"]:
                 sys.stdout.write(json.dumps(plain(record), allow_nan=False) + "\n")

@@ -9,8 +9,8 @@ from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, wrote
 
 
 def retiming(
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write summary.json and retiming.png here.")
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Write summary.json and retiming.png here.")
     ] = None,
     motion: Annotated[str, typer.Option("--motion", help="paper5mm or physiological.")] = "physiological",
     seed: SeedOption = 1,
@@ -37,13 +37,13 @@ def retiming(
             "seed": seed,
             "rows": [asdict(row) for row in rows],
         }
-        if output is not None:
-            with output_folder(output) as folder:
+        if out is not None:
+            with output_folder(out) as folder:
                 write_json(folder / "summary.json", summary)
                 figure = retiming_figure(rows, 60.0 / RR_S)
                 figure.savefig(folder / "retiming.png", dpi=130, metadata={"Software": None})
-            wrote(output / "summary.json")
-            wrote(output / "retiming.png")
+            wrote(out / "summary.json")
+            wrote(out / "retiming.png")
         table: list[tuple[str, ...]] = [
             ("true k, ms per /min", "beats/min", "method", "mean mm", "p95 mm", "max mm", "systole p95 mm")
         ]

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator, NullLocator
 
 from dvf_ig.core.arrays import FloatArray
+from dvf_ig.study.registration.experiments import BIN_MM
 from dvf_ig.study.registration.summary import (
-    BIN_MM,
     CAPTURE_PERCENT,
     FAILURE_MM,
     SUCCESS_MM,
