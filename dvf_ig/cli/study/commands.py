@@ -6,16 +6,16 @@ from .blending import blending
 from .calibration import calibration
 from .distance import distance_maps
 from .gating import gating
-from .options import StudyCommand
+from .options import TrialsCommand
 from .registration import add_registration_commands
 from .retiming import retiming
 from .stylus import tracking
 
 app = typer.Typer(help="Many trials with a known truth.", no_args_is_help=True)
-app.command("tracking", cls=StudyCommand)(tracking)
-app.command("distance", cls=StudyCommand)(distance_maps)
-app.command("blending", cls=StudyCommand)(blending)
-app.command("gating", cls=StudyCommand)(gating)
-app.command("retiming", cls=StudyCommand)(retiming)
+app.command("tracking")(tracking)
+app.command("distance")(distance_maps)
+app.command("blending")(blending)
+app.command("gating")(gating)
+app.command("retiming")(retiming)
 add_registration_commands(app)
-app.command("calibration", cls=StudyCommand)(calibration)
+app.command("calibration", cls=TrialsCommand)(calibration)

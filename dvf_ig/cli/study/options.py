@@ -23,11 +23,11 @@ SeedsOption = Annotated[
 ]
 FirstSeedOption = Annotated[int, typer.Option("--seed", help="The first seed.")]
 
-RENAMED = {"--pairs": "--seeds", "--trials": "--seeds", "--output": "--out"}
+RENAMED = {"--pairs": "--seeds", "--trials": "--seeds"}
 
 
-class StudyCommand(TyperCommand):
-    """A command that tells users of an earlier option its new name."""
+class TrialsCommand(TyperCommand):
+    """A study of many trials; it tells users of an earlier option its new name."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         for name in (arg.partition("=")[0] for arg in args):

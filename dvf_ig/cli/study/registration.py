@@ -15,7 +15,7 @@ from .options import (
     FolderOption,
     SchedulerOption,
     SeedsOption,
-    StudyCommand,
+    TrialsCommand,
     WorkersOption,
     worker_count,
 )
@@ -41,7 +41,7 @@ def add_registration_commands(app: typer.Typer) -> None:
     """A command for each experiment of the protocol."""
     for experiment in EXPERIMENTS:
         run = _capture if experiment is CAPTURE else _command_of(experiment)
-        app.command(experiment.name, help=experiment.title, cls=StudyCommand)(run)
+        app.command(experiment.name, help=experiment.title, cls=TrialsCommand)(run)
 
 
 def _command_of(experiment: Experiment) -> Callable[..., None]:
