@@ -16,12 +16,12 @@ from dvf_ig.study.registration.summary import (
     CAPTURE_PERCENT,
     FAILURE_MM,
     SUCCESS_MM,
-    Line,
     Share,
     capture_of,
     error_of,
     number,
 )
+from dvf_ig.study.trials import Line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

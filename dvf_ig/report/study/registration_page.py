@@ -12,12 +12,12 @@ from dvf_ig.study.registration.summary import (
     STRICT_MM,
     SUCCESS_MM,
     Group,
-    Line,
     Share,
     Spread,
     group_key,
     summarise_trials,
 )
+from dvf_ig.study.trials import Line
 
 from .registration_capture import OURS, capture_curves, colors_of, error_boxes
 from .registration_checks import calibration_picture, roc_picture
