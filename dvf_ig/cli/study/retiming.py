@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, wrote
+
+from .options import FirstSeedOption, SeedsOption
 
 
 def retiming(
@@ -13,7 +15,8 @@ def retiming(
         Path | None, typer.Option("-o", "--out", help="Write summary.json and retiming.png here.")
     ] = None,
     motion: Annotated[str, typer.Option("--motion", help="paper5mm or physiological.")] = "physiological",
-    seed: SeedOption = 1,
+    seeds: SeedsOption = 1,
+    seed: FirstSeedOption = 1,
     as_json: JsonFlag = False,
 ) -> None:
     """Model phase error in mm at the moving surface, 45 to 120 beats/min, for each way of retiming."""
@@ -30,11 +33,12 @@ def retiming(
         if motion not in PRESET_SCALE:
             raise InvalidInputError(f"motion '{motion}' is unknown; choose {', '.join(PRESET_SCALE)}")
         chosen: MotionPreset = "paper5mm" if motion == "paper5mm" else "physiological"
-        rows = compare_retiming(RATES_BPM, motion=chosen, seed=seed)
+        rows = compare_retiming(RATES_BPM, motion=chosen, seeds=range(seed, seed + seeds))
         summary = {
             "motion": motion,
             "model_rate_bpm": 60.0 / RR_S,
             "seed": seed,
+            "seeds": seeds,
             "rows": [asdict(row) for row in rows],
         }
         if out is not None:
