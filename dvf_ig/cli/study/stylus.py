@@ -51,6 +51,7 @@ def tracking(
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
         from dvf_ig.report.study.stylus import picture_png
+        from dvf_ig.study.progress import part_of
         from dvf_ig.study.stylus.holding import beating_surface, held_styli, hold_stylus, pool_hearts
 
         devices = list(DEVICES.values()) if device is DeviceName.both else [DEVICES[device.value]]
@@ -63,7 +64,7 @@ def tracking(
                     cycle_s=cycle_s,
                     places=places,
                     seed=seed + k,
-                    progress=lambda f, k=k: report(0.3 * (k + f) / seeds),  # type: ignore[misc]
+                    progress=part_of(lambda share: report(0.3 * share), k, seeds),
                 )
                 for k in range(seeds)
             ]
