@@ -16,12 +16,12 @@ _REACH_MM = 4.0
 _TENSOR = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
-def no_grain() -> NDArray[np.float32]:
+def no_fibres() -> NDArray[np.float32]:
     """Of a medium without walls: one node that holds everywhere."""
     return np.zeros((1, 1, 1, 3), dtype=np.float32)
 
 
-def muscle_grain(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.float32]:
+def fibre_orientation(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.float32]:
     """Wall normals on every second node, each as long as the square root of the drop along the wall in dB.
 
     The normal is the main direction of the smoothed structure tensor of the muscle, so it has no sign and

@@ -104,7 +104,7 @@ def random_mismatch(
     """A smooth random field of exactly `rms_mm` over the heart box, without any rigid part there.
 
     The rigid part (shift and small rotation) is removed by least squares over a uniform grid of the box, so
-    that a planted pose stays the best rigid pose.
+    that the true pose stays the best rigid pose.
 
     Args:
         box_mm: (2, 3) heart box, frame "mr".

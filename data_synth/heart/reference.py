@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from data_synth.kernels import lookup
 from dvf_ig.core import FloatArray, read_only_arrays
 
-from .fibre_orientation import muscle_grain
+from .fibre_orientation import fibre_orientation
 from .tissue import ACOUSTICS, BLOOD, Tissue, bssfp_signal
 
 Layers = list[tuple[Tissue, FloatArray]]
@@ -59,7 +59,7 @@ class ReferenceMap:
         inner, outer: (nx, ny, nz) uint8 codes that hold where the organ depth is positive, or not.
         signal: (nx, ny, nz) float32 noise-free bSSFP signal.
         acoustics: (nx, ny, nz, CHANNELS) float32.
-        grain: wall normals on a coarser grid from the same origin, see `muscle_grain`.
+        grain: wall normals on a coarser grid from the same origin, see `fibre_orientation`.
     """
 
     origin_mm: FloatArray
@@ -127,7 +127,7 @@ def build_reference(shapes: ReferenceShapes, box_mm: FloatArray, spacing_mm: flo
     with ThreadPoolExecutor(_THREADS) as pool:
         list(pool.map(fill, range(shape[0])))
     lookup.gradient_norm(acoustics, 1.0 / spacing_mm)
-    grain = muscle_grain(np.where(organ > 0, inner, outer), spacing_mm)
+    grain = fibre_orientation(np.where(organ > 0, inner, outer), spacing_mm)
     return ReferenceMap(np.array(box_mm[0]), spacing_mm, organ, inner, outer, signal, acoustics, grain)
 
 

@@ -66,7 +66,7 @@ def insonify(
 
     Args:
         path: (lines, samples + 1, 3) reference positions of the ends of the samples.
-        grain: wall normals, see `muscle_grain`, from the same origin.
+        grain: wall normals, see `fibre_orientation`, from the same origin.
         tissue, blood, echo: (lines, samples) float32 out: scatter amplitudes and specular amplitude.
         mirror: (lines, 3) out: sample of the first total reflector (−1: none), its reflection coefficient,
             and the two-way amplitude of what reaches it.

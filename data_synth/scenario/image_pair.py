@@ -19,7 +19,7 @@ from data_synth.ultrasound.probe import SectorProbe
 from data_synth.ultrasound.sequence import simulate_sequence
 from data_synth.ultrasound.views import COUPLING_MM, standard_view, view_from
 from data_synth.ultrasound.volume import MatrixProbe, shown_volume, simulate_pyramid
-from data_synth.ultrasound.volume_faults import spoiled_pyramid
+from data_synth.ultrasound.volume_faults import degraded_pyramid
 from dvf_ig.core import (
     FloatArray,
     InvalidInputError,
@@ -143,7 +143,7 @@ class ImagePair:
             times = np.repeat((phases[k] + late[k] + within)[:, None], array.sector.lines, axis=1)
             level = simulate_pyramid(self.now, array, mr_from_plane, times, seed=seed, frame=i)
             faults = child_rng(self.spec.seed, f"pair faults {i // len(phases)}")
-            shown = shown_volume(spoiled_pyramid(level, array, spoil, faults), array)
+            shown = shown_volume(degraded_pyramid(level, array, spoil, faults), array)
             pose = self._read(mr_from_plane, rng, "plane", BEATS_PER_VOLUME)
             out.append(TrackedVolume(shown.image, shown.mask, pose, phases[k] % 1.0))
         return tuple(out)

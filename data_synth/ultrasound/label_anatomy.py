@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from data_synth.heart.fibre_orientation import muscle_grain
+from data_synth.heart.fibre_orientation import fibre_orientation
 from data_synth.heart.reference import CHANNELS, ReferenceMap
 from data_synth.heart.tissue import ACOUSTICS, BLOOD, FIRST_OUTSIDE, Tissue
 from data_synth.kernels import lookup
@@ -90,7 +90,7 @@ def label_anatomy(
     outer = np.where(organ_mm > 0, Tissue.MEDIASTINUM, codes).astype(np.uint8)
     fields = _acoustic_fields(codes, spacing_mm)
     unseen = np.zeros(codes.shape, dtype=np.float32)
-    grain = muscle_grain(codes, spacing_mm)
+    grain = fibre_orientation(codes, spacing_mm)
     return LabelAnatomy(
         ReferenceMap(origin, spacing_mm, organ_mm, inner, outer, unseen, fields, grain), Still()
     )

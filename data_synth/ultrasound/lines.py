@@ -161,7 +161,7 @@ def insonified(
         echo,
         mirror,
     )
-    dirt = 10 ** (probe.dirt_db / 20)
+    dirt = 10 ** (probe.dirty_shadow_db / 20)
     sector.reverberate(mirror, probe.step_mm, probe.face_reflection, dirt, tissue, echo)
     if probe.elevation_planes > 1:
         tissue *= tables.scatter_weight[plane]

@@ -87,4 +87,4 @@ def on_a_ball(monkeypatch: pytest.MonkeyPatch, ball: Ball) -> None:
             (len(poses), probe.rows, probe.columns), dtype=np.uint8
         ),
     )
-    monkeypatch.setattr(live_module, "spoiled", lambda images, *_: images)
+    monkeypatch.setattr(live_module, "degraded", lambda images, *_: images)

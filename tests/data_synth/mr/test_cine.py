@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from data_synth.heart.anatomy import PhantomAnatomy
 from data_synth.heart.clock import two_segment_phase
-from data_synth.heart.fibre_orientation import no_grain
+from data_synth.heart.fibre_orientation import no_fibres
 from data_synth.heart.motion import InverseMotion
 from data_synth.heart.reference import CHANNELS, ReferenceMap, tissue_at
 from data_synth.heart.tissue import FIRST_OUTSIDE, Tissue, bssfp_signal
@@ -75,7 +75,7 @@ def edge_at_zero() -> ReferenceMap:
     codes = np.zeros(shape, dtype=np.uint8)
     acoustics = np.zeros((*shape, CHANNELS), dtype=np.float32)
     return ReferenceMap(
-        np.array([-20.0, -50, -50]), 0.25, signal, codes, codes, signal, acoustics, no_grain()
+        np.array([-20.0, -50, -50]), 0.25, signal, codes, codes, signal, acoustics, no_fibres()
     )
 
 

@@ -69,7 +69,7 @@ def test_a_minute_keeps_its_promises(seed: int, ball: BeatingAnatomy) -> None:
 
 
 @pytest.mark.usefixtures("on_a_ball")
-def test_tracked_tool_and_planted_frames_put_the_tip_where_the_truth_says() -> None:
+def test_tracked_tool_and_true_frames_put_the_tip_where_the_truth_says() -> None:
     made = phantom_scenario(ScenarioSpec(seconds=20.0, seed=2))
     truth = made.truth
     assert truth is not None
