@@ -1,4 +1,7 @@
-"""Which way the heart's walls face: muscle returns less of a beam that runs along its wall."""
+"""Orientation of the heart's muscle fibres: muscle returns less of a beam that runs along its wall.
+
+Fibres lie in the plane of the wall and turn through its thickness: the normal of the wall describes them.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +12,7 @@ from dvf_ig.core import FloatArray
 from .tissue import ANISOTROPY_DB, MUSCLE
 
 STRIDE = 2
-"""Nodes of the tissue fields for each node of the grain; walls turn slowly."""
+"""Nodes of the tissue fields for each node of the orientations; walls turn slowly."""
 _SMOOTH_MM = 1.5
 _REACH_MM = 4.0
 """About half a wall: the middle of a wall takes its direction from both of its faces."""
@@ -33,9 +36,9 @@ def fibre_orientation(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np
         (ceil(nx/2), ceil(ny/2), ceil(nz/2), 3) float32; 0 away from muscle.
     """
     muscle = np.isin(codes[::STRIDE, ::STRIDE, ::STRIDE], MUSCLE)
-    grain = np.zeros((*muscle.shape, 3), dtype=np.float32)
+    orientation = np.zeros((*muscle.shape, 3), dtype=np.float32)
     if not muscle.any():
-        return grain
+        return orientation
     pitch_mm = STRIDE * spacing_mm
     margin = int(np.ceil(2 * _REACH_MM / pitch_mm)) + 1
     held = np.argwhere(muscle)
@@ -47,8 +50,8 @@ def fibre_orientation(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np
     near = soft > 0.02
     normals = np.zeros((*soft.shape, 3), dtype=np.float32)
     normals[near] = _main_directions(np.stack([part[near] for part in tensor], axis=-1))
-    grain[box] = np.sqrt(ANISOTROPY_DB) * normals
-    return grain
+    orientation[box] = np.sqrt(ANISOTROPY_DB) * normals
+    return orientation
 
 
 def _main_directions(tensor: FloatArray) -> FloatArray:

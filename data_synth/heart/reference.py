@@ -59,7 +59,7 @@ class ReferenceMap:
         inner, outer: (nx, ny, nz) uint8 codes that hold where the organ depth is positive, or not.
         signal: (nx, ny, nz) float32 noise-free bSSFP signal.
         acoustics: (nx, ny, nz, CHANNELS) float32.
-        grain: wall normals on a coarser grid from the same origin, see `fibre_orientation`.
+        fibre_orientation: wall normals on a coarser grid from the same origin, see the function of that name.
     """
 
     origin_mm: FloatArray
@@ -69,7 +69,7 @@ class ReferenceMap:
     outer: NDArray[np.uint8]
     signal: NDArray[np.float32]
     acoustics: NDArray[np.float32]
-    grain: NDArray[np.float32]
+    fibre_orientation: NDArray[np.float32]
 
     def sample(self, xyz_mm: FloatArray, signal: NDArray[np.float32], codes: NDArray[np.uint8]) -> None:
         """MR signal and tissue code at (n, 3) reference positions, into `signal` and `codes` (n,)."""
@@ -127,8 +127,8 @@ def build_reference(shapes: ReferenceShapes, box_mm: FloatArray, spacing_mm: flo
     with ThreadPoolExecutor(_THREADS) as pool:
         list(pool.map(fill, range(shape[0])))
     lookup.gradient_norm(acoustics, 1.0 / spacing_mm)
-    grain = fibre_orientation(np.where(organ > 0, inner, outer), spacing_mm)
-    return ReferenceMap(np.array(box_mm[0]), spacing_mm, organ, inner, outer, signal, acoustics, grain)
+    fibres = fibre_orientation(np.where(organ > 0, inner, outer), spacing_mm)
+    return ReferenceMap(np.array(box_mm[0]), spacing_mm, organ, inner, outer, signal, acoustics, fibres)
 
 
 def _codes(

@@ -49,7 +49,7 @@ _SAME_MM = 0.75
 
 
 @dataclass(frozen=True, slots=True)
-class Still:
+class NoMotion:
     """No motion: what is here now was always here."""
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
@@ -61,7 +61,7 @@ class LabelAnatomy:
     """What the ultrasound simulator needs, from labels; frame "mr"."""
 
     reference: ReferenceMap
-    inverse_motion: Still
+    inverse_motion: NoMotion
 
     @property
     def center_mm(self) -> FloatArray:
@@ -90,9 +90,9 @@ def label_anatomy(
     outer = np.where(organ_mm > 0, Tissue.MEDIASTINUM, codes).astype(np.uint8)
     fields = _acoustic_fields(codes, spacing_mm)
     unseen = np.zeros(codes.shape, dtype=np.float32)
-    grain = fibre_orientation(codes, spacing_mm)
+    fibres = fibre_orientation(codes, spacing_mm)
     return LabelAnatomy(
-        ReferenceMap(origin, spacing_mm, organ_mm, inner, outer, unseen, fields, grain), Still()
+        ReferenceMap(origin, spacing_mm, organ_mm, inner, outer, unseen, fields, fibres), NoMotion()
     )
 
 

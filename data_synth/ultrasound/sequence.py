@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid
 
-from .lines import Insonified, envelope_lines
 from .probe import SectorProbe
 from .scan_conversion import ScanConverter
+from .scan_lines import AcousticAnatomy, envelope_lines
 
 Progress = Callable[[int, int], None]
 
 
 def simulate_frame(
-    anatomy: Insonified,
+    anatomy: AcousticAnatomy,
     probe: SectorProbe,
     mr_from_plane: Rigid,
     line_phases: FloatArray,
@@ -41,7 +41,7 @@ def simulate_frame(
 
 
 def simulate_lines(
-    anatomy: Insonified,
+    anatomy: AcousticAnatomy,
     probe: SectorProbe,
     mr_from_plane: Rigid,
     line_phases: FloatArray,
@@ -58,7 +58,7 @@ def simulate_lines(
 
 
 def simulate_sequence(
-    anatomy: Insonified,
+    anatomy: AcousticAnatomy,
     probe: SectorProbe,
     mr_from_plane: Sequence[Rigid],
     line_phases: FloatArray,

@@ -12,8 +12,18 @@ from dvf_ig.core import FloatArray, Grid, InvalidInputError, Rigid, Volume
 from dvf_ig.core.frames import require_same_frame
 
 from . import beam
-from .lines import Insonified, Raster, Seeds, beam_tables, detect, form_beams, insonified, scatter
 from .probe import SectorProbe
+from .scan_lines import (
+    AcousticAnatomy,
+    InsonifiedLines,
+    Raster,
+    Seeds,
+    beam_tables,
+    detect,
+    form_beams,
+    insonified_lines,
+    scatter,
+)
 from .sequence import checked_phases, log_compressed
 from .slice_lattice import fine_lattice
 
@@ -80,7 +90,7 @@ class EchoVolume:
 
 
 def simulate_volume(
-    anatomy: Insonified,
+    anatomy: AcousticAnatomy,
     probe: MatrixProbe,
     mr_from_plane: Rigid,
     line_phases: FloatArray,
@@ -110,7 +120,7 @@ def shown_volume(level_db: NDArray[np.float32], probe: MatrixProbe, *, threads: 
 
 
 def simulate_pyramid(
-    anatomy: Insonified,
+    anatomy: AcousticAnatomy,
     probe: MatrixProbe,
     mr_from_plane: Rigid,
     line_phases: FloatArray,
@@ -135,7 +145,7 @@ def simulate_pyramid(
 
 
 def _rows_of_beams(
-    anatomy: Insonified,
+    anatomy: AcousticAnatomy,
     probe: MatrixProbe,
     mr_from_plane: Rigid,
     phases: FloatArray,
@@ -146,19 +156,19 @@ def _rows_of_beams(
     s, fine, tall = probe.sector, probe.sector.fine_lines, probe.tall
     directions = probe.directions @ mr_from_plane.rotation.T
     beams = np.empty((2, tall * fine, s.lines, s.samples), dtype=np.float32)
-    lit = list(
-        pool.map(lambda e: insonified(anatomy, s, mr_from_plane, directions[e], phases[e]), range(tall))
+    rows = list(
+        pool.map(lambda e: insonified_lines(anatomy, s, mr_from_plane, directions[e], phases[e]), range(tall))
     )
-
     lattice = fine_lattice()
 
     def form(m: int) -> None:
         # between rows as the scatterers do between lines: paths interpolated, amplitudes of the nearer row
         place = min(max((m + 0.5) / fine - 0.5, 0.0), tall - 1.0)
         left = min(int(place), tall - 2)
-        path = lit[left][0] + (place - left) * (lit[left + 1][0] - lit[left][0])
+        path = rows[left].path_mm + (place - left) * (rows[left + 1].path_mm - rows[left].path_mm)
+        lines = InsonifiedLines(path, rows[m // fine].amplitudes)
         parts = np.zeros((2, s.lines * fine, 2 * s.samples), dtype=np.float32)
-        scatter(s, lattice, path, *lit[m // fine][1:], seeds, 0, parts)
+        scatter(s, lattice, lines, seeds, 0, parts)
         for part, out in zip(parts, beams[:, m], strict=True):
             form_beams(s, part, out)
 
@@ -180,7 +190,7 @@ def _detected(
 
     def detected(m: int) -> None:
         # every row of the array has its own receiver noise
-        own = Seeds(seeds.texture, np.uint64((int(seeds.once) + _ROW_SEED * (m + 1)) & (2**64 - 1)))
+        own = Seeds(seeds.texture, np.uint64((int(seeds.frame) + _ROW_SEED * (m + 1)) & (2**64 - 1)))
         detect(s, formed[:, m], own, 0, level[m])
         receive.decibel(level[m], 1.0)
 
