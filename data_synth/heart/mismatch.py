@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_synth.kernels.lookup import cubic_at
+from data_synth.kernels.interpolation import cubic_at
 from data_synth.kernels.waves import wave_sum
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 

@@ -1,13 +1,13 @@
 """The heart at end-diastole as grids: what MR and ultrasound look up after going back through the motion."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.kernels import lookup
+from data_synth.kernels import tissue_map
+from data_synth.threads import for_each
 from dvf_ig.core import FloatArray, read_only_arrays
 
 from .fibre_orientation import fibre_orientation
@@ -18,7 +18,6 @@ Layers = list[tuple[Tissue, FloatArray]]
 CHANNELS = 5
 """Ultrasound channels: ln Z, α dB/cm/MHz, echo amplitude of tissue, of blood, and |∇ ln Z| per mm."""
 
-_THREADS = 2
 REFLECTORS = (Tissue.LUNG, Tissue.BONE)
 _REFLECTOR_EDGE = 3.0
 """Wider by this: a tenth of their edge reflects all, and must not be a staircase of nodes."""
@@ -73,7 +72,7 @@ class ReferenceMap:
 
     def sample(self, xyz_mm: FloatArray, signal: NDArray[np.float32], codes: NDArray[np.uint8]) -> None:
         """MR signal and tissue code at (n, 3) reference positions, into `signal` and `codes` (n,)."""
-        lookup.sampled(
+        tissue_map.sample_mr(
             xyz_mm, self.organ_mm, self.inner, self.outer, self.signal, self.origin_mm,
             1.0 / self.spacing_mm, signal, codes,
         )  # fmt: skip
@@ -124,9 +123,8 @@ def build_reference(shapes: ReferenceShapes, box_mm: FloatArray, spacing_mm: flo
         acoustics[i, ..., : CHANNELS - 1] = rows[:, : CHANNELS - 1].reshape(*shape[1:], -1)
         signal[i] = rows[:, -1].reshape(shape[1:])
 
-    with ThreadPoolExecutor(_THREADS) as pool:
-        list(pool.map(fill, range(shape[0])))
-    lookup.gradient_norm(acoustics, 1.0 / spacing_mm)
+    for_each(fill, range(shape[0]))
+    tissue_map.gradient_norm(acoustics, 1.0 / spacing_mm)
     fibres = fibre_orientation(np.where(organ > 0, inner, outer), spacing_mm)
     return ReferenceMap(np.array(box_mm[0]), spacing_mm, organ, inner, outer, signal, acoustics, fibres)
 

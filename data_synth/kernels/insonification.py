@@ -10,7 +10,7 @@ from numba import njit
 
 from dvf_ig.core import AnyArray
 
-from .lookup import Point, cell, nearest
+from .interpolation import Point, channels_at, nearest
 
 TOTAL_REFLECTION = 0.5
 """An interface whose reflection coefficient exceeds this one is a total reflector: lung or bone."""
@@ -109,7 +109,9 @@ def _insonify_line(
     reflector[0] = -1.0
     for i in range(len(tissue)):
         x, y, z = _middle(path[i], path[i + 1])
-        impedance, alpha, muscle, plasma, slope = _acoustics_at(x, y, z, fields)
+        impedance, alpha, muscle, plasma, slope = channels_at(
+            x, y, z, fields.acoustics, fields.origin, fields.per_mm
+        )
         rise = impedance - last if i > 0 else 0.0
         last = impedance
         if rise * run < 0.0 or abs(rise) < 1e-5:
@@ -139,31 +141,6 @@ def _insonify_line(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _middle(a: AnyArray, b: AnyArray) -> Point:
     return 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _acoustics_at(
-    x: float, y: float, z: float, fields: TissueFields
-) -> tuple[float, float, float, float, float]:
-    """The five acoustic channels by trilinear interpolation, clamped at the border of the grid."""
-    acoustics = fields.acoustics
-    u, fx = cell((x - fields.origin[0]) * fields.per_mm, acoustics.shape[0])
-    v, fy = cell((y - fields.origin[1]) * fields.per_mm, acoustics.shape[1])
-    w, fz = cell((z - fields.origin[2]) * fields.per_mm, acoustics.shape[2])
-    impedance, alpha, muscle, plasma, slope = 0.0, 0.0, 0.0, 0.0, 0.0
-    for a in range(2):
-        wa = fx if a else 1.0 - fx
-        for b in range(2):
-            wb = wa * (fy if b else 1.0 - fy)
-            for c in range(2):
-                share = wb * (fz if c else 1.0 - fz)
-                node = acoustics[u + a, v + b, w + c]
-                impedance += share * node[0]
-                alpha += share * node[1]
-                muscle += share * node[2]
-                plasma += share * node[3]
-                slope += share * node[4]
-    return impedance, alpha, muscle, plasma, slope
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -8,7 +8,7 @@ from numba import njit
 from dvf_ig.core import AnyArray
 
 from .insonification import ECHO_REACH, Amplitudes
-from .lookup import Point
+from .interpolation import Point
 
 TABLE = 8192
 """Entries in the table of complex normal deviates that lattice hashes point into."""

@@ -1,6 +1,5 @@
 """Pre-operative 4-D cine MR of the synthetic heart, with its segmentation."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +9,9 @@ from scipy.ndimage import gaussian_filter
 from data_synth.heart.motion import PullBack
 from data_synth.heart.reference import ReferenceMap
 from data_synth.heart.tissue import FIRST_OUTSIDE, LABEL_NAMES, Tissue, bssfp_signal
+from data_synth.threads import for_each
 from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, VolumeSeries
 
-_THREADS = 2
 _BLOOD_LEVEL = 800.0
 FWHM_PER_SIGMA = 2.3548
 
@@ -71,8 +70,7 @@ def cine_preop(
         image[i] = measured(signal * shading, sigma_px, protocol.snr, noise_rngs[i])
         labels[i] = heart_labels(codes)
 
-    with ThreadPoolExecutor(_THREADS) as pool:
-        list(pool.map(acquire, range(protocol.phases)))
+    for_each(acquire, range(protocol.phases))
     return Preop(
         patient_id=patient_id,
         mr=VolumeSeries(grid, image, timing),

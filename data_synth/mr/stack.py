@@ -1,6 +1,5 @@
 """Short-axis cine MR as it is acquired: thick slices with gaps, one breath-hold and one heart rate each."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +9,11 @@ from data_synth.heart.clock import two_segment_phase
 from data_synth.heart.motion import PullBack
 from data_synth.heart.reference import ReferenceMap
 from data_synth.heart.respiration import DIRECTION
+from data_synth.threads import for_each
 from dvf_ig.core import CycleTiming, FloatArray, Grid, InvalidInputError, VolumeSeries, read_only_arrays
 
 from .cine import FWHM_PER_SIGMA, coil_shading, heart_labels, measured
 
-_THREADS = 2
 _SUBSLICES = 5
 
 
@@ -113,8 +112,7 @@ def stack_cine(
             image[i, ..., k] = measured(shaded, sigma_px, protocol.snr, noise_rngs[k])
             labels[i, ..., k] = heart_labels(codes).reshape(grid.shape[:2])
 
-    with ThreadPoolExecutor(_THREADS) as pool:
-        list(pool.map(acquire, range(slices)))
+    for_each(acquire, range(slices))
     cycle = CycleTiming(fractions, float(rr_s.mean()))
     return StackCine(
         VolumeSeries(grid, image, cycle),

@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from data_synth.heart.fibre_orientation import fibre_orientation
 from data_synth.heart.reference import CHANNELS, ReferenceMap
 from data_synth.heart.tissue import ACOUSTICS, BLOOD, FIRST_OUTSIDE, Tissue
-from data_synth.kernels import lookup
+from data_synth.kernels import tissue_map
 from dvf_ig.core import AnyArray, FloatArray, InvalidInputError, Volume
 
 WHOLE_HEART: dict[int, Tissue] = {
@@ -178,7 +178,7 @@ def _acoustic_fields(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.
         table[tissue] = (np.log(a.impedance_mrayl), a.attenuation_db, *scatter)
     for channel in range(CHANNELS - 1):
         fields[..., channel] = gaussian_filter(table[codes, channel], _EDGE_NODES)
-    lookup.gradient_norm(fields, 1.0 / spacing_mm)
+    tissue_map.gradient_norm(fields, 1.0 / spacing_mm)
     return fields
 
 

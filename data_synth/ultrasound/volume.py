@@ -1,6 +1,5 @@
 """3-D ultrasound: a pyramid of scan lines from a matrix array, converted to voxels."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -8,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_synth.kernels import receive, scan
+from data_synth.threads import THREADS, for_each, in_order
 from dvf_ig.core import FloatArray, Grid, InvalidInputError, Rigid, Volume
 from dvf_ig.core.frames import require_same_frame
 
@@ -97,7 +97,7 @@ def simulate_volume(
     *,
     seed: int,
     frame: int = 0,
-    threads: int = 2,
+    threads: int = THREADS,
 ) -> EchoVolume:
     """One 3-D image; bit-identical for any number of threads.
 
@@ -114,7 +114,7 @@ def simulate_volume(
     return shown_volume(level, probe, threads=threads)
 
 
-def shown_volume(level_db: NDArray[np.float32], probe: MatrixProbe, *, threads: int = 2) -> EchoVolume:
+def shown_volume(level_db: NDArray[np.float32], probe: MatrixProbe, *, threads: int = THREADS) -> EchoVolume:
     """Log compression and conversion to voxels of a pyramid of scan lines."""
     return _converted(log_compressed(level_db, probe.sector), probe, threads)
 
@@ -127,7 +127,7 @@ def simulate_pyramid(
     *,
     seed: int,
     frame: int = 0,
-    threads: int = 2,
+    threads: int = THREADS,
 ) -> NDArray[np.float32]:
     """Envelope before log compression and conversion: (tall, lines, samples), dB re myocardium's scatter.
 
@@ -139,26 +139,26 @@ def simulate_pyramid(
     phases = checked_phases(line_phases, (probe.tall, s.lines))
     # cached values are filled before threads share them
     _ = (anatomy.reference, anatomy.inverse_motion, beam_tables(s))
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        beams = _rows_of_beams(anatomy, probe, mr_from_plane, phases, seeds, pool)
-        return _detected(probe, beams, seeds, pool)
+    rows = _insonified_rows(anatomy, probe, mr_from_plane, phases, threads)
+    return _detected(probe, _rows_of_beams(probe, rows, seeds, threads), seeds, threads)
 
 
-def _rows_of_beams(
-    anatomy: AcousticAnatomy,
-    probe: MatrixProbe,
-    mr_from_plane: Rigid,
-    phases: FloatArray,
-    seeds: Seeds,
-    pool: ThreadPoolExecutor,
-) -> Raster:
+def _insonified_rows(
+    anatomy: AcousticAnatomy, probe: MatrixProbe, mr_from_plane: Rigid, phases: FloatArray, threads: int
+) -> list[InsonifiedLines]:
+    """One fan of lines for each of the `tall` rows."""
+    directions = probe.directions @ mr_from_plane.rotation.T
+
+    def row(e: int) -> InsonifiedLines:
+        return insonified_lines(anatomy, probe.sector, mr_from_plane, directions[e], phases[e])
+
+    return list(in_order(row, range(probe.tall), threads))
+
+
+def _rows_of_beams(probe: MatrixProbe, rows: list[InsonifiedLines], seeds: Seeds, threads: int) -> Raster:
     """(2, tall · fine_lines, lines, samples) echoes, formed laterally and axially but not in elevation."""
     s, fine, tall = probe.sector, probe.sector.fine_lines, probe.tall
-    directions = probe.directions @ mr_from_plane.rotation.T
     beams = np.empty((2, tall * fine, s.lines, s.samples), dtype=np.float32)
-    rows = list(
-        pool.map(lambda e: insonified_lines(anatomy, s, mr_from_plane, directions[e], phases[e]), range(tall))
-    )
     lattice = fine_lattice()
 
     def form(m: int) -> None:
@@ -172,13 +172,11 @@ def _rows_of_beams(
         for part, out in zip(parts, beams[:, m], strict=True):
             form_beams(s, part, out)
 
-    list(pool.map(form, range(tall * fine)))
+    for_each(form, range(tall * fine), threads)
     return beams
 
 
-def _detected(
-    probe: MatrixProbe, beams: Raster, seeds: Seeds, pool: ThreadPoolExecutor
-) -> NDArray[np.float32]:
+def _detected(probe: MatrixProbe, beams: Raster, seeds: Seeds, threads: int) -> NDArray[np.float32]:
     """(tall, lines, samples) dB: the beam in elevation, noise, gain and envelope."""
     s, shape = probe.sector, (probe.tall, probe.sector.lines, probe.sector.samples)
     formed, level = np.empty((2, *shape), dtype=np.float32), np.zeros(shape, dtype=np.float32)
@@ -194,8 +192,8 @@ def _detected(
         detect(s, formed[:, m], own, 0, level[m])
         receive.decibel(level[m], 1.0)
 
-    list(pool.map(across, range(2)))
-    list(pool.map(detected, range(probe.tall)))
+    for_each(across, range(2), threads)
+    for_each(detected, range(probe.tall), threads)
     return level
 
 
@@ -227,6 +225,5 @@ def _converted(grey: NDArray[np.float32], probe: MatrixProbe, threads: int) -> E
             mask,
         )
 
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        list(pool.map(convert, parts))
+    for_each(convert, parts, threads)
     return EchoVolume(Volume(grid, image), Volume(grid, mask))
