@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from data_synth.heart.anatomy import phantom_anatomy
+from data_synth.mr.cine import cine_preop
 from data_synth.operator.hand import reframed
 from data_synth.operator.probe_path import ReplayedPath, central_view, sweeping_path
 from data_synth.phantoms.nwire import nwire_recording
@@ -53,7 +54,8 @@ def phantom_scenario(spec: ScenarioSpec, progress: Report | None = None) -> Scen
     _report_progress(progress, 0.12)
     sweep = sweeping_path(world.outline, world.window, spec.options.sweep, world.rng("probe path"))
     name = f"four-chamber phantom, {spec.motion}, {spec.preset}, seed {spec.seed}"
-    return _assembled(name, world, ecg, sweep, with_start=True, progress=progress)
+    preop = cine_preop(anatomy, world.rng("preop"))
+    return _assembled(name, world, preop, ecg, sweep, with_start=True, progress=progress)
 
 
 def surface_scenario(
@@ -90,14 +92,21 @@ def surface_scenario(
     mr_from_mean_probe = view @ world.truth.probe_from_plane.inverse()
     sweep = reframed(probe_path, mr_from_mean_probe, world.truth.probe_from_plane)
     name = f"real surfaces and ECG, {spec.preset}, seed {spec.seed}"
-    return _assembled(name, world, ecg.between(0.0, spec.seconds), sweep, with_start=False, progress=progress)
+    shown = ecg.between(0.0, spec.seconds)
+    return _assembled(name, world, anatomy.preop(), shown, sweep, with_start=False, progress=progress)
 
 
 def _assembled(
-    name: str, world: World, ecg: Signal, sweep: PosePath, *, with_start: bool, progress: Report | None
+    name: str,
+    world: World,
+    preop: Preop,
+    ecg: Signal,
+    sweep: PosePath,
+    *,
+    with_start: bool,
+    progress: Report | None,
 ) -> Scenario:
     spec, truth, anatomy = world.spec, world.truth, world.anatomy
-    preop = anatomy.preop(world.rng("preop"))
     _report_progress(progress, 0.3)
     task = tool_task(world)
     _report_progress(progress, 0.4)
