@@ -222,7 +222,7 @@ def _forces(
         )
         force[here], gradient[here] = part.force_n, part.gradient
         distance[here], status[here] = part.distance_mm, part.status
-    return ForceSamples(force, distance, gradient, status), status == Status.OK
+    return ForceSamples("tracker", force, distance, gradient, status), status == Status.OK
 
 
 def _pieces(begins: IntArray, n: int) -> list[slice]:
