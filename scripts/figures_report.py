@@ -29,7 +29,7 @@ from dvf_ig.report.paper import (
 )
 from dvf_ig.report.study.stylus import tracking_figure
 from dvf_ig.study.bench.timing import time_batches, time_calls
-from dvf_ig.study.stylus.study import BeatingSurface, Track, beating_surface, follow, followers
+from dvf_ig.study.stylus.holding import BeatingSurface, StylusRun, beating_surface, held_styli, hold_stylus
 
 Row = tuple[str, str, str]
 
@@ -72,8 +72,8 @@ def main() -> int:
     surface = beating_surface("paper5mm", places=arguments.places, seed=arguments.seed)
     fit = surface_fit(surface.model, phase=surface.model.ed_phase, rng=np.random.default_rng(0))
     tracks = [
-        follow(surface, follower, cycles=arguments.cycles)
-        for follower in followers(list(DEVICES.values()), list(BLEND_CODES))
+        hold_stylus(surface, stylus, cycles=arguments.cycles)
+        for stylus in held_styli(list(DEVICES.values()), list(BLEND_CODES))
     ]
     figures = _figures(surface, fit, tracks)
     rows = [*_accuracy(surface, fit), *_tracking(tracks), *_speed(surface)]
@@ -96,7 +96,7 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _figures(surface: BeatingSurface, fit: SurfaceFit, tracks: list[Track]) -> list[PaperFigure]:
+def _figures(surface: BeatingSurface, fit: SurfaceFit, tracks: list[StylusRun]) -> list[PaperFigure]:
     """In the order of the paper."""
     model, cycle_s = surface.model, surface.model.timing.rr_s
     forbidden, guidance = Evaluator(model, FORBIDDEN), Evaluator(model, GUIDANCE)
@@ -118,8 +118,8 @@ def _field(evaluator: Evaluator, title: str) -> Figure:
     return field_figure(organ_field(evaluator, 0.0), surface_field(evaluator, 0.0), title)
 
 
-def _tracking_caption(tracks: list[Track]) -> str:
-    devices = {t.follower.device.name: t.follower.device for t in tracks}.values()
+def _tracking_caption(tracks: list[StylusRun]) -> str:
+    devices = {t.stylus.device.name: t.stylus.device for t in tracks}.values()
     each = "; ".join(
         f"{d.name}: {1000 * d.mass_kg:g} g, dry friction {d.dry_n:g} N, sensor step {d.resolution_mm:g} mm"
         for d in devices
@@ -140,10 +140,10 @@ def _accuracy(surface: BeatingSurface, fit: SurfaceFit) -> list[Row]:
     ]
 
 
-def _tracking(tracks: list[Track]) -> list[Row]:
+def _tracking(tracks: list[StylusRun]) -> list[Row]:
     rows = []
     for track in tracks:
-        f = track.follower
+        f = track.stylus
         extra = " with feed-forward" if f.feed_forward.friction_n > 0.0 else ""
         name = f"automatic tracking, {f.device.name}{extra}, blend '{f.blend}', mean"
         rows.append((name, f"{track.summary()['mean_mm']:.3f} mm", "0.29 mm"))

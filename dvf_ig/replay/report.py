@@ -84,7 +84,7 @@ def _overlay(replay: Replay, sight: Sight, pose: Rigid, image: NDArray[np.uint8]
 
 def _distance_mm(replay: Replay, pose: Rigid, tracker_mm: FloatArray, phase: float) -> FloatArray:
     evaluator = Evaluator(replay.heart.model, Sigmoid(), blend="distance")
-    return evaluator.force_through(np.ascontiguousarray(pose.matrix[:3]), tracker_mm, phase).distance_mm
+    return evaluator.force_through(pose, tracker_mm, phase).distance_mm
 
 
 def _model_grey(replay: Replay, pose: Rigid, tracker_mm: FloatArray, phase: float) -> FloatArray:

@@ -17,22 +17,22 @@ from dvf_ig.report.study.registration import (
     capture_html,
 )
 from dvf_ig.report.study.registration.values import OURS, Limits
+from dvf_ig.study.trials import Line
 
+from .experiments import BIN_MM
 from .summary import (
-    BIN_MM,
     CAPTURE_PERCENT,
     FAILURE_MM,
     STRICT_MM,
     SUCCESS_MM,
     Group,
-    Line,
     auc_of,
     capture_of,
     error_of,
     group_key,
     number,
     share_of,
-    summarise_capture,
+    summarise_trials,
 )
 
 NEAR_MM = 12.0
@@ -50,8 +50,8 @@ def write_capture_page(lines: Iterable[Line], path: Path) -> None:
 
 def capture_page(lines: Sequence[Line]) -> CapturePage:
     """Groups and curves of these trials."""
-    groups = summarise_capture(lines)
-    near = {_key(group): group.success for group in summarise_capture(lines, up_to_mm=NEAR_MM)}
+    groups = summarise_trials(lines)
+    near = {_key(group): group.success for group in summarise_trials(lines, up_to_mm=NEAR_MM)}
     errors: dict[tuple[str, ...], list[float]] = {}
     for line in lines:
         errors.setdefault(group_key(line), []).append(error_of(line))
@@ -83,8 +83,8 @@ def success_curves(lines: Iterable[Line]) -> tuple[SuccessCurve, ...]:
     kinds: dict[tuple[str, str, str, str], list[Line]] = {}
     for line in lines:
         if line.get("method"):
-            arm, _, quality, method, condition = group_key(line)
-            kinds.setdefault((arm, method, quality, condition), []).append(line)
+            experiment, _, quality, method, condition = group_key(line)
+            kinds.setdefault((experiment, method, quality, condition), []).append(line)
     return tuple(SuccessCurve(*kind, capture_of(runs).bins) for kind, runs in kinds.items())
 
 
@@ -142,4 +142,4 @@ def _not_refused(errors_mm: Sequence[float]) -> np.ndarray[tuple[int], np.dtype[
 
 
 def _key(group: Group) -> tuple[str, ...]:
-    return (group.arm, group.motion, group.quality, group.method, group.condition)
+    return (group.experiment, group.motion, group.quality, group.method, group.condition)

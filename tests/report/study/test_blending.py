@@ -3,7 +3,7 @@
 import pytest
 
 from dvf_ig.report.study.blending import blending_figure, blending_png
-from dvf_ig.study.blending.study import BlendError, BlendStudy
+from dvf_ig.study.blending.blend_errors import BlendError, BlendStudy
 
 
 def study() -> BlendStudy:

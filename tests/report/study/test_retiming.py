@@ -3,7 +3,7 @@
 import pytest
 
 from dvf_ig.report.study.retiming import COLORS, retiming_figure
-from dvf_ig.study.retiming.study import METHODS, RetimingRow
+from dvf_ig.study.retiming.surface_error import METHODS, RetimingRow
 
 
 def test_every_method_has_its_colour() -> None:

@@ -35,8 +35,8 @@ _LABELS = {"motion": "heart", "quality": "ultrasound", "method": "method", "cond
 def capture_html(page: CapturePage) -> str:
     """The page: a table and figures for each experiment, then the self-check of all."""
     limits, colors = page.limits, colors_of(page.methods)
-    arms = sorted({row.group.arm for row in page.groups})
-    body = "".join(_experiment_section(arm, page, colors) for arm in arms)
+    letters = sorted({row.group.experiment for row in page.groups})
+    body = "".join(_experiment_section(letter, page, colors) for letter in letters)
     refused = (
         f"<p class=note>{page.refused} more trials were refused and do not say of what kind they were; they "
         "are in no row below.</p>"
@@ -54,14 +54,14 @@ def capture_html(page: CapturePage) -> str:
     return html_page(title, f"{note}{refused}{body}{_check_section(page, colors)}", style=_STYLE)
 
 
-def _experiment_section(arm: str, page: CapturePage, colors: dict[str, str]) -> str:
-    rows = [row for row in page.groups if row.group.arm == arm]
+def _experiment_section(letter: str, page: CapturePage, colors: dict[str, str]) -> str:
+    rows = [row for row in page.groups if row.group.experiment == letter]
     varied = _varied([row.group for row in rows])
     boxes = [
         (" · ".join(filter(None, _labels(row.group, varied))), row.group.method, row.errors_mm)
         for row in rows
     ]
-    mine = [curve for curve in page.success if curve.arm == arm]
+    mine = [curve for curve in page.success if curve.experiment == letter]
     figures = [
         (
             capture_curves(mine, colors, page.limits),
@@ -74,8 +74,8 @@ def _experiment_section(arm: str, page: CapturePage, colors: dict[str, str]) -> 
             "Box: middle half of the runs; whiskers: 5 to 95 %; dots: the other runs.",
         ),
     ]
-    name = EXPERIMENTS.get(arm, "")
-    heading = f"{arm}: {name}" if name else arm or "Registrations"
+    name = EXPERIMENTS.get(letter, "")
+    heading = f"{letter}: {name}" if name else letter or "Registrations"
     table = _table(
         [*(_LABELS[v] for v in varied)],
         _number_heads(page.limits),
@@ -94,7 +94,7 @@ def _check_section(page: CapturePage, colors: dict[str, str]) -> str:
     if not telling:
         return ""
     varied = _varied(telling)
-    rows = [(g, [g.arm, *_labels(g, varied), *_checks(g)]) for g in telling]
+    rows = [(g, [g.experiment, *_labels(g, varied), *_checks(g)]) for g in telling]
     figures = [
         (roc_figure(page.roc, colors, page.limits), "Failures caught against good registrations refused"),
         (

@@ -66,7 +66,7 @@ class Group(Protocol):
     """The runs of one experiment, motion, quality, method and condition: numbers, shares and spreads."""
 
     @property
-    def arm(self) -> str: ...
+    def experiment(self) -> str: ...
     @property
     def motion(self) -> str: ...
     @property
@@ -143,7 +143,7 @@ class TrialGroup:
 class SuccessCurve:
     """Success by start error of one experiment, method, quality and condition; `bins` may be empty."""
 
-    arm: str
+    experiment: str
     method: str
     quality: str
     condition: str
