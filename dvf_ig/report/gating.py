@@ -122,7 +122,7 @@ def _draw_tachogram(axis: Axes, peaks: FloatArray, track: PhaseTrack, chosen: li
             fontsize=9,
             weight="bold",
         )
-        axis.axvspan(start_s / unit, (start_s + STRIP_S) / unit, color=_TRACE, alpha=0.12, lw=0)
+        axis.axvspan(start_s / unit, (start_s + STRIP_S) / unit, color=_LOCKED, alpha=0.1, lw=0)
 
 
 def _draw_strip(
@@ -157,7 +157,7 @@ def _draw_strip(
     unit = signal.unit if signal is not None else ""
     lead = signal.leads[0] if signal is not None else "trigger"
     axis.set_ylabel(f"{letter}\n{lead}, {unit}".rstrip(", "), fontsize=8)
-    axis.tick_params(labelsize=7)
+    axis.tick_params(labelsize=8)
 
 
 def _band(signal: Signal | None) -> tuple[float, float]:

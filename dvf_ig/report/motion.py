@@ -16,7 +16,7 @@ from dvf_ig.core.mesh import SurfaceSeries
 from dvf_ig.core.volume import VolumeSeries
 
 from .plane_section import plane_section
-from .style import ESTIMATE, FAINT, ON_GREY, START, TRUTH, png_path, without_ticks, write_png
+from .style import ESTIMATE, FAINT, ON_GREY, START, TRUTH, without_ticks, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,12 +44,13 @@ def write_motion_picture(
         InvalidInputError: a suffix that is not .png.
         OutputError: not writable.
     """
-    write_png(png_path(path), _figure(image, surfaces, quality, ed_phase, es_phase), dpi=90)
+    write_png(path, motion_figure(image, surfaces, quality, ed_phase, es_phase), dpi=90)
 
 
-def _figure(
+def motion_figure(
     image: VolumeSeries, surfaces: SurfaceSeries, quality: MotionQuality, ed_phase: int, es_phase: int
 ) -> Figure:
+    """Three planes at both phases above, the quality of the motion by phase below."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 10.5), layout="constrained")
@@ -62,7 +63,12 @@ def _figure(
             _draw_plane(axis, image, surfaces, (phase, ed_phase), normal, (low, high))
             percent = 100 * image.timing.fractions[phase]
             axis.set_title(f"{word} ({percent:.0f} % of the cycle), {view}", fontsize=9, color=TRUTH)
-    _draw_bars(lower.subplots(2, 2).ravel(), image, quality, es_phase)
+    upper.suptitle("propagated surface (dotted: end-diastole)", fontsize=10, color=TRUTH)
+    bars = lower.subplots(2, 2).ravel()
+    _draw_bars(bars, image, quality, es_phase)
+    lower.legend(
+        *bars[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9
+    )
     return figure
 
 
@@ -119,6 +125,5 @@ def _draw_bars(axes: list[Axes], image: VolumeSeries, quality: MotionQuality, es
         axis.tick_params(labelsize=8)
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.set_xlim(-0.7, len(phases) - 0.3)
-    axes[0].legend(fontsize=8, loc="lower left")
     for axis in axes[2:]:
         axis.set_xlabel("phase (dotted: end-systole)", fontsize=8)

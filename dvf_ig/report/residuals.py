@@ -104,7 +104,13 @@ def write_latency_picture(path: Path | str, found: LatencyResult, *, title: str)
     drift.axhspan(low, high, color=ESTIMATE, alpha=0.15, lw=0, label="95 % of the mean")
     drift.axhline(1000 * found.lag_s, color=ESTIMATE, lw=1.2)
     drift.plot(
-        found.period_t_s - start, 1000 * found.period_lags_s, "o-", ms=4, lw=0.8, color=TRUTH, label="each"
+        found.period_t_s - start,
+        1000 * found.period_lags_s,
+        "o-",
+        ms=4,
+        lw=0.8,
+        color=TRUTH,
+        label="each movement",
     )
     drift.set(xlabel="video time, s", ylabel="lag, ms", title="lag of each movement alone")
     drift.margins(y=0.3)
@@ -174,7 +180,7 @@ def _dots(values: FloatArray, used: BoolArray, x_label: str, unit: str) -> Figur
     spread.hist(inside, bins=bins, orientation="horizontal", color=ESTIMATE, alpha=0.7)
     for value, style, word in ((rms, "-", "RMS"), (p95, ":", "95 %")):
         spread.axhline(value, color=TRUTH, lw=1.0, ls=style, label=f"{word} {value:.2f} {unit}")
-    spread.set_xlabel("how many")
+    spread.set_xlabel("number")
     spread.legend(loc="upper right", fontsize=9, frameon=False)
     return figure
 

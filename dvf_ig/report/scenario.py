@@ -48,7 +48,7 @@ def preview(scenario: Scenario) -> Figure:
         axes = middle.subplots(2, FRAMES // 2).ravel()
         for axis, i in zip(axes, chosen.tolist(), strict=False):
             axis.imshow(images[i], cmap="gray", vmin=0, vmax=255)
-            axis.set_title(f"ultrasound, {t_s[i]:.1f} s", fontsize=8)
+            axis.set_title(f"ultrasound, {t_s[i]:.1f} s", fontsize=9)
         without_ticks(*axes)
     _draw_ecg(lower.subplots(), scenario)
     return figure
@@ -60,7 +60,7 @@ def _draw_preop(axes: AnyArray, preop: Preop) -> None:
     phases = np.linspace(0, len(timing), PHASES, endpoint=False).astype(int).tolist()
     center = _heart_center(preop)
     for column, phase in enumerate(phases):
-        axes[0, column].set_title(f"{100 * timing.fractions[phase]:.0f} % of the cycle", fontsize=8)
+        axes[0, column].set_title(f"{100 * timing.fractions[phase]:.0f} % of the cycle", fontsize=9)
         for row, (_, normal) in enumerate(_VIEWS):
             if shown is not None:
                 _draw_slice(axes[row, column], shown, preop, phase, center, normal)
@@ -68,7 +68,7 @@ def _draw_preop(axes: AnyArray, preop: Preop) -> None:
                 _draw_cut(axes[row, column], preop, phase, center, normal)
     without_ticks(*axes.ravel())
     for row, (name, _) in enumerate(_VIEWS):
-        axes[row, 0].set_ylabel(f"{name}, pre-operative", fontsize=8)
+        axes[row, 0].set_ylabel(f"{name}, pre-operative", fontsize=9)
 
 
 def _heart_center(preop: Preop) -> FloatArray:

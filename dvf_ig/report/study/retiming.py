@@ -37,7 +37,7 @@ def retiming_figure(
         model_rate_bpm: heart rate of the pre-operative cycle.
         assumed_slope_s_per_bpm: curves are hearts of this slope; bands reach over all slopes.
     """
-    figure = Figure(figsize=(9.5, 3.9), layout="constrained")
+    figure = Figure(figsize=(9.5, 4.3), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     rates = sorted({row.rate_bpm for row in rows})
     for method, color in COLORS.items():
@@ -55,6 +55,7 @@ def retiming_figure(
                 [row.rate_bpm for row in lawful],
                 [value(row) for row in lawful],
                 "o-",
+                clip_on=False,
                 color=color,
                 label=method,
             )
@@ -65,6 +66,11 @@ def retiming_figure(
         axis.set_xlabel("heart rate, beats/min (dotted: the model's own)")
         axis.set_ylim(bottom=0)
         axis.grid(alpha=0.25, lw=0.5)
-    title = "band: systole shortens a third less or more than assumed"
-    left.legend(fontsize=8, frameon=False, title=title, title_fontsize=8)
+    figure.legend(
+        *left.get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+        title="band: systole shortens a third less or more than assumed",
+    )
     return figure
