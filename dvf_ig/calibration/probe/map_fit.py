@@ -17,6 +17,10 @@ from .map_parameters import MapParameters, with_square_pixels
 from .tracked_points import TrackedPoints
 
 MAX_STEPS = 60
+MAX_DAMPINGS = 12
+"""Times that the damping is raised tenfold for one step."""
+CONVERGED_STEP = 1e-9
+"""Length of the last step, in rad, mm and logarithms of sizes."""
 
 
 class Phantom(Protocol):
@@ -43,7 +47,7 @@ class MapFit(Generic[P]):
         parameters: about the current map.
         phantom: with its current unknowns.
         cost: sum of squared residuals.
-        converged: the last step lowered the cost no further.
+        converged: the last step was shorter than CONVERGED_STEP, or none lowers the cost.
     """
 
     parameters: MapParameters
@@ -80,30 +84,47 @@ def start_fit(image_map: ImageMap, phantom: P, points: TrackedPoints, *, isotrop
     return MapFit(MapParameters(start, center, isotropic), phantom)
 
 
-def levenberg_marquardt(start: MapFit[P], points: TrackedPoints, steps: int = MAX_STEPS) -> MapFit[P]:
+def levenberg_marquardt(
+    start: MapFit[P], points: TrackedPoints, *, damping: float = 1e-4, steps: int = MAX_STEPS
+) -> MapFit[P]:
     """The state of least squares near a start, linearised anew about every accepted state.
 
+    Args:
+        start: where the search begins.
+        points: the frames that are fitted.
+        damping: of the first step; with 0, for a start near the solution, steps are those of Gauss and Newton
+            as long as they lower the cost.
+        steps: most steps taken.
     Source: Marquardt 1963 (damping in proportion to the diagonal of the normal equations).
     """
-    state, damping, converged = start, 1e-4, False
-    residuals = state.residuals(points)
-    cost = float((residuals**2).sum())
+    state, converged = start, False
+    residuals = state.residuals(points).ravel()
+    cost = float(residuals @ residuals)
     for _ in range(steps):
         jacobian = state.phantom.jacobian(state.parameters, points).reshape(residuals.size, -1)
-        normal, gradient = jacobian.T @ jacobian, jacobian.T @ residuals.ravel()
-        fall = 0.0
-        for _ in range(8):
-            damped = normal + np.diag(damping * np.diag(normal) + 1e-12 * np.trace(normal))
-            trial = state.stepped(-np.asarray(np.linalg.solve(damped, gradient), dtype=np.float64))
-            moved = trial.residuals(points)
-            fall = cost - float((moved**2).sum())
-            if fall >= 0:
-                damping = max(damping / 10, 1e-12)
+        for _ in range(MAX_DAMPINGS):
+            step = _damped_step(jacobian, residuals, damping)
+            trial = state.stepped(step)
+            moved = trial.residuals(points).ravel()
+            lowered = float(moved @ moved)
+            if lowered <= cost * (1 + 1e-12) + 1e-20:
                 break
-            damping *= 10
-        if fall >= 0:
-            state, residuals, cost = trial, moved, cost - fall
-        converged = fall <= 1e-13 * cost + 1e-20
-        if converged:
+            damping = max(10 * damping, 1e-4)
+        else:
+            converged = True  # to rounding, no step lowers the cost
+            break
+        state, residuals, cost, damping = trial, moved, lowered, damping / 10
+        if np.linalg.norm(step) < CONVERGED_STEP:
+            converged = True
             break
     return MapFit(state.parameters, state.phantom, cost, converged)
+
+
+def _damped_step(jacobian: FloatArray, residuals: FloatArray, damping: float) -> FloatArray:
+    """The step that minimises |J s + r|² + damping · Σ (J'J)ᵢᵢ sᵢ², by orthogonal factorisation."""
+    if damping > 0:
+        square = np.square(jacobian).sum(axis=0)
+        weights = np.sqrt(damping * square + 1e-12 * square.sum())
+        jacobian = np.concatenate([jacobian, np.diag(weights)])
+        residuals = np.concatenate([residuals, np.zeros(len(weights))])
+    return np.asarray(np.linalg.lstsq(jacobian, -residuals, rcond=None)[0], dtype=np.float64)

@@ -105,7 +105,8 @@ def shear_deg(linear: FloatArray) -> float:
 
 
 def _fitted(start: ImageMap, wires: P, points: TrackedPoints, *, isotropic: bool) -> ImageMap:
-    fit = levenberg_marquardt(start_fit(start, wires, points, isotropic=isotropic), points)
+    first = start_fit(start, wires, points, isotropic=isotropic)
+    fit = levenberg_marquardt(first, points, damping=0.0)
     if not fit.converged:
         raise NotConvergedError("the probe calibration did not converge; record more frames")
     return fit.parameters.estimate

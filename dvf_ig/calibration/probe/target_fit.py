@@ -129,7 +129,7 @@ def concentrate(start: MapFit[P], points: TrackedPoints, chosen: BoolArray) -> M
     half = max(len(points) // 2 + 1, min(len(points), 12))
     fit = start
     for _ in range(MAX_CONCENTRATION_STEPS):
-        fit = levenberg_marquardt(fit, points.part(chosen), 15)
+        fit = levenberg_marquardt(fit, points.part(chosen), steps=15)
         order = np.argsort(fit.lengths(points), kind="stable")
         again = np.zeros(len(points), dtype=np.bool_)
         again[order[:half]] = True
