@@ -19,14 +19,15 @@ myst_heading_anchors = 3
 myst_dmath_double_inline = True
 
 autoapi_dirs = [str(ROOT / "dvf_ig"), str(ROOT / "data_synth")]
+# commands are described in the guide and by their own --help
+autoapi_ignore = ["*/cli/*"]
 autoapi_root = "api"
 autoapi_options = ["members", "undoc-members", "show-module-summary"]
 autoapi_member_order = "bysource"
 autoapi_add_toctree_entry = False
 autoapi_python_class_content = "class"
-# names and arguments are typed in the sources; their types are not cross-references here
-nitpicky = False
-suppress_warnings = ["autoapi.python_import_resolution"]
+# types are linked where their name is unique
+suppress_warnings = ["autoapi.python_import_resolution", "ref.python"]
 
 html_theme = "furo"
 html_title = "dvf_ig"
