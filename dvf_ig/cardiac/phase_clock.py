@@ -19,7 +19,7 @@ R_TIMING_S = 0.005
 
 @dataclass(frozen=True, slots=True)
 class PhaseClockOptions:
-    """Limits of the states (theory: cardiac) and how fast phase may catch up.
+    """Limits of the states (dvf_ig/docs/theory/cardiac.md) and how fast phase may catch up.
 
     Attributes:
         rhythm: how intervals are judged and predicted.

@@ -76,8 +76,8 @@ def compose(forbidden: Sequence[Contribution], guidance: Sequence[Contribution],
     1. Forbidden forces add up, shortened to the cap.
     2. Guidance forces add up and lose what leads into a forbidden region: with n against its force and f its
        firmness, they become the x that minimises ½|x − F_g|² + ½ Σ f/(1−f)·max(0, x·n)². For one region that
-       is F_g − f·max(0, F_g·n)·n (theory: fixtures); for several it has no order, is continuous, never longer
-       than F_g, and at f = 1 leads into none of them.
+       is F_g − f·max(0, F_g·n)·n (dvf_ig/docs/theory/fixtures.md); for several it has no order, is
+       continuous, never longer than F_g, and at f = 1 leads into none of them.
     3. Guidance is shortened to what the forbidden force leaves of the cap, cap − |F_f|.
 
     Args:
@@ -125,7 +125,7 @@ def slew_limited(
 
     Args:
         previous_n, wanted_n: (3,) N in one frame.
-        largest_step_n: slew rate × tick, for example 100 N/s × 1 ms (theory: safety).
+        largest_step_n: slew rate × tick, for example 100 N/s × 1 ms (dvf_ig/docs/theory/safety.md).
     Raises:
         InvalidInputError: a step that is not positive.
     """

@@ -5,8 +5,8 @@ The disk cache follows the file of the outer kernel alone: after an edit to a fu
 another file's kernel, delete `dvf_ig/kernels/__pycache__`.
 
 No fast-math: sums keep their order, NaN keeps its meaning, and a kernel's NumPy twin can be held against it.
-The spline works on rows of four (`lanes`, dvf_ig/notes/0006) and fuses a product with its sum where the
-processor can; numba's own settings are left as they are.
+The spline works on rows of four (`lanes`, dvf_ig/docs/decisions/0006-force-kernel.md) and fuses a product
+with its sum where the processor can; numba's own settings are left as they are.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,7 @@
 """The dynamic virtual fixture in one call: pose, phases around φ, splines, law, blend, force turned back.
 
 Corrected eq. 10: F = (1−α) F(V_i) + α F(V_{i+1}); as printed, the weights are swapped and the force jumps at
-every frame switch (theory: fixtures).
+every frame switch (dvf_ig/docs/theory/fixtures.md).
 """
 
 import math
@@ -137,7 +137,8 @@ def _answer(push: Four, field: Four, rate: float) -> Answer:
 def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Answer:
     """Cubic in phase: one law on the blended field, whose phases are those of the periodic spline.
 
-    Not merged into its callers, whose registers it would take (dvf_ig/notes/0006).
+    Not merged into its callers, whose registers it would take
+    (dvf_ig/docs/decisions/0006-force-kernel.md).
     """
     status, u, v, w = _placed(coefficients, f, q, phi)
     if status != code.OK:

@@ -1,8 +1,9 @@
 """Four doubles side by side in one vector register, as a value that kernels can hold.
 
 A spline sums rows of four coefficients, so its kernel is written on rows. Left to itself the compiler finds
-them only with an optimisation that numba switches off for the whole process (dvf_ig/notes/0006). Every sum
-keeps the order in which it is written; `plus` rounds once where the processor can fuse, twice elsewhere.
+them only with an optimisation that numba switches off for the whole process
+(dvf_ig/docs/decisions/0006-force-kernel.md). Every sum keeps the order in which it is written; `plus`
+rounds once where the processor can fuse, twice elsewhere.
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""Build the site with Sphinx from a copy of `dvf_ig/docs`, so that nothing is generated beside the sources."""
+"""Build the site with Sphinx from a copy of `dvf_ig/docs`: nothing is generated beside the sources."""
 
 import shutil
 import subprocess
@@ -32,7 +32,7 @@ def main() -> int:
         print(f"docs: {line}", file=sys.stderr)
     (SITE / "external-links.txt").write_text("\n".join(external) + "\n", encoding="utf-8")
     pages = sum(1 for _ in SITE.rglob("*.html"))
-    print(f"{SITE / 'index.html'}: {pages} pages, {len(broken)} broken links, {len(external)} external ones listed")
+    print(f"{SITE / 'index.html'}: {pages} pages, {len(broken)} broken links, {len(external)} external ones")
     return 1 if broken else 0
 
 

@@ -1,6 +1,6 @@
 """Sphinx extension: docstrings are plain text with `code` and sections ("Args:"); turn them into safe markup.
 
-No character of a docstring is taken for markup but backquotes: formulas with *, | or _ stay as they are written.
+No character of a docstring is taken for markup but backquotes: formulas with *, | or _ stay as written.
 """
 
 import re
@@ -41,7 +41,7 @@ def marked_up(lines: list[str]) -> list[str]:
 
 
 def _taken(lines: list[str], rest: list[str]) -> list[str]:
-    """The indented lines at the front (or, after a section without indentation, all to the next blank line)."""
+    """The indented lines at the front; of a section without indentation, all to the next blank line."""
     indented = bool(lines) and lines[0].startswith(" ")
     block: list[str] = []
     for line in lines:
@@ -85,7 +85,8 @@ def _paragraph(rest: list[str]) -> list[str]:
             item = True
             out.append(begins.group() + _escaped(line[begins.end() :]))
         elif line.startswith(" "):
-            out.append(("   " if out and re.match(r"\d", out[0] or out[1]) else "  ") + _escaped(line.strip()))
+            numbered = any(re.match(r"\d", each) for each in out[:2])
+            out.append(("   " if numbered else "  ") + _escaped(line.strip()))
         else:
             out += [""] if item else []
             item = False

@@ -1,4 +1,4 @@
-"""Links of a built site: each internal one must lead to a page and an anchor that exist; external ones are listed."""
+"""Links of a built site: internal ones must lead to a page and an anchor; external ones are listed."""
 
 from collections.abc import Iterator
 from html.parser import HTMLParser

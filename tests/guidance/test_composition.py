@@ -33,7 +33,7 @@ def nudged(rng, contributions, step):
     return out
 
 
-def test_one_region_takes_the_theory_s_share_of_the_inward_part():
+def test_one_region_takes_the_published_share_of_the_inward_part():
     """F_g − f·max(0, F_g·n)·n with n into the region, f its firmness."""
     inward = np.array([0.0, 0.6, -0.8])
     for f in (0.0, 0.25, 0.5, 0.99, 1.0):

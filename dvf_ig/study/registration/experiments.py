@@ -187,7 +187,8 @@ def _mean_error(scene: Scene, pose: Rigid) -> float:
 
 
 def start_at(scene: Scene, start_mm: float, rng: np.random.Generator) -> Rigid:
-    """A pose of that mean target error: random axis, direction and share of rotation (theory: protocol).
+    """A pose of that mean target error: random axis, direction and share of rotation
+    (dvf_ig/docs/theory/registration.md).
 
     Rotation ends at half a turn; what is then missing is translation.
     """
