@@ -31,7 +31,7 @@ patient who moved lies still again, but a slipped marker is wrong in another way
 
 
 def landmark_disagreement_mm(pose: Rigid, landmarks: Rigid | None, center_mm: FloatArray) -> float | None:
-    """Distance from the landmark fit that rules out a first pose; None where it is small, or without a fit."""
+    """Distance from the landmark fit that rules out a first pose; None where small, or without a fit."""
     off_mm = 0.0 if landmarks is None else distance_between(pose, landmarks, center_mm)
     return off_mm if off_mm > LANDMARKS_MM else None
 
