@@ -9,7 +9,7 @@ from .points import Points
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seeds:
-    """Points that a person set in an image.
+    """Seed points set by the user in the image.
 
     Attributes:
         heart: in the muscle.

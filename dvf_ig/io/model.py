@@ -27,7 +27,7 @@ def write_model(model: DvfModel, path: Path | str) -> None:
     """Write a model as one `.npz`.
 
     The header holds schema, units, frame, phase times, RR with its assumed flags, patient id, sources and
-    the SHA-256 over header and arrays; the zip comment seals the file byte for byte.
+    the SHA-256 over header and arrays; the zip comment holds a checksum of the file byte for byte.
 
     Raises:
         OutputError: not writable.

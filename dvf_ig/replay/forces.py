@@ -40,7 +40,7 @@ def force_samples(
         )
         force[here], gradient[here] = part.force_n, part.gradient
         distance[here], status[here] = part.distance_mm, part.status
-    return ForceSamples(force, distance, gradient, status), status == Status.OK
+    return ForceSamples("tracker", force, distance, gradient, status), status == Status.OK
 
 
 def _spans(begins: IntArray, n: int) -> list[slice]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dvf_ig.cardiac import FEWEST_BEATS, PhaseTracking
+from dvf_ig.cardiac import MIN_BEATS, PhaseTracking
 from dvf_ig.core import FloatArray, InvalidInputError, NoOverlapError, Scenario
 
 RATE_HZ = 1000.0
@@ -39,9 +39,9 @@ def require_tracked_poses(scenario: Scenario) -> None:
 
 def require_heart_beats(tracking: PhaseTracking, scenario: Scenario) -> None:
     """Raise InvalidInputError where the ECG shows too few R peaks."""
-    if len(tracking.peaks) < FEWEST_BEATS:
+    if len(tracking.peaks) < MIN_BEATS:
         ecg = scenario.ecg
         raise InvalidInputError(
             f"the ECG has {len(tracking.peaks)} R peaks in {len(ecg) / ecg.rate_hz:.0f} s on lead(s) "
-            f"{', '.join(ecg.leads)}, needed at least {FEWEST_BEATS}; check the electrodes and the lead"
+            f"{', '.join(ecg.leads)}, needed at least {MIN_BEATS}; check the electrodes and the lead"
         )
