@@ -46,7 +46,8 @@ class HandEyeOptions:
         keep_sigma: pairs within this many robust standard deviations are inliers.
         min_span_deg: smallest accepted largest rotation between two poses of the hand.
         min_axis_spread: smallest accepted ratio of the second to the first principal size of the hand's
-            rotation vectors; 0 where all rotations are about one axis, which leaves the shift along it open.
+            rotation vectors; 0 where all rotations are about one axis, which does not determine the
+            shift along it.
         min_inlier_share: smallest accepted share of pairs that agree.
     """
 

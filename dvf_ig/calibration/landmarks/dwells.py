@@ -60,10 +60,10 @@ class Dwells:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TipCheck:
-    """Whether a stylus turned about the tip it was said to have.
+    """Whether a stylus pivoted about its stated tip.
 
     Attributes:
-        shift_mm: (3,) from the stated tip to the point about which the stylus turned in all dwells, in the
+        shift_mm: (3,) from the stated tip to the point about which the stylus pivoted in all dwells, in the
             stylus's frame.
         spread_mm: root mean square distance of the tip from its dwells' centres, as stated.
         spread_after_mm: the same of the shifted tip.
@@ -106,8 +106,8 @@ def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = 
     runs = _merged(_still_runs(t_s, tip.xyz_mm, options), tip.xyz_mm, options)
     if not runs:
         raise QualityGateError(
-            f"the tip never rested within {options.radius_mm:g} mm for {options.min_s:g} s; hold it on each "
-            "landmark for a few seconds"
+            f"the tip was never held still within {options.radius_mm:g} mm for {options.min_s:g} s; hold it on "
+            "each landmark for a few seconds"
         )
     kept = [_samples(k, runs, tip.xyz_mm, options) for k in range(len(runs))]
     centers = np.array([tip.xyz_mm[run].mean(axis=0) for run in kept])
@@ -122,11 +122,11 @@ def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = 
 
 
 def check_tip(poses: PoseStream, tip: Points, dwells: Dwells) -> TipCheck:
-    """The point about which a stylus turned, from all dwells together, against its stated tip.
+    """The point about which a stylus pivoted, from all dwells together, against its stated tip.
 
     Least squares on R_i (tip + shift) + t_i = c_k for the samples i of each dwell k: a pivot calibration with
     one pivot a dwell. Samples of the approach, further than KEEP_SIGMA from their pivot, are left out. Of a
-    stylus that was hardly turned the smallest shift that explains the samples is taken.
+    stylus that was hardly rotated the smallest shift that explains the samples is taken.
     """
     dwelt = []
     for start, stop in zip(dwells.start_s, dwells.stop_s, strict=True):

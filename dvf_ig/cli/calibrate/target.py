@@ -54,7 +54,7 @@ def calibrate_target(
         *map_rows(found.uncertainty),
         *rows,
         ("calibration", error_row(found.calibration)),
-        ("left out in turn", error_row(found.held_out)),
+        ("leave-one-out", error_row(found.held_out)),
     ]
     if checked is not None:
         table.append(("validation", error_row(checked)))

@@ -29,7 +29,7 @@ def read_wires(
     """Wires from a section of a PLUS result, or from the images where there is no table.
 
     Args:
-        picture: PNG of what was found in the images; written before a failure is told.
+        picture: PNG of what was found in the images; written even where too little was found.
     """
     from dvf_ig.calibration import recording_of, segment_wires
     from dvf_ig.core import InvalidInputError

@@ -103,7 +103,7 @@ def test_dwells_are_found_and_matched_among_others() -> None:
 
 def test_refused_dwells() -> None:
     moving = np.outer(np.arange(300.0), [1.0, 0, 0])
-    with pytest.raises(QualityGateError, match="never rested"):
+    with pytest.raises(QualityGateError, match="never held still"):
         find_dwells(np.arange(300) / 15.0, Points("reference", moving))
     dwells = find_dwells(*stylus_path(BOX[:3]))
     with pytest.raises(InvalidInputError, match="3 places for 5 landmarks"):

@@ -98,7 +98,7 @@ def test_real_sweeps_agree_within_their_intervals(real_sweeps: tuple[NWireRecord
     center = np.array([400.0, 300.0])
     again = calibrate_nwire(second, rng=np.random.default_rng(0)).uncertainty.about(center)
     spread = found.best.uncertainty.about(center)
-    gap = spread.parameters.away(again.parameters.estimate)
+    gap = spread.parameters.step_to(again.parameters.estimate)
     assert (np.abs(gap / np.hypot(spread.half_width, again.half_width)) < 1.5).all()
 
 
