@@ -18,7 +18,7 @@ MAX_SHEAR_DEG = 1.0
 class ImageMap:
     """probe_from_image = rigid · diag(sx, sy, 1): pixel (column, row) to mm at the probe's sensor.
 
-    The frame "probe" is that of the sensor on the probe; PLUS calls the map ImageToProbe, JSON results call it
+    The frame "probe" is that of the sensor on the probe; PLUS calls the map ImageToProbe, JSON results
     `sensor_from_image`. A sensor of another name gives the map its name: `rigid.target`.
 
     Attributes:

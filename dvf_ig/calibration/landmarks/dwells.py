@@ -106,8 +106,8 @@ def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = 
     runs = _merged(_still_runs(t_s, tip.xyz_mm, options), tip.xyz_mm, options)
     if not runs:
         raise QualityGateError(
-            f"the tip was never held still within {options.radius_mm:g} mm for {options.min_s:g} s; hold it on "
-            "each landmark for a few seconds"
+            f"the tip was never held still within {options.radius_mm:g} mm for {options.min_s:g} s; hold it "
+            "on each landmark for a few seconds"
         )
     kept = [_samples(k, runs, tip.xyz_mm, options) for k in range(len(runs))]
     centers = np.array([tip.xyz_mm[run].mean(axis=0) for run in kept])
