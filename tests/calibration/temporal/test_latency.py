@@ -109,7 +109,7 @@ def test_the_interval_holds_the_truth_as_often_as_it_says() -> None:
     assert np.mean(widths) < 0.003, "and it is no wider than it must be: the error's SD is 0.43 ms"
 
 
-def test_a_lag_that_wanders_widens_the_interval_and_is_told() -> None:
+def test_a_drifting_lag_widens_the_interval_and_is_reported() -> None:
     steady = recording(-0.06)
     rows = steady.wall_row_px
     # the video's clock drifts by 60 ms and jumps back every 5 s
