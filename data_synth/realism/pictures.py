@@ -1,4 +1,4 @@
-"""What the realism report shows beside its measured figures: points, attenuation, hearts in standard views."""
+"""What the realism report shows beside its figures: points, attenuation, hearts in standard views."""
 
 from collections.abc import Iterable
 
