@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from data_synth.heart.clock import two_segment_phase
+from data_synth.heart.motion import MotionPreset
 from data_synth.scenario.image_pair import ImagePair, PairSpec, image_pair, plane_views
-from data_synth.scenario.presets import Motion
 from data_synth.seeds import child_rng
 from data_synth.ultrasound.presets import PROBES
 from data_synth.ultrasound.probe import SectorProbe
@@ -81,7 +81,7 @@ class _PreOperative:
 
 
 @lru_cache(maxsize=1)
-def _preoperative(seed: int, motion: Motion) -> _PreOperative:
+def _preoperative(seed: int, motion: MotionPreset) -> _PreOperative:
     data = image_pair(PairSpec(seed, motion)).preop
     if data.mr is None:
         raise TypeError("the phantom's pre-operative data hold MR")
@@ -92,7 +92,7 @@ def _preoperative(seed: int, motion: Motion) -> _PreOperative:
 
 
 @lru_cache(maxsize=2)
-def _channels(seed: int, motion: Motion, smoothing_mm: float) -> ModelChannels:
+def _channels(seed: int, motion: MotionPreset, smoothing_mm: float) -> ModelChannels:
     return channels_from_mr(_preoperative(seed, motion).mr, smoothing_mm=smoothing_mm)
 
 
