@@ -10,7 +10,7 @@ from dvf_ig.core import BoolArray, FloatArray, Rigid
 from dvf_ig.registration import distance_between
 
 UPDATE_MM_PER_S = 10.0
-"""Fastest motion of the model by a registration update (theory: safety)."""
+"""Fastest motion of the model by a registration update (dvf_ig/docs/theory/safety.md)."""
 STEP_S = 0.005
 
 

@@ -27,7 +27,7 @@ class TipTrack:
 
 
 def predict_tip(tool: PoseStream, tip_tool_mm: FloatArray, t_s: FloatArray) -> TipTrack:
-    """Tip at each tick by constant velocity from the newest valid pose (theory: safety, stale tracking).
+    """Tip at each tick by constant velocity from the newest valid pose (dvf_ig/docs/theory/safety.md).
 
     Args:
         tool: tracker_from_tool.

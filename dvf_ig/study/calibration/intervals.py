@@ -10,7 +10,7 @@ from data_synth.phantoms.crosswire import CrossWireSpec, crosswire_recording
 from data_synth.phantoms.nwire import nwire_recording
 from data_synth.phantoms.wall import WallSpec, wall_recording
 from data_synth.phantoms.watertank import watertank_recording
-from data_synth.scenario.ground_truth import Planted, plant
+from data_synth.scenario.ground_truth import GroundTruth, draw_ground_truth
 from data_synth.scenario.presets import Preset
 from data_synth.seeds import child_rng
 from data_synth.ultrasound.probe import SectorProbe
@@ -71,7 +71,7 @@ def calibration_trial(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
     if kind not in KINDS:
         raise InvalidInputError(f"there is no calibration '{kind}'; choose {', '.join(KINDS)}")
     probe = SectorProbe()
-    planted = plant(np.zeros(3), probe.plane_from_image, 150.0, child_rng(seed, "planting"))
+    planted = draw_ground_truth(np.zeros(3), probe.plane_from_image, 150.0, child_rng(seed, "planting"))
     rng = child_rng(seed, str(kind))
     if kind == "watertank":
         return _latency_trial(planted, probe, rng)
@@ -115,7 +115,7 @@ def _coverage_of(name: str, error: FloatArray, half: FloatArray) -> IntervalCove
 
 
 def _nwire(
-    planted: Planted, probe: SectorProbe, rng: np.random.Generator, settings: Mapping[str, Any]
+    planted: GroundTruth, probe: SectorProbe, rng: np.random.Generator, settings: Mapping[str, Any]
 ) -> tuple[MapUncertainty, dict[str, Any]]:
     options = Preset()
     size = (probe.columns, probe.rows)
@@ -131,7 +131,7 @@ def _nwire(
 
 
 def _crosswire(
-    planted: Planted, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
+    planted: GroundTruth, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
 ) -> tuple[MapUncertainty, dict[str, Any]]:
     made = crosswire_recording(
         planted.probe_from_image, probe, Preset().nwire_tracker, CrossWireSpec(), rng, rendered=False
@@ -141,7 +141,7 @@ def _crosswire(
 
 
 def _wall(
-    planted: Planted, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
+    planted: GroundTruth, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
 ) -> tuple[MapUncertainty, dict[str, Any]]:
     made = wall_recording(
         planted.probe_from_image, probe, Preset().nwire_tracker, WallSpec(), rng, rendered=False
@@ -150,7 +150,7 @@ def _wall(
     return calibrate_wall(poses, made.features_px, rng=rng).uncertainty, {}
 
 
-def _latency_trial(planted: Planted, probe: SectorProbe, rng: np.random.Generator) -> dict[str, Any]:
+def _latency_trial(planted: GroundTruth, probe: SectorProbe, rng: np.random.Generator) -> dict[str, Any]:
     options = Preset()
     recording = watertank_recording(
         planted.probe_from_image,
