@@ -1,4 +1,4 @@
-"""Distance to a mesh by other libraries, timed for `dvf-ig bench`. Imports open3d, and vtk where installed."""
+"""Distance to a mesh by other libraries, for `dvf-ig bench`. Imports open3d, and vtk where installed."""
 
 import importlib
 import importlib.util
