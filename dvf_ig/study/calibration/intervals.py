@@ -1,4 +1,4 @@
-"""Do the 95 % intervals of the calibrations hold the truth 95 times in 100? Synthetic recordings know."""
+"""Coverage of the calibrations' 95 % intervals: do they hold the known truth of synthetic recordings?"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
