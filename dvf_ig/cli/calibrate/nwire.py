@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from dvf_ig.calibration import CalibrationErrors, NWireResult, NWireVariants
 
 
-def calibrate_nwire_phantom(
+def nwire_result(
     sequence: Path,
     device_set: Path | None,
     validate: Path | None,

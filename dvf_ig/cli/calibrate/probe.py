@@ -62,16 +62,16 @@ def probe(
 
         rng = np.random.default_rng(seed)
         if phantom is not Phantom.nwire:
-            from .target import calibrate_target
+            from .target import target_result
 
-            calibrated = calibrate_target(
+            calibrated = target_result(
                 phantom.value, sequence, points, validate, validate_points, method, rng
             )
         else:
-            from .nwire import calibrate_nwire_phantom
+            from .nwire import nwire_result
 
             tables = (points, validate_points or points)
-            calibrated = calibrate_nwire_phantom(sequence, device_set, validate, tables, method, picture, rng)
+            calibrated = nwire_result(sequence, device_set, validate, tables, method, picture, rng)
         result, rows, error_mm = calibrated
         files = (sequence, device_set, points, validate, validate_points)
         inputs = [p for p in files if p is not None]
