@@ -11,7 +11,7 @@ import numpy as np
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, ImageMap, Rigid, Scenario
-from dvf_ig.registration import BeatLook, Lc2, look_at_beat
+from dvf_ig.registration import BeatMeasurement, Lc2, SliceThreads, measure_beat
 
 from .gated_frames import EVEN_MM, look, slices_at, ultrasound_mask
 from .heart import Heart
@@ -46,7 +46,7 @@ class Beat:
     detected_s: float
     decided_s: float
     frames: int
-    look: BeatLook
+    look: BeatMeasurement
     guided: bool
     seconds: float
 
@@ -69,7 +69,7 @@ class BeatSlices:
     def asked(self, pose: Rigid, center_mm: FloatArray, guided: bool) -> Beat | None:
         """The answer about a pose; None where the slices hardly meet the model."""
         began = perf_counter()
-        seen = look_at_beat(self.metric, pose, center_mm)
+        seen = measure_beat(self.metric, pose, center_mm)
         if seen.overlap < LEAST_OVERLAP:
             return None
         if not self.steers:
@@ -94,8 +94,13 @@ def beat_slices(
     last: int,
     lag_s: float,
     probe_from_image: ImageMap,
+    threads: SliceThreads,
 ) -> BeatSlices | None:
-    """Slices of the beat that peak `last` ended; None where it is irregular or has too few frames."""
+    """Slices of the beat that peak `last` ended; None where it is irregular or has too few frames.
+
+    Args:
+        threads: of the caller, for as long as the beat may be asked.
+    """
     began = perf_counter()
     sight = look(
         scenario,
@@ -111,7 +116,14 @@ def beat_slices(
         return None
     mask = ultrasound_mask(scenario, sight.first + sight.used)
     slices = slices_at(scenario, heart, mask, probe_from_image, sight, pitch_mm=TRACK_PITCH_MM)
-    metric = Lc2(slices, heart.fine, patch_mm=PATCH_MM, pitch_mm=TRACK_PITCH_MM, even_mm=EVEN_MM)
+    metric = Lc2(
+        slices,
+        heart.fine,
+        patch_mm=PATCH_MM,
+        pitch_mm=TRACK_PITCH_MM,
+        density_width_mm=EVEN_MM,
+        threads=threads,
+    )
     return BeatSlices(
         peaks[last - 1].t_s,
         peaks[last].t_s,

@@ -28,7 +28,7 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.guidance import Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Status
-from dvf_ig.registration import RegistrationResult
+from dvf_ig.registration import RegistrationResult, SliceThreads
 
 from .beat_evaluation import BEAT_COMPUTE_S, BeatSlices, beat_slices
 from .calibrations import Rulers, calibrate
@@ -185,18 +185,19 @@ def _followed(
             return sight, None, str(error)
 
     def beat(last: int) -> BeatSlices | None:
-        return beat_slices(scenario, heart, peaks, last, lag_s, probe_from_image)
+        return beat_slices(scenario, heart, peaks, last, lag_s, probe_from_image, threads)
 
-    return follow(
-        Eyes(register, beat),
-        peaks,
-        Trust(heart.center_mm, landmark_pose(scenario)),
-        start,
-        begin_s=float(scenario.ultrasound.t_s[0]) + lag_s,
-        end_s=end_s,
-        decide_s=BEAT_COMPUTE_S,
-        tell=tell,
-    )
+    with SliceThreads() as threads:
+        return follow(
+            Eyes(register, beat),
+            peaks,
+            Trust(heart.center_mm, landmark_pose(scenario)),
+            start,
+            begin_s=float(scenario.ultrasound.t_s[0]) + lag_s,
+            end_s=end_s,
+            decide_s=BEAT_COMPUTE_S,
+            tell=tell,
+        )
 
 
 def _forces(
@@ -262,5 +263,5 @@ def register_scenario(
         seed=seed,
         progress=lambda f: tell(0.6 + 0.4 * f),
     )
-    doubt = disagreeing_landmarks(result.mr_from_tracker, landmark_pose(scenario), heart.center_mm)
+    doubt = disagreeing_landmarks(result.target_from_source, landmark_pose(scenario), heart.center_mm)
     return replace(result, stop=Stop.DISAGREEMENT) if doubt and result.stop.usable else result

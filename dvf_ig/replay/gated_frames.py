@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,11 @@ from dvf_ig.core import (
 )
 from dvf_ig.registration import (
     PHASE_WINDOW,
-    Edges,
+    Boundary,
     Gated,
     LandmarkPrior,
     Level,
+    RegistrationData,
     RegistrationOptions,
     RegistrationResult,
     SliceSet,
@@ -35,8 +37,8 @@ from dvf_ig.registration import (
     prior_from_landmarks,
     register_rigid,
     root_amplitude,
-    spread,
     start_from_landmarks,
+    subsample,
 )
 
 from .heart import COARSE_PITCH_MM, FINE_PITCH_MM, Heart
@@ -106,7 +108,7 @@ def look(
         beat_valid=beat.regular,
         window=window,
     )
-    used = gated.index[spread(len(gated.index), SLICES)]
+    used = gated.index[subsample(len(gated.index), SLICES)]
     return Sight(first, gated, used, event_s[here], model_phase, rotations, translations)
 
 
@@ -213,25 +215,22 @@ def locate(
             f"needed at least {MIN_SLICES}: check probe tracking and ECG"
         )
     mask = ultrasound_mask(scenario, sight.first + sight.used)
-    levels = [
+    coarse, fine = (
         Level(slices_at(scenario, heart, mask, probe_from_image, sight, pitch_mm=pitch), channels, pitch)
         for pitch, channels in ((COARSE_PITCH_MM, heart.coarse), (FINE_PITCH_MM, heart.fine))
-    ]
-    edges = None
+    )
+    boundary = None
     if heart.surface is not None:
         shown = replace(heart, brightness=root_amplitude)
         borders = slices_at(scenario, shown, mask, probe_from_image, sight, pitch_mm=FINE_PITCH_MM)
-        edges = Edges(boundary_points(borders), heart.surface)
+        boundary = Boundary(boundary_points(borders), heart.surface)
     return register_rigid(
-        levels[0],
-        levels[1],
+        RegistrationData(coarse, fine, heart.center_mm, boundary, _prior(scenario)),
         start,
-        heart.center_mm,
         rng=np.random.default_rng(seed),
-        prior=_prior(scenario),
-        edges=edges,
+        clock=perf_counter,
         options=RegistrationOptions(
-            starts=0 if warm else STARTS, even_mm=EVEN_MM, edge_share=heart.edge_share
+            starts=0 if warm else STARTS, density_width_mm=EVEN_MM, boundary_share=heart.boundary_share
         ),
         progress=progress,
     )

@@ -21,12 +21,12 @@ from dvf_ig.preop import close_surface, model_from_labels, model_from_surfaces, 
 from dvf_ig.registration import (
     BLOOD,
     WALL,
-    EdgeTarget,
+    BoundaryTarget,
     ModelChannels,
     channels_from_labels,
     channels_from_mr,
+    normalised_grey,
     root_amplitude,
-    shown_brightness,
     target_from_labels,
 )
 
@@ -54,7 +54,7 @@ class Heart:
     coarse, fine: channels at the two pitches of registration.
     center_mm: (3,) centre of the heart box.
     surface: where blood meets wall, for the borders that ultrasound shows; None without a cavity.
-    edge_share: how far a registration goes from LC2's pose to that of the borders.
+    boundary_share: how far a registration goes from LC2's pose to that of the borders.
     beats_steer: whether LC2 on these channels is good enough for a single beat to move the pose.
     brightness: of ultrasound that is compared with these channels.
     """
@@ -63,8 +63,8 @@ class Heart:
     coarse: ModelChannels
     fine: ModelChannels
     center_mm: FloatArray
-    surface: EdgeTarget | None
-    edge_share: float
+    surface: BoundaryTarget | None
+    boundary_share: float
     beats_steer: bool = True
     brightness: Callable[[NDArray[np.uint8]], NDArray[np.float32]] = root_amplitude
 
@@ -99,7 +99,7 @@ def build_heart(
         channels = channels_from_mr(preop.mr, smoothing_mm=MR_SMOOTHING_MM)
         return Heart(model, channels, channels, center, surface, MR_EDGE_SHARE)
     channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
-    return Heart(model, channels, channels, center, surface, LABEL_EDGE_SHARE, False, shown_brightness)
+    return Heart(model, channels, channels, center, surface, LABEL_EDGE_SHARE, False, normalised_grey)
 
 
 def _fixture_surface(preop: Preop) -> SurfaceSeries:

@@ -41,7 +41,9 @@ def overlay(replay: Replay) -> Figure | None:
     figure = Figure(figsize=(10.5, 5.6), layout="constrained")
     axes = figure.subplots(2, len(chosen))
     for column, frame in enumerate(chosen):
-        _overlay_column(replay, attempt, attempt.result.mr_from_tracker, images, int(frame), axes[:, column])
+        _overlay_column(
+            replay, attempt, attempt.result.target_from_source, images, int(frame), axes[:, column]
+        )
     axes[0, 0].set_ylabel("ultrasound")
     axes[1, 0].set_ylabel("model at the same place")
     handles = [
@@ -103,7 +105,7 @@ def pose_over_time(replay: Replay) -> Figure | None:
     upper, lower = figure.subplots(2, 1, sharex=True)
     times = np.array([beat.decided_s for beat in beats])
     guided = np.array([beat.guided for beat in beats])
-    surprise = np.array([beat.look.surprise for beat in beats])
+    surprise = np.array([beat.look.log_likelihood_ratio for beat in beats])
     if truth is not None:
         targets = truth.targets.points
         error = np.array(

@@ -16,7 +16,7 @@ import numpy as np
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, Rigid
-from dvf_ig.registration import Belief, RegistrationResult
+from dvf_ig.registration import PoseEstimate, RegistrationResult
 
 from .beat_evaluation import Beat
 from .gated_frames import Sight
@@ -194,7 +194,7 @@ class _Follower:
         result, sight = attempt.result, attempt.sight
         middle_s = float(sight.event_s[sight.used].mean())
         beats = sum(middle_s < p.t_s < now_s for p in self._peaks)
-        found = Belief.registered(result.mr_from_tracker, result.covariance, result.center_mm)
+        found = PoseEstimate.from_registration(result.target_from_source, result.covariance, result.center_mm)
         before = self._trust
         self._trust, refusal = before.registered(found, beats)
         self._refused(-1, refusal)

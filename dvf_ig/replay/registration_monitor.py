@@ -12,7 +12,7 @@ explains the views of several beats.
 from dataclasses import dataclass, replace
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
-from dvf_ig.registration import BeatLook, Belief, distance_between
+from dvf_ig.registration import BeatMeasurement, PoseEstimate, mean_displacement_mm
 
 LANDMARKS_MM = 4.0
 """Landmark fits of tuning seeds 101–106 lie 0.9 to 1.4 mm from the truth over the heart, good poses 2 mm."""
@@ -30,7 +30,7 @@ patient who moved lies still again, but a slipped marker is wrong in another way
 
 def disagreeing_landmarks(pose: Rigid, landmarks: Rigid | None, center_mm: FloatArray) -> str:
     """Why a first pose may not guide beside the landmark fit; empty where it may, or none were touched."""
-    off_mm = 0.0 if landmarks is None else distance_between(pose, landmarks, center_mm)
+    off_mm = 0.0 if landmarks is None else mean_displacement_mm(pose, landmarks, center_mm)
     if off_mm <= LANDMARKS_MM:
         return ""
     return (
@@ -55,48 +55,48 @@ class Trust:
 
     center_mm: FloatArray
     landmarks: Rigid | None
-    belief: Belief | None = None
-    candidate: Belief | None = None
+    belief: PoseEstimate | None = None
+    candidate: PoseEstimate | None = None
     doubtful: bool = True
     explained: int = 0
     confirming: int = CONFIRMING
 
     @property
-    def on_trial(self) -> Belief | None:
+    def on_trial(self) -> PoseEstimate | None:
         """The pose that a beat is asked about."""
         return self.candidate or self.belief
 
     @property
-    def guiding(self) -> Belief | None:
+    def guiding(self) -> PoseEstimate | None:
         return None if self.doubtful else self.belief
 
-    def registered(self, found: Belief, beats: float) -> tuple["Trust", str]:
+    def registered(self, found: PoseEstimate, beats: float) -> tuple["Trust", str]:
         """The next state after a registration `beats` old in the middle, and why it does not guide yet."""
         if self.doubtful or self.belief is None:
             return self._tried(found)
-        off_mm = distance_between(found.pose, self.belief.pose, self.center_mm)
+        off_mm = mean_displacement_mm(found.pose, self.belief.pose, self.center_mm)
         if off_mm <= JUMP_MM:
-            return replace(self, belief=self.belief.fused_with(found.aged(beats))), ""
+            return replace(self, belief=self.belief.update_with(found.predict(beats))), ""
         doubted = replace(self, candidate=found, doubtful=True, explained=0)
         return doubted, f"patient or probe moved by {off_mm:.1f} mm; withheld until heart beats confirm it"
 
-    def _tried(self, found: Belief) -> tuple["Trust", str]:
+    def _tried(self, found: PoseEstimate) -> tuple["Trust", str]:
         """Landmarks are asked about the first pose only: a patient who moved took them along."""
         disagreement = disagreeing_landmarks(found.pose, self.landmarks, self.center_mm)
         if self.belief is None and disagreement:
             return self, disagreement
         return replace(self, candidate=found, explained=0), "waits for heart beats that confirm it"
 
-    def saw(self, look: BeatLook) -> "Trust":
+    def saw(self, look: BeatMeasurement) -> "Trust":
         """After a beat that was asked about the pose on trial."""
         asked = self.on_trial
         if asked is None:
             return self
         if not self.doubtful:
-            if look.surprise > SURPRISE:
+            if look.log_likelihood_ratio > SURPRISE:
                 return replace(self, doubtful=True, explained=0)
             return replace(self, belief=_fused(asked, look))
-        if look.surprise > EXPLAINED:
+        if look.log_likelihood_ratio > EXPLAINED:
             return self._contradicted()
         if self.explained + 1 < self.confirming:
             return replace(self, explained=self.explained + 1)
@@ -109,5 +109,5 @@ class Trust:
         return replace(self, candidate=None, explained=0, confirming=confirming)
 
 
-def _fused(asked: Belief, look: BeatLook) -> Belief:
-    return asked.aged(1.0).fused(look.offset_information_mm, look.information)
+def _fused(asked: PoseEstimate, look: BeatMeasurement) -> PoseEstimate:
+    return asked.predict(1.0).update(look.offset_information_mm, look.information)

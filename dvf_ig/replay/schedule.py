@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import BoolArray, FloatArray, Rigid
-from dvf_ig.registration import distance_between
+from dvf_ig.registration import mean_displacement_mm
 
 UPDATE_MM_PER_S = 10.0
 """Fastest motion of the model by a registration update (theory: safety)."""
@@ -34,7 +34,7 @@ def pose_schedule(
             schedule.pop()
         if target is None or held is None:
             continue
-        way_mm = 0.0 if before else distance_between(held, target, center_mm)
+        way_mm = 0.0 if before else mean_displacement_mm(held, target, center_mm)
         steps = max(1, math.ceil(way_mm / UPDATE_MM_PER_S / STEP_S))
         schedule += [
             (ready_s + (i - 1) * STEP_S, _between(held, target, center_mm, i / steps))

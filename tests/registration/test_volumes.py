@@ -68,12 +68,12 @@ def test_a_bright_block_is_where_the_tracker_saw_it_on_planes_along_every_axis()
     grey = np.zeros(SHAPE, dtype=np.uint8)
     grey[8:10, 4:6, 6:8] = 200
     slices = prepare_volumes([tracked(grey)], pitch_mm=3.0, planes=20)
-    lit = slices.images > 0
-    assert lit.sum() == 3, "one pixel of one plane along each axis"
+    bright = slices.images > 0
+    assert bright.sum() == 3, "one pixel of one plane along each axis"
     middle = POSE.apply_array(oblique().to_mm(np.array([8.5, 4.5, 6.5])))
-    np.testing.assert_allclose(places(slices)[lit], np.tile(middle, (3, 1)), atol=1e-9)
-    np.testing.assert_allclose(slices.images[lit], root(200), rtol=1e-6)
-    normals = [np.cross(m[:, 0], m[:, 1]) for m in slices.frame_from_pixel[lit.any(axis=(1, 2))]]
+    np.testing.assert_allclose(places(slices)[bright], np.tile(middle, (3, 1)), atol=1e-9)
+    np.testing.assert_allclose(slices.images[bright], root(200), rtol=1e-6)
+    normals = [np.cross(m[:, 0], m[:, 1]) for m in slices.frame_from_pixel[bright.any(axis=(1, 2))]]
     along = np.abs(np.array(normals) @ POSE.rotation @ TURN) / np.linalg.norm(normals, axis=1)[:, None]
     np.testing.assert_allclose(along[np.argmax(along, axis=1).argsort()], np.eye(3), atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(slices.frame_from_pixel[:, :, :2], axis=1), 3.0, rtol=1e-9)

@@ -4,30 +4,30 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import Rigid
-from dvf_ig.registration import BeatLook, Belief
+from dvf_ig.registration import BeatMeasurement, PoseEstimate
 from dvf_ig.replay.registration_monitor import CONFIRMING, EXPLAINED, SURPRISE, Trust
 
 CENTER = np.array([10.0, -20.0, 30.0])
 
 
-def at(mm: float, sigma_mm: float = 0.4) -> Belief:
+def at(mm: float, sigma_mm: float = 0.4) -> PoseEstimate:
     pose = Rigid("mr", "tracker", np.eye(3), np.array([mm, 0.0, 0.0]))
-    return Belief(pose, sigma_mm**2 * np.eye(6), CENTER)
+    return PoseEstimate(pose, sigma_mm**2 * np.eye(6), CENTER)
 
 
-def look(surprise: float, *, off_mm: float = 0.0) -> BeatLook:
+def look(surprise: float, *, off_mm: float = 0.0) -> BeatMeasurement:
     """A beat that would have the pose `off_mm` further along x, seen as well as the pose is known."""
     information = np.eye(6) / 0.4**2
     offset = np.array([0, 0, 0, off_mm, 0, 0])
     pose = at(0.0).pose
-    return BeatLook(
+    return BeatMeasurement(
         pose=pose,
         best=at(off_mm).pose,
         offset_information_mm=information @ offset,
         information=information,
         similarity=0.5,
         best_similarity=0.6,
-        surprise=surprise,
+        log_likelihood_ratio=surprise,
         moved_mm=off_mm,
         overlap=1.0,
         evaluations=1,

@@ -142,17 +142,17 @@ def registration_trial(settings: Settings, number: int) -> Line:
 def _ours(scene: Scene, start: Rigid, number: int) -> Line:
     result = scene.register(start, np.random.default_rng(number))
     return {
-        "pose": result.mr_from_tracker,
+        "pose": result.target_from_source,
         "stop": result.stop.name,
         "usable": result.stop.usable,
         "success_probability": result.success_probability,
         "seconds": result.seconds,
         "similarity": result.similarity,
-        "contrast": result.contrast,
-        "halves_mm": _finite(result.disagreement_mm),
-        "phases_mm": _finite(result.phase_disagreement_mm),
-        "parts_mm": result.part_disagreement_mm,
-        "edges_mm": result.edge_disagreement_mm,
+        "contrast": result.evidence.z_score,
+        "halves_mm": _finite(result.evidence.split_half_mm),
+        "phases_mm": _finite(result.evidence.phase_mm),
+        "parts_mm": result.evidence.half_volume_mm,
+        "edges_mm": result.evidence.boundary_mm,
         "sigma_mm": _finite(_sigma_mm(result.covariance)),
         "evaluations": result.evaluations,
     }

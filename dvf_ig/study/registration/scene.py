@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -27,10 +28,11 @@ from dvf_ig.core import (
 )
 from dvf_ig.registration import (
     VOLUME_SMOOTHING_MM,
-    Edges,
-    EdgeTarget,
+    Boundary,
+    BoundaryTarget,
     Level,
     ModelChannels,
+    RegistrationData,
     RegistrationResult,
     boundary_points,
     channels_from_mr,
@@ -77,7 +79,7 @@ class _Before:
     mr: VolumeSeries
     labels: VolumeSeries
     gated: ModelChannels
-    surface: EdgeTarget
+    surface: BoundaryTarget
 
 
 @lru_cache(maxsize=1)
@@ -120,12 +122,14 @@ def _volumes(pair: ImagePair, condition: dict[str, Any]) -> Scene:
 
 
 def _volume_scene(
-    pair: ImagePair, volumes: tuple[TrackedVolume, ...], before: _Before, surface: EdgeTarget | None
+    pair: ImagePair, volumes: tuple[TrackedVolume, ...], before: _Before, surface: BoundaryTarget | None
 ) -> Scene:
     model, mr = before.gated, before.mr
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-        return register_volumes(volumes, model, start, pair.center_mm, rng=rng, surface=surface)
+        return register_volumes(
+            volumes, model, start, pair.center_mm, rng=rng, clock=perf_counter, surface=surface
+        )
 
     first = volumes[0]
     return Scene(
@@ -204,8 +208,9 @@ def _planes(pair: ImagePair, condition: dict[str, Any]) -> Scene:
     surface = target_from_labels(before.labels, model_phase)
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-        edges = Edges(boundary_points(levels[1].slices), surface)
-        return register_rigid(levels[0], levels[1], start, pair.center_mm, rng=rng, edges=edges)
+        boundary = Boundary(boundary_points(levels[1].slices), surface)
+        data = RegistrationData(levels[0], levels[1], pair.center_mm, boundary)
+        return register_rigid(data, start, rng=rng, clock=perf_counter)
 
     return Scene(pair.mr_from_tracker, pair.targets.points, pair.center_mm, register)
 
