@@ -19,6 +19,16 @@ settings.register_profile("dvf_ig", deadline=None, derandomize=True)
 settings.load_profile("dvf_ig")
 
 REPO = Path(__file__).resolve().parent.parent
+ONE_INTERVENTION = {"scenario", "replay", "written"}
+"""Fixtures that take long to make: the tests that share them run in one process."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests of one file, and all that share the intervention, stay in one process where several work."""
+    for item in items:
+        together = ONE_INTERVENTION & set(getattr(item, "fixturenames", ()))
+        group = "one intervention" if together else item.nodeid.split("::", maxsplit=1)[0]
+        item.add_marker(pytest.mark.xdist_group(group))
 
 
 @pytest.fixture(scope="session")
