@@ -14,6 +14,9 @@ from dvf_ig.replay.refusal import Refusal
 from dvf_ig.replay.score import score_poses
 
 
+RECOVERED_TRE_MM = 2.6
+
+
 def disturbed(preset: str, seconds: float) -> Scenario:
     return phantom_scenario(ScenarioSpec(preset=preset, motion="paper5mm", seconds=seconds, seed=77))
 
@@ -62,10 +65,7 @@ def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_a
     suspended = between(replay, stopped_s, resumed_s)
     assert not replay.samples.force_n[suspended].any()
     assert (replay.samples.status[suspended] == Status.NO_POSE).all()
-        "TRE",
-        median_tre_mm(replay, between(replay, 0.0, moved_s)),
-        median_tre_mm(replay, between(replay, resumed_s, end_s)),
-    )
+    assert median_tre_mm(replay, between(replay, resumed_s, end_s)) <= RECOVERED_TRE_MM
     assert replay.samples.force_n[between(replay, resumed_s, end_s)].any()
     assert replay.attempts[-1].usable
 
