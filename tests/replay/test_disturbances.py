@@ -1,4 +1,4 @@
-"""What a replay must catch: a patient who moves, a marker that slips on the probe, a wrong probe calibration."""
+"""What a replay must catch: a patient who moves, a probe whose marker slips, a wrong probe calibration."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,6 @@ from dvf_ig.replay import Replay, run_replay
 from dvf_ig.replay.pose_summary import suspensions
 from dvf_ig.replay.refusal import Refusal
 from dvf_ig.replay.score import score_poses
-
 
 RECOVERED_TRE_MM = 2.6
 
