@@ -23,7 +23,7 @@ from dvf_ig.registration import (
     fan_mask_from_images,
     gate_frames,
     prepare_slices,
-    spread,
+    subsample,
 )
 
 from .heart import Heart
@@ -132,7 +132,7 @@ def gate_recording(
         beat_valid=beat.regular,
         window=window,
     )
-    used = gated.index[spread(len(gated.index), MAX_FRAMES)]
+    used = gated.index[subsample(len(gated.index), MAX_FRAMES)]
     return GatedFrames(first, gated, used, event_s[here], model_phase, rotations, translations)
 
 

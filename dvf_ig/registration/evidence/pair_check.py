@@ -1,89 +1,118 @@
-"""Whether the pose of a pair may be believed, where the moving image may be of somebody else.
+"""Whether the pose of a pair may be believed, where one image may be of somebody else.
 
 A wrong image of the same organ also has a best pose, far above chance. Two things tell it from the right one:
-parts of the fan, registered alone, pull in different directions; and the moving image mirrored, which no
-patient fits, can be laid on the ultrasound nearly as well.
+half-volumes of the ultrasound, registered on their own, disagree; and the anatomy mirrored, which no patient
+fits, can be registered to the ultrasound nearly as well.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, Grid, Rigid, Stop
+from dvf_ig.registration.data import Level, RegistrationOptions
 from dvf_ig.registration.lc2.channels import ModelChannels
-from dvf_ig.registration.lc2.lc2 import Lc2
-from dvf_ig.registration.lc2.optimise import ClimbOptions, climb
+from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
+from dvf_ig.registration.lc2.threads import SliceThreads
 from dvf_ig.registration.pair_images import FanVolume
-from dvf_ig.registration.rigid import Level, RegistrationResult
+from dvf_ig.registration.pose_chart import random_displacements
+from dvf_ig.registration.result import RegistrationResult
 
-ALONE = ClimbOptions(steps=14, cap_mm=4.0, tolerance_mm=0.05)
-DECOY_LOOK = ClimbOptions(steps=12, cap_mm=5.0, tolerance_mm=0.3)
-DECOY_END = ClimbOptions(steps=12, cap_mm=2.0, tolerance_mm=0.1)
-DECOY_STARTS = 6
-"""Climbs for each mirrored image, displaced by DECOY_SPREAD of the fan's radius."""
-DECOY_SPREAD = 0.25
-DECOY_POWER = 0.2
-MOST_DOUBT = 1.3
-PER_DOUBT = 6.0
-"""Doubt is the disagreement of parts and of interleaved halves in mm, times the decoys' share to the power of
-0.2. On seeds 101–104 of two made-up brains, one of them also at half its size, all with 1 mm RMS of shift, it
-is 0.4 to 1.2 for images of one brain and 1.5 to 4.3 for images of two."""
+from .half_volumes import HalfVolume, half_volume_disagreements_mm
+
+HALF_OPTIMISER = OptimiserOptions(steps=14, cap_mm=4.0, tolerance_mm=0.05)
+MIRRORED_COARSE = OptimiserOptions(steps=12, cap_mm=5.0, tolerance_mm=0.3)
+MIRRORED_FINE = OptimiserOptions(steps=12, cap_mm=2.0, tolerance_mm=0.1)
+MIRRORED_STARTS = 6
+"""Starts for each mirrored image, displaced by MIRRORED_SPREAD of the fan's radius."""
+MIRRORED_SPREAD = 0.25
+MIRRORED_POWER = 0.2
+MAX_STATISTIC = 1.3
+LOGISTIC_SLOPE = 6.0
+"""The statistic is the disagreement of half-volumes and of interleaved halves in mm, times the share of the
+mirrored images to the power of 0.2. On seeds 101–104 of two synthetic brains, one of them also at half its
+size, all with 1 mm RMS of shift, it is 0.4 to 1.2 for images of one brain, 1.5 to 4.3 for images of two."""
 
 
-def doubt_about(
+def pair_statistic(
     result: RegistrationResult,
     fan: FanVolume,
     coarse: Level,
     fine: Level,
-    patch_mm: float,
+    *,
+    options: RegistrationOptions,
     rng: np.random.Generator,
 ) -> float:
-    """How little the evidence supports a result; see `MOST_DOUBT`.
+    """How little the evidence supports a result; see `MAX_STATISTIC`.
 
     Args:
         fan: ultrasound that `fine` was made of.
         coarse, fine: what was registered.
     """
-    pose = result.mr_from_tracker
-    parts = float(np.sqrt(np.mean(np.square(part_disagreement_mm(fan, fine, pose, patch_mm)))))
-    share = decoy_share(fan, coarse, fine, pose, patch_mm, rng)
-    return float((result.disagreement_mm + parts) * share**DECOY_POWER)
+    pose = result.target_from_source
+    with SliceThreads() as threads:
+        apart = half_volume_disagreements_mm(
+            _halves_of(fan, pose),
+            fine.model,
+            pose,
+            patch_mm=options.patch_mm,
+            pitch_mm=fine.pitch_mm,
+            optimiser=HALF_OPTIMISER,
+            threads=threads,
+        )
+        half_volumes_mm = float(np.sqrt(np.mean(np.square(apart))))
+        share = _mirrored_share(fan, coarse, fine, pose, options=options, threads=threads, rng=rng)
+    return float((result.evidence.split_half_mm + half_volumes_mm) * share**MIRRORED_POWER)
 
 
-def part_disagreement_mm(fan: FanVolume, level: Level, pose: Rigid, patch_mm: float) -> FloatArray:
-    """(6,) mean distance over each part between its own pose and `pose`; two halves along each axis."""
-    apart = []
+def apply_pair_check(result: RegistrationResult, statistic: float) -> RegistrationResult:
+    """The result, not usable and unlikely where the statistic is large."""
+    exponent = -min(max(LOGISTIC_SLOPE * (statistic - MAX_STATISTIC), -30.0), 30.0)
+    another_patient = 1.0 / (1.0 + math.exp(exponent))
+    return replace(
+        result,
+        stop=Stop.DISAGREEMENT if result.stop.usable and not statistic <= MAX_STATISTIC else result.stop,
+        success_probability=result.success_probability * (1.0 - another_patient),
+    )
+
+
+def _halves_of(fan: FanVolume, pose: Rigid) -> Iterator[HalfVolume]:
+    """Two halves of the fan along each axis of its grid, each turning about its own middle."""
     for axis in range(3):
-        middle = int(np.median(np.nonzero(fan.seen)[axis]))
+        middle = int(np.median(np.nonzero(fan.insonified)[axis]))
         for part in (fan.cut(axis, 0, middle), fan.cut(axis, middle, fan.grid.shape[axis])):
             points = part.points_mm(500)
-            whole = pose.apply_array(points)
-            metric = Lc2(part.slices(), level.model, patch_mm=patch_mm, pitch_mm=level.pitch_mm)
-            alone = climb(metric, pose, whole.mean(axis=0), None, ALONE).pose
-            apart.append(float(np.linalg.norm(alone.apply_array(points) - whole, axis=1).mean()))
-    return np.array(apart)
+            yield HalfVolume(part.slices(), points, pose.apply_array(points).mean(axis=0))
 
 
-def decoy_share(
-    fan: FanVolume, coarse: Level, fine: Level, pose: Rigid, patch_mm: float, rng: np.random.Generator
+def _mirrored_share(
+    fan: FanVolume,
+    coarse: Level,
+    fine: Level,
+    pose: Rigid,
+    *,
+    options: RegistrationOptions,
+    threads: SliceThreads,
+    rng: np.random.Generator,
 ) -> float:
     """What the best mirrored image explains beyond chance, as a share of what the image itself does."""
     center, radius = pose.apply_array(fan.points_mm(5000).mean(axis=0)), fan.radius_mm
     chance, best = [], []
     for axis in range(3):
-        looks, end = (
-            Lc2(level.slices, mirrored(level.model, axis, center), patch_mm=patch_mm, pitch_mm=level.pitch_mm)
+        at_coarse, at_fine = (
+            replace(level, model=mirrored(level.model, axis, center)).metric(options, threads)
             for level in (coarse, fine)
         )
-        directions = rng.normal(size=(DECOY_STARTS, 6))
-        directions *= DECOY_SPREAD * radius / np.linalg.norm(directions, axis=1, keepdims=True)
-        starts = [pose.perturbed_left(d[:3] / radius, d[3:], center) for d in directions]
-        found = min((climb(looks, s, center, None, DECOY_LOOK) for s in starts), key=lambda c: c.cost)
-        best.append(end.score(climb(end, found.pose, center, None, DECOY_END).pose).similarity)
-        chance.append(end.score(pose).similarity)
-    metric = Lc2(fine.slices, fine.model, patch_mm=patch_mm, pitch_mm=fine.pitch_mm)
-    explained = metric.score(pose).similarity - float(np.mean(chance))
+        displacements = random_displacements(rng, MIRRORED_STARTS, MIRRORED_SPREAD * radius)
+        starts = [pose.perturbed_left(xi[:3] / radius, xi[3:], center) for xi in displacements]
+        optima = [optimise(at_coarse, start, center, None, MIRRORED_COARSE) for start in starts]
+        found = min(optima, key=lambda optimum: optimum.cost)
+        refined = optimise(at_fine, found.pose, center, None, MIRRORED_FINE)
+        best.append(at_fine.score(refined.pose).similarity)
+        chance.append(at_fine.score(pose).similarity)
+    explained = fine.metric(options, threads).score(pose).similarity - float(np.mean(chance))
     return float(np.clip((max(best) - np.mean(chance)) / max(explained, 1e-12), 0.0, 1.0))
 
 
@@ -94,14 +123,3 @@ def mirrored(model: ModelChannels, axis: int, center_mm: FloatArray) -> ModelCha
     index[axis] = 2 * grid.to_index(center_mm)[axis] - (grid.shape[axis] - 1)
     there = Grid(grid.frame, grid.shape, grid.to_mm(index), grid.spacing_mm, grid.direction)
     return ModelChannels(there, np.ascontiguousarray(np.flip(model.values, axis + 1)), model.fractions)
-
-
-def judged(result: RegistrationResult, doubt: float, seconds: float) -> RegistrationResult:
-    """The result, not usable and unlikely where the doubt is large."""
-    doubtful = 1.0 / (1.0 + math.exp(-min(max(PER_DOUBT * (doubt - MOST_DOUBT), -30.0), 30.0)))
-    return replace(
-        result,
-        stop=Stop.DISAGREEMENT if result.stop.usable and not doubt <= MOST_DOUBT else result.stop,
-        success_probability=result.success_probability * (1.0 - doubtful),
-        seconds=seconds,
-    )

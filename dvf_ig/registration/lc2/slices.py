@@ -76,7 +76,7 @@ def within(slices: SliceSet, grid: Grid, pose: Rigid) -> SliceSet:
 
 
 def fan_mask_from_images(images: NDArray[np.uint8]) -> BoolArray:
-    """(rows, columns) pixels that were ever lit: the sector, where the scanner's geometry is not known."""
+    """(rows, columns) pixels ever above 0: the sector, where the scanner's geometry is not known."""
     return np.asarray(images.max(axis=0) > 0)
 
 
@@ -85,7 +85,7 @@ def root_amplitude(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(grey_to_root_amplitude()[grey])
 
 
-def shown_brightness(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
+def normalised_grey(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Grey levels as shown, 0 to 1."""
     return np.asarray(grey / np.float32(255.0))
 
@@ -120,7 +120,7 @@ def prepare_slices(
         probe_from_image: calibration of the probe.
         rotations, translations_mm: (s, 3, 3), (s, 3) tracker_from_probe at each frame's event time.
         model_phase, t_s: (s,).
-        brightness: of grey levels, before they are averaged: `root_amplitude` or `shown_brightness`.
+        brightness: of grey levels, before they are averaged: `root_amplitude` or `normalised_grey`.
     Raises:
         InvalidInputError: nothing of the sector is left at this pitch.
     """
@@ -217,7 +217,7 @@ def joined(sets: Sequence[SliceSet]) -> SliceSet:
     )
 
 
-def spread(count: int, wanted: int) -> IntArray:
+def subsample(count: int, wanted: int) -> IntArray:
     """Indices of `wanted` of `count` items, evenly spread, in order."""
     if count <= wanted:
         return np.arange(count, dtype=np.int64)

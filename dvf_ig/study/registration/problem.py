@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -27,10 +28,11 @@ from dvf_ig.core import (
 )
 from dvf_ig.registration import (
     VOLUME_SMOOTHING_MM,
-    Edges,
-    EdgeTarget,
+    Boundary,
+    BoundaryTarget,
     Level,
     ModelChannels,
+    RegistrationData,
     RegistrationResult,
     boundary_points,
     channels_from_mr,
@@ -77,7 +79,7 @@ class _PreOperative:
     mr: VolumeSeries
     labels: VolumeSeries
     gated: ModelChannels
-    surface: EdgeTarget
+    surface: BoundaryTarget
 
 
 @lru_cache(maxsize=1)
@@ -120,12 +122,14 @@ def _volumes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
 
 
 def _volume_problem(
-    pair: ImagePair, volumes: tuple[TrackedVolume, ...], preop: _PreOperative, surface: EdgeTarget | None
+    pair: ImagePair, volumes: tuple[TrackedVolume, ...], preop: _PreOperative, surface: BoundaryTarget | None
 ) -> RegistrationProblem:
     model, mr = preop.gated, preop.mr
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-        return register_volumes(volumes, model, start, pair.center_mm, rng=rng, surface=surface)
+        return register_volumes(
+            volumes, model, start, pair.center_mm, rng=rng, clock=perf_counter, surface=surface
+        )
 
     first = volumes[0]
     return RegistrationProblem(
@@ -206,8 +210,9 @@ def _planes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
     surface = target_from_labels(preop.labels, model_phase)
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-        edges = Edges(boundary_points(levels[1].slices), surface)
-        return register_rigid(levels[0], levels[1], start, pair.center_mm, rng=rng, edges=edges)
+        boundary = Boundary(boundary_points(levels[1].slices), surface)
+        data = RegistrationData(levels[0], levels[1], pair.center_mm, boundary)
+        return register_rigid(data, start, rng=rng, clock=perf_counter)
 
     return RegistrationProblem(pair.mr_from_tracker, pair.targets.points, pair.center_mm, register)
 
