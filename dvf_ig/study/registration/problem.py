@@ -156,11 +156,13 @@ def _same_image(pair: ImagePair) -> RegistrationProblem:
     preop = _preoperative(pair.spec.seed, pair.spec.motion)
     tracker_from_mr, grid = pair.mr_from_tracker.inverse(), preop.mr.grid
     pose = Rigid("tracker", "mr", tracker_from_mr.rotation, tracker_from_mr.translation_mm)
-    shown = root_amplitude(np.arange(256, dtype=np.uint8))
+    amplitudes = root_amplitude(np.arange(256, dtype=np.uint8))
     volumes = []
     for phase, channels in zip(GATED, preop.gated.values, strict=True):
         level = channels[..., 0] - channels[..., 0].min()
-        grey = np.searchsorted(shown, level * (shown[-1] / level.max())).clip(0, 255).astype(np.uint8)
+        grey = (
+            np.searchsorted(amplitudes, level * (amplitudes[-1] / level.max())).clip(0, 255).astype(np.uint8)
+        )
         mask = Volume(grid, np.ones(grid.shape, dtype=np.uint8))
         volumes.append(TrackedVolume(Volume(grid, grey), mask, pose, phase))
     # blood is bright in MR: the boundaries that ultrasound shows do not exist here
