@@ -35,6 +35,7 @@ from .lc2.channels import channels_from_still as channels_from_still
 from .lc2.density_weights import inverse_density_weights as inverse_density_weights
 from .lc2.lc2 import Lc2 as Lc2
 from .lc2.slices import SliceSet as SliceSet
+from .lc2.slices import TrackedImages as TrackedImages
 from .lc2.slices import fan_mask_from_images as fan_mask_from_images
 from .lc2.slices import normalised_grey as normalised_grey
 from .lc2.slices import prepare_slices as prepare_slices

@@ -20,6 +20,7 @@ from dvf_ig.registration import (
     PHASE_WINDOW,
     Gated,
     SliceSet,
+    TrackedImages,
     fan_mask_from_images,
     gate_frames,
     prepare_slices,
@@ -159,14 +160,17 @@ def slices_of(
 ) -> SliceSet:
     """The used frames in the tracker's frame, with the brightness that the heart's channels need."""
     used = frames.used
-    return prepare_slices(
+    tracked = TrackedImages(
         recording.images[frames.first + used],
-        mask,
-        recording.probe_from_image,
         frames.rotations[used],
         frames.translations_mm[used],
         frames.model_phase[used],
         frames.event_s[used],
+    )
+    return prepare_slices(
+        tracked,
+        mask,
+        recording.probe_from_image,
         pitch_mm=pitch_mm,
         brightness=recording.heart.brightness,
     )

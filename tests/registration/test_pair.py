@@ -10,7 +10,7 @@ from toy_brain import Brain, brain_mr, brain_ultrasound, displaced, targets, tru
 
 from dvf_ig.core import Grid, InvalidInputError, NoOverlapError, Rigid, Stop, Volume
 from dvf_ig.registration import ModelChannels, register_pair, target_errors_mm
-from dvf_ig.registration.evidence.pair_check import mirrored
+from dvf_ig.registration.pair_check import mirrored
 from dvf_ig.registration.pair_images import (
     EROSION_MM,
     anatomy_around,

@@ -81,7 +81,7 @@ def boundary_points(slices: SliceSet, options: BoundaryPointOptions | None = Non
     if not keep.any():
         raise InvalidInputError(
             f"no boundary of contrast {opts.min_contrast:g} was found in {len(slices)} ultrasound slices; "
-            "check their gain and depth, or lower the contrast asked for"
+            "check their gain and depth, or lower the least contrast"
         )
     s, row, col = (index[keep] for index in found)
     along, contrast = along[keep], opts.smoothing_mm * magnitude[s, row, col] / smooth[s, row, col]

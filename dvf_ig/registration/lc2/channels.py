@@ -47,7 +47,7 @@ def channels_from_mr(
     """MR intensity and its gradient magnitude, smoothed to what the slices resolve.
 
     Args:
-        phases: numbers of the phases that will be asked for; all without.
+        phases: numbers of the phases that slices will be compared with; all without.
     """
     chosen = list(range(len(mr.timing))) if phases is None else list(phases)
     return _intensity_channels(mr.grid, mr.values[chosen], mr.timing.fractions[chosen], smoothing_mm)

@@ -1,8 +1,8 @@
 """Weights by the inverse density of patches: what many slices show counts as often as what few show.
 
 Where the heart differs from its images it does so over centimetres, and every slice through a place repeats
-that place's difference. Counted once a patch, the middle of a sweep, seen from everywhere, would pull the
-pose to its own difference; divided by how many patches lie about it, each place pulls alike.
+that place's difference. Counted once a patch, the middle of a sweep, imaged from everywhere, would bias the
+pose by its own difference; divided by how many patches lie about it, each place has the same influence.
 """
 
 import numpy as np

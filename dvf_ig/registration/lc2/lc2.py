@@ -89,7 +89,7 @@ class Patches:
         first: (s + 1,) where each slice's patches begin.
         boxes: (p, 4) first row, last row + 1, first column, last column + 1.
         moments: (p, 4) one over the pixel count, mean and variance of the ultrasound, and weight: its
-            standard deviation, over how often the place was seen where that is asked for.
+            standard deviation, over the density of patches where a width of density is given.
     """
 
     first: IntArray

@@ -34,6 +34,7 @@ from dvf_ig.registration import (
     ModelChannels,
     RegistrationData,
     RegistrationResult,
+    TrackedImages,
     boundary_points,
     channels_from_mr,
     prepare_slices,
@@ -189,18 +190,10 @@ def _planes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
     if images is None:
         raise TypeError("a cine loop has images")
     mask = probe.fan.mask(*images.shape[1:])
+    tracked = TrackedImages(images, stream.rotations, stream.translations_mm, model_phase, sequence.t_s)
     levels = [
         Level(
-            prepare_slices(
-                images,
-                mask,
-                image_map,
-                stream.rotations,
-                stream.translations_mm,
-                model_phase,
-                sequence.t_s,
-                pitch_mm=pitch,
-            ),
+            prepare_slices(tracked, mask, image_map, pitch_mm=pitch),
             _channels(pair.spec.seed, pair.spec.motion, smoothing),
             pitch,
         )

@@ -12,15 +12,15 @@ from dataclasses import replace
 import numpy as np
 
 from dvf_ig.core import FloatArray, Grid, Rigid, Stop
-from dvf_ig.registration.data import Level, RegistrationOptions
+from dvf_ig.registration.evidence.half_volumes import HalfVolume, half_volume_disagreements_mm
 from dvf_ig.registration.lc2.channels import ModelChannels
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 from dvf_ig.registration.lc2.threads import SliceThreads
-from dvf_ig.registration.pair_images import FanVolume
-from dvf_ig.registration.pose_chart import random_displacements
-from dvf_ig.registration.result import RegistrationResult
 
-from .half_volumes import HalfVolume, half_volume_disagreements_mm
+from .data import Level, RegistrationOptions
+from .pair_images import FanVolume
+from .pose_chart import random_displacements
+from .result import RegistrationResult
 
 HALF_OPTIMISER = OptimiserOptions(steps=14, cap_mm=4.0, tolerance_mm=0.05)
 MIRRORED_COARSE = OptimiserOptions(steps=12, cap_mm=5.0, tolerance_mm=0.3)
