@@ -20,10 +20,10 @@ from dvf_ig.report.replay import (
     replay_html,
 )
 
-from .drift import doubts
 from .engine import Replay
-from .gated_frames import Sight
-from .registration_monitor import SURPRISE
+from .gated_frames import GatedFrames
+from .pose_summary import suspensions
+from .registration_monitor import SUSPEND_LOG_RATIO
 from .result import true_contact, true_phases
 from .table import table
 
@@ -58,20 +58,22 @@ def _overlays(replay: Replay) -> list[PlaneOverlay]:
     images = replay.scenario.ultrasound.images
     if attempt is None or attempt.result is None or images is None:
         return []
-    used, first, pose = attempt.sight.used, attempt.sight.first, attempt.result.mr_from_tracker
+    used, first, pose = attempt.frames.used, attempt.frames.first, attempt.result.target_from_source
     chosen = used[np.linspace(0, len(used) - 1, 6).astype(int)[1:5]].tolist()
-    return [_overlay(replay, attempt.sight, pose, images[first + frame], frame) for frame in chosen]
+    return [_overlay(replay, attempt.frames, pose, images[first + frame], frame) for frame in chosen]
 
 
-def _overlay(replay: Replay, sight: Sight, pose: Rigid, image: NDArray[np.uint8], frame: int) -> PlaneOverlay:
+def _overlay(
+    replay: Replay, frames: GatedFrames, pose: Rigid, image: NDArray[np.uint8], frame: int
+) -> PlaneOverlay:
     rows, columns = image.shape
     row, column = np.mgrid[:rows:PIXEL_STEP, :columns:PIXEL_STEP].astype(np.float64)
     pixels = np.column_stack([column.ravel(), row.ravel()])
-    probe = replay.rulers.probe.probe_from_image.apply_pixels(pixels).xyz_mm
-    tracker = probe @ sight.rotations[frame].T + sight.translations_mm[frame]
-    phase = float(sight.model_phase[frame])
+    probe = replay.calibrations.probe.probe_from_image.apply_pixels(pixels).xyz_mm
+    tracker = probe @ frames.rotations[frame].T + frames.translations_mm[frame]
+    phase = float(frames.model_phase[frame])
     return PlaneOverlay(
-        event_s=float(sight.event_s[frame]),
+        event_s=float(frames.event_s[frame]),
         model_phase=phase,
         image=image,
         row_px=row,
@@ -96,22 +98,25 @@ def _model_grey(replay: Replay, pose: Rigid, tracker_mm: FloatArray, phase: floa
 
 
 def _beats(replay: Replay) -> BeatTrace | None:
-    beats, truth = replay.course.beats, replay.scenario.truth
+    beats, truth = replay.history.beats, replay.scenario.truth
     if not beats:
         return None
     tre_mm = None
     if truth is not None:
         targets = truth.targets.points
         tre_mm = np.array(
-            [target_errors_mm(b.look.pose, truth.mr_from_tracker_at(b.end_s), targets).mean() for b in beats]
+            [
+                target_errors_mm(b.measurement.pose, truth.mr_from_tracker_at(b.end_s), targets).mean()
+                for b in beats
+            ]
         )
     return BeatTrace(
         decided_s=np.array([beat.decided_s for beat in beats]),
-        guiding=np.array([beat.guided for beat in beats]),
-        log_likelihood_ratio=np.array([beat.look.surprise for beat in beats]),
+        in_use=np.array([beat.in_use for beat in beats]),
+        log_likelihood_ratio=np.array([beat.measurement.log_likelihood_ratio for beat in beats]),
         tre_mm=tre_mm,
-        limit=SURPRISE,
-        suspended_s=doubts(replay.course.updates, float(replay.tracking.track.t_s[-1])),
+        limit=SUSPEND_LOG_RATIO,
+        suspended_s=suspensions(replay.history.updates, float(replay.tracking.track.t_s[-1])),
     )
 
 

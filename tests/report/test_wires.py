@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dvf_ig.calibration import Dots, RefusedFrame, Rejection, WireFrame, WireSegmentation
+from dvf_ig.calibration import Dots, RejectedFrame, Rejection, WireFrame, WireSegmentation
 from dvf_ig.core import InvalidInputError, TrackedSequence
 from dvf_ig.report import write_wire_picture
 from dvf_ig.report.wires import MOST_REFUSED, chosen_frames
 
 
 def refused(count: int) -> WireSegmentation:
-    frame = WireFrame(Dots(np.zeros((0, 2)), np.zeros(0)), RefusedFrame(Rejection.TOO_FEW_DOTS, "0 dots"))
+    frame = WireFrame(Dots(np.zeros((0, 2)), np.zeros(0)), RejectedFrame(Rejection.TOO_FEW_DOTS, "0 dots"))
     return WireSegmentation(0.1, (frame,) * count, np.full((count, 9, 2), np.nan))
 
 

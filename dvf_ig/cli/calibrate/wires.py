@@ -1,18 +1,18 @@
 """Wires of an N-wire recording for `dvf-ig calibrate probe`: from a table, or from the images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dvf_ig.cli.shell import wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import WireSegmentation
-    from dvf_ig.core import NWireRecording
+    from dvf_ig.calibration import WireImageOptions, WireSegmentation
+    from dvf_ig.core import NWireRecording, WireSearch
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenWires:
+class WireRecording:
     """A recording, and how its wires were found; None where a table gave them."""
 
     recording: "NWireRecording"
@@ -25,11 +25,11 @@ def read_wires(
     table: Path | None,
     section: Literal["CalibrationData", "ValidationData"],
     picture: Path | None = None,
-) -> SeenWires:
+) -> WireRecording:
     """Wires from a section of a PLUS result, or from the images where there is no table.
 
     Args:
-        picture: PNG of what was found in the images; written before a failure is told.
+        picture: PNG of what was found in the images; written even where too little was found.
     """
     from dvf_ig.calibration import recording_of, segment_wires
     from dvf_ig.core import InvalidInputError
@@ -45,19 +45,33 @@ def read_wires(
     if table is not None:
         if picture is not None:
             raise InvalidInputError("--picture shows wires found in images; leave out --points to find them")
-        return SeenWires(read_nwire_recording(sequence, device_set, table, section), None)
+        return WireRecording(read_nwire_recording(sequence, device_set, table, section), None)
     phantom = read_nwire_phantom(device_set)
     recorded = read_sequence(sequence)
     poses = phantom_from_probe(sequence, recorded, device_set)
-    found = segment_wires(recorded, phantom, options=read_wire_search(device_set))
+    found = segment_wires(recorded, phantom, options=wire_image_options(read_wire_search(device_set)))
     if picture is not None:
         title = f"{sequence.name}: wires found in {found.used} of {len(found.frames)} frames"
         write_wire_picture(picture, recorded, found, title=title)
         wrote(picture, "image")
-    return SeenWires(recording_of(found, phantom, poses), found)
+    return WireRecording(recording_of(found, phantom, poses), found)
 
 
-def segmentation_json(seen: SeenWires | None) -> dict[str, Any] | None:
+def wire_image_options(search: "WireSearch") -> "WireImageOptions":
+    """What a device set says of the search; what it does not say keeps its default."""
+    from dvf_ig.calibration import WireImageOptions
+
+    options = WireImageOptions()
+    dots, pattern = options.dots, options.pattern
+    if search.candidates is not None:
+        # more cost little, and a bright wall can take many places
+        dots = replace(dots, most=max(dots.most, search.candidates))
+    if search.collinear_mm is not None:
+        pattern = replace(pattern, lines=replace(pattern.lines, collinear_mm=search.collinear_mm))
+    return replace(options, spacing_mm=search.spacing_mm, clip=search.clip, dots=dots, pattern=pattern)
+
+
+def segmentation_json(seen: WireRecording | None) -> dict[str, Any] | None:
     """Frames used and left out by reason; None where a table gave the wires."""
     if seen is None or seen.segmentation is None:
         return None
@@ -65,7 +79,7 @@ def segmentation_json(seen: SeenWires | None) -> dict[str, Any] | None:
     return {"frames_used": found.used, "frames": len(found.frames), "reasons": found.reasons}
 
 
-def segmentation_rows(seen: SeenWires, validated: SeenWires | None) -> list[tuple[str, str]]:
+def segmentation_rows(seen: WireRecording, validated: WireRecording | None) -> list[tuple[str, str]]:
     """Share of frames used, and how many were left out for which reason."""
     rows = []
     for what, wires in (("calibration", seen), ("validation", validated)):

@@ -88,10 +88,10 @@ def pose_figure(
 
 
 def _by_use(axis: Axes, beats: BeatTrace, values: FloatArray) -> None:
-    times, guiding = beats.decided_s, beats.guiding
-    axis.plot(times[guiding], values[guiding], "o", ms=3, color=ESTIMATE, label="pose in use")
+    times, in_use = beats.decided_s, beats.in_use
+    axis.plot(times[in_use], values[in_use], "o", ms=3, color=ESTIMATE, label="pose in use")
     axis.plot(
-        times[~guiding], values[~guiding], "o", ms=3, mfc="none", color=START, label="pose pending, no force"
+        times[~in_use], values[~in_use], "o", ms=3, mfc="none", color=START, label="pose pending, no force"
     )
 
 

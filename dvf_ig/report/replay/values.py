@@ -52,7 +52,7 @@ class BeatTrace:
 
     Attributes:
         decided_s: (b,) when the result took effect.
-        guiding: (b,) the pose was in use; False where it was pending and no force was given.
+        in_use: (b,) the pose was in use; False where it was pending and no force was given.
         log_likelihood_ratio: (b,) by how much another pose explains the beat better.
         tre_mm: (b,) mean target registration error of that beat's best pose; None without ground truth.
         limit: of the ratio, above which noise alone does not explain it.
@@ -60,7 +60,7 @@ class BeatTrace:
     """
 
     decided_s: FloatArray
-    guiding: BoolArray
+    in_use: BoolArray
     log_likelihood_ratio: FloatArray
     tre_mm: FloatArray | None
     limit: float

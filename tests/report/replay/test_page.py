@@ -65,7 +65,7 @@ def page() -> ReplayPage:
         overlays=[overlay(), overlay()],
         beats=BeatTrace(
             decided_s=np.array([1.0, 2.0, 3.0]),
-            guiding=np.array([False, True, True]),
+            in_use=np.array([False, True, True]),
             log_likelihood_ratio=np.array([1.0, 2.0, 9.0]),
             tre_mm=np.array([0.5, 0.6, 0.7]),
             limit=7.0,
