@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
-from dvf_ig.report.style import DOUBT, ESTIMATE, ON_GREY, REFUSED, START, TRUTH, without_ticks
+from dvf_ig.report.style import SUSPENDED, ESTIMATE, ON_GREY, REFUSED, START, TRUTH, without_ticks
 
 from .values import BeatTrace, EcgStrip, PlaneOverlay, RegistrationMark, TickTrace
 
@@ -80,7 +80,7 @@ def pose_figure(
     lower.set(ylabel="log-likelihood\nratio", xlabel="time, s", xlim=span_s)
     for axis in (upper, lower):
         for begin_s, end_s in beats.suspended_s:
-            axis.axvspan(begin_s, end_s, color=DOUBT, lw=0, zorder=0)
+            axis.axvspan(begin_s, end_s, color=SUSPENDED, lw=0, zorder=0)
         for mark in registrations:
             axis.axvline(mark.ready_s, color=TRUTH, lw=0.6, ls="-" if mark.usable else ":")
     figure.legend(*lower.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
