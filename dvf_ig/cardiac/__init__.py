@@ -1,15 +1,15 @@
-"""The clock of the heart: R peaks, phase, and retiming of the pre-operative cycle.
+"""Cardiac phase: R peaks, phase estimation, heart-rate retiming of the pre-operative cycle (T_d).
 
-All of it is causal, but `beat_phase`, which places moments between two R peaks that are both known.
+All of it is causal except `beat_phase`, which needs the R peak after the time as well.
 """
 
 from .beat_finder import RPeakOptions as RPeakOptions
 from .beat_pattern import BeatKind as BeatKind
-from .beat_pattern import PatternOptions as PatternOptions
+from .beat_pattern import BeatPatternOptions as BeatPatternOptions
 from .beats import BeatPhase as BeatPhase
 from .beats import beat_phase as beat_phase
 from .lead_off import LeadChange as LeadChange
-from .lead_off import LeadWatch as LeadWatch
+from .lead_off import LeadOffDetector as LeadOffDetector
 from .phase_clock import PhaseClock as PhaseClock
 from .phase_clock import PhaseClockOptions as PhaseClockOptions
 from .phase_clock import PhaseReading as PhaseReading
@@ -29,7 +29,7 @@ from .rpeak import detect_r_peaks as detect_r_peaks
 from .rr_predictor import PREDICTORS as PREDICTORS
 from .rr_predictor import PredictorName as PredictorName
 from .rr_predictor import make_predictor as make_predictor
-from .summary import FEWEST_BEATS as FEWEST_BEATS
+from .summary import MIN_BEATS as MIN_BEATS
 from .summary import GateSummary as GateSummary
 from .summary import state_segments as state_segments
 from .summary import summarise_gating as summarise_gating

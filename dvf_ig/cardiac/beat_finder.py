@@ -1,4 +1,4 @@
-"""Which humps of the QRS envelope are beats: adaptive threshold, refractory time, search-back."""
+"""QRS detection on the envelope's peaks: adaptive threshold, refractory period, search-back."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -9,27 +9,28 @@ import numpy as np
 from .lead_levels import LeadLevels
 
 RHYTHM_BEATS, RHYTHM_S = 4, 8.0
-"""A rhythm runs while the last four beats lie within eight seconds."""
+"""A rhythm is present while the last four beats lie within eight seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class RPeakOptions:
-    """Thresholds are shares of the level of recent complexes.
+    """Settings of the QRS detector; thresholds are shares of the amplitude of recent complexes.
 
     Attributes:
-        learning_s: signal seen before the first decision; its beats come with the honest late time.
+        learning_s: signal needed before the first decision; its beats are reported as detected at its end.
         refractory_s: no second beat within this time, unless it is `override` times as high as the first.
         t_wave_s: until this time after a beat the threshold falls from `t_wave_share` to `share`.
+        t_wave_share: threshold at the end of the refractory period, above T waves.
         share: normal threshold.
         late_share: the threshold falls to this while the next beat is overdue.
-        search_back_share: smallest complex accepted when looking back.
-        search_back_rr: look back when no beat came for this many RR intervals.
-        close_share: a complex is over when the envelope falls to this share of its top.
-        close_s: or when its top lies this far back.
+        search_back_share: threshold of the search-back.
+        search_back_rr: search back when no beat came for this many RR intervals.
+        close_share: a peak is complete when the envelope has fallen to this share of its maximum.
+        close_s: or when its maximum lies this far back.
         override: height against the previous beat at which a second complex replaces it.
-        contrast: a complex must stand this many times above what lies between complexes.
-        start_contrast: the same while no rhythm runs, so that noise alone never starts one.
-        clip: no lead counts for more than this many times its level.
+        contrast: a complex must be this many times as high as the noise between complexes.
+        start_contrast: the same while no rhythm is present, so that noise alone is never detected as one.
+        clip: a lead contributes at most this many times its typical amplitude.
     """
 
     learning_s: float = 2.0
@@ -50,10 +51,16 @@ class RPeakOptions:
 
 @dataclass(frozen=True, slots=True)
 class Complex:
-    """A hump of the envelope: sample of its top, sample at which it was judged, its height."""
+    """A candidate QRS complex, a peak of the envelope.
+
+    Attributes:
+        top: sample of its maximum.
+        decided: sample at which it was classified.
+        height: of the maximum, as a share of recent complexes.
+    """
 
     top: int
-    judged: int
+    decided: int
     height: float
 
 
@@ -61,7 +68,7 @@ class BeatFinder:
     """Takes one envelope sample of all leads at a time, in order; returns the beats that this one decided."""
 
     def __init__(self, rate_hz: float, leads: int, options: RPeakOptions, warm_up: int = 0) -> None:
-        """Humps that top within the first `warm_up` samples are the envelope's filters filling up."""
+        """Peaks within the first `warm_up` samples, the transient of the envelope's filters, are ignored."""
         self._warm_up = warm_up
         self._rate = rate_hz
         self._options = options
@@ -88,7 +95,7 @@ class BeatFinder:
         return self._finish_learning()
 
     def _finish_learning(self) -> list[Complex]:
-        """Judge the first seconds once their levels are known; everything found is known only now."""
+        """Classify the first seconds once their levels are known; everything found is known only now."""
         self._learnt = True
         rows = np.array([row for row, _ in self._learning])
         self._levels.learn(rows, self._rate)
@@ -107,34 +114,34 @@ class BeatFinder:
             height < self._options.close_share * self._top
             or self._now - self._top_at > self._options.close_s * self._rate
         ):
-            self._judge(found)
+            self._classify(found)
             self._top, self._top_at = height, self._now
-        self._look_back(found)
+        self._search_back(found)
         return found
 
-    def _judge(self, found: list[Complex]) -> None:
-        """The hump that just ended is a beat, a candidate for later, or nothing."""
+    def _classify(self, found: list[Complex]) -> None:
+        """The peak that just ended is a beat, a candidate for search-back, or neither."""
         if self._top_at < self._warm_up:
             return
-        hump = Complex(self._top_at, self._now, self._top)
+        peak = Complex(self._top_at, self._now, self._top)
         options = self._options
-        since = np.inf if self._last is None else (hump.top - self._last) / self._rate
+        since = np.inf if self._last is None else (peak.top - self._last) / self._rate
         if since <= options.refractory_s:
-            if since > 0.08 and hump.height > max(options.override * self._last_height, 0.6):
-                self._accept(hump, found, regular=False)
-        elif hump.height > max(self._threshold(since), self._least_height()):
-            self._accept(hump, found)
+            if since > 0.08 and peak.height > max(options.override * self._last_height, 0.6):
+                self._accept(peak, found, regular=False)
+        elif peak.height > max(self._threshold(since), self._min_height()):
+            self._accept(peak, found)
         else:
-            self._candidates.append(hump)
+            self._candidates.append(peak)
 
-    def _least_height(self) -> float:
-        """What a complex must reach to stand out from what lies between; more where no rhythm is running."""
+    def _min_height(self) -> float:
+        """Height that a complex must reach to stand out from the noise; larger where no rhythm is present."""
         options = self._options
-        running = len(self._recent) == RHYTHM_BEATS and self._now - self._recent[0] < RHYTHM_S * self._rate
-        return (options.contrast if running else options.start_contrast) * self._levels.background()
+        rhythm = len(self._recent) == RHYTHM_BEATS and self._now - self._recent[0] < RHYTHM_S * self._rate
+        return (options.contrast if rhythm else options.start_contrast) * self._levels.background()
 
     def _threshold(self, since_s: float) -> float:
-        """Share of the level that a complex must reach `since_s` after the last beat."""
+        """Threshold `since_s` after the last beat, as a share of the level of recent complexes."""
         options, rr_s = self._options, self._rr / self._rate
         if since_s < options.t_wave_s:
             fallen = (since_s - options.refractory_s) / (options.t_wave_s - options.refractory_s)
@@ -142,8 +149,8 @@ class BeatFinder:
         overdue = min(1.0, max(0.0, (since_s - rr_s) / rr_s))
         return options.share + (options.late_share - options.share) * overdue
 
-    def _look_back(self, found: list[Complex]) -> None:
-        """Accept the highest passed-over complex when a beat is overdue; after 2 s expect smaller ones."""
+    def _search_back(self, found: list[Complex]) -> None:
+        """Accept the highest candidate when a beat is overdue; after 2 s lower the levels."""
         if self._last is None:
             return
         waited = self._now - self._last
@@ -151,14 +158,14 @@ class BeatFinder:
         if self._candidates and waited > options.search_back_rr * self._rr:
             late = [c for c in self._candidates if c.top - self._last > options.t_wave_s * self._rate]
             best = max(late, key=lambda c: (c.height, c.top), default=None)
-            if best is not None and best.height > max(options.search_back_share, self._least_height()):
+            if best is not None and best.height > max(options.search_back_share, self._min_height()):
                 self._accept(Complex(best.top, self._now, best.height), found)
                 self._candidates.extend(
                     c for c in late if c.top > best.top + options.refractory_s * self._rate
                 )
         second = round(self._rate)
         if waited > 2 * second and waited % second == 0:
-            self._levels.silence()
+            self._levels.decay()
 
     def _accept(self, beat: Complex, found: list[Complex], *, regular: bool = True) -> None:
         if self._last is not None and regular and beat.top - self._last < 2 * self._rate:
@@ -169,5 +176,5 @@ class BeatFinder:
         self._recent.append(beat.top)
         back = self._now - beat.top
         if back < len(self._history):
-            self._levels.beat(self._history[-1 - back])
+            self._levels.follow(self._history[-1 - back])
         found.append(beat)

@@ -1,4 +1,4 @@
-"""How the running beat is likely to end, learnt from where early and late beats came before."""
+"""Probability that the current beat ends early or late, learnt from the pattern of early and late beats."""
 
 from collections import defaultdict
 from dataclasses import dataclass
@@ -18,47 +18,47 @@ class BeatKind(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class PatternOptions:
+class BeatPatternOptions:
     """How patterns are learnt.
 
     Attributes:
-        longest_run: runs of normal beats longer than this are alike.
-        runs: how many earlier runs make a situation, besides the running one.
-        occasions: with how many occasions a general situation speaks for a special one.
-        fading: what is left of an occasion each time its situation comes up again.
-        first: chances assumed before anything was seen.
-        first_occasions: with how many occasions they count.
+        longest_run: runs of normal beats longer than this are treated as equal.
+        runs: number of earlier runs in the longest context, besides the current one.
+        backoff_count: weight of the shorter context's estimate, in observations.
+        forgetting: factor on the counts of a context at each new observation.
+        prior: probabilities assumed before the first observation.
+        prior_count: their weight, in observations.
     """
 
     longest_run: int = 12
     runs: int = 2
-    occasions: float = 3.0
-    fading: float = 0.98
-    first: tuple[float, float, float] = (0.98, 0.01, 0.01)
-    first_occasions: float = 20.0
+    backoff_count: float = 3.0
+    forgetting: float = 0.98
+    prior: tuple[float, float, float] = (0.98, 0.01, 0.01)
+    prior_count: float = 20.0
 
 
 class BeatPattern:
-    """Chances of how the next interval ends, given the runs of normal beats between the last irregular ones.
+    """Probabilities of how the next interval ends: a variable-order Markov model of run lengths.
 
-    A situation is the length of the running run with the kind of beat that began it; a more special one also
-    knows the runs before. Each falls back on the more general one while it has been seen rarely (a
-    variable-order Markov model of run lengths). Bigeminy and trigeminy are forecast once seen a few times;
-    early beats that come at random stay uncertain.
+    A context is the length of the current run of normal beats with the kind of beat that began it; longer
+    contexts also hold the runs before. Each backs off to the shorter one while it has few observations.
+    Bigeminy and trigeminy are forecast once observed a few times; early beats that come at random stay
+    uncertain.
     """
 
-    def __init__(self, options: PatternOptions | None = None) -> None:
-        self._options = options or PatternOptions()
+    def __init__(self, options: BeatPatternOptions | None = None) -> None:
+        self._options = options or BeatPatternOptions()
         self._counts: defaultdict[tuple[int, ...], FloatArray] = defaultdict(lambda: np.zeros(3))
-        self._counts[()] = self._options.first_occasions * np.array(self._options.first)
-        self._runs = [self._options.longest_run]  # the running one first
+        self._counts[()] = self._options.prior_count * np.array(self._options.prior)
+        self._runs = [self._options.longest_run]  # the current one first
         self._begun_by = BeatKind.NORMAL
 
     def add(self, kind: BeatKind) -> None:
         """How an interval ended."""
-        for situation in self._situations():
-            counts = self._counts[situation]
-            counts *= self._options.fading
+        for context in self._contexts():
+            counts = self._counts[context]
+            counts *= self._options.forgetting
             counts[kind] += 1.0
         if kind == BeatKind.NORMAL:
             self._runs[0] = min(self._runs[0] + 1, self._options.longest_run)
@@ -66,15 +66,16 @@ class BeatPattern:
             self._runs = [0, *self._runs][: self._options.runs + 1]
             self._begun_by = kind
 
-    def chances(self) -> FloatArray:
-        """(3,) by BeatKind, of the running interval."""
-        chances = np.array(self._options.first)
-        for situation in self._situations():
-            counts = self._counts[situation]
-            chances = (counts + self._options.occasions * chances) / (counts.sum() + self._options.occasions)
-        return np.asarray(chances)
+    def probabilities(self) -> FloatArray:
+        """(3,) by BeatKind, of the current interval."""
+        estimate = np.array(self._options.prior)
+        for context in self._contexts():
+            counts = self._counts[context]
+            weight = self._options.backoff_count
+            estimate = (counts + weight * estimate) / (counts.sum() + weight)
+        return np.asarray(estimate)
 
-    def _situations(self) -> list[tuple[int, ...]]:
-        """The general ones first."""
-        known = [int(self._begun_by), *self._runs]
-        return [(), *(tuple(known[: depth + 2]) for depth in range(len(self._runs)))]
+    def _contexts(self) -> list[tuple[int, ...]]:
+        """The shortest first."""
+        longest = [int(self._begun_by), *self._runs]
+        return [(), *(tuple(longest[: depth + 2]) for depth in range(len(self._runs)))]

@@ -1,4 +1,4 @@
-"""Phase of moments that lie between two known R peaks: what gating uses, once the beat is over."""
+"""Retrospective phase between two known R peaks, for gating once the beat is over."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from dvf_ig.core import BoolArray, FloatArray, read_only_arrays
 MAX_RR_DEVIATION = 0.2
 """A beat is regular when its RR is within this share of the median of its neighbourhood."""
 NEIGHBOURS = 4
-"""Beats on each side that make the neighbourhood."""
+"""Beats on each side that form the neighbourhood."""
 
 
 @read_only_arrays
@@ -18,7 +18,7 @@ class BeatPhase:
     """Attributes:
     phi: (n,) fraction of the enclosing RR interval, [0, 1); 0 where there is none.
     rr_s: (n,) length of that interval; NaN where there is none.
-    regular: (n,) True where the beat is finished and neither early nor late, nor follows one that was.
+    regular: (n,) True where the beat is complete and neither it nor the one before was early or late.
     """
 
     phi: FloatArray
@@ -27,19 +27,19 @@ class BeatPhase:
 
 
 def beat_phase(r_peaks_s: FloatArray, t_s: FloatArray) -> BeatPhase:
-    """Phase at `t_s` from R peaks before and after it.
+    """Phase at `t_s` from the R peaks before and after it.
 
     Args:
-        r_peaks_s: (k,) increasing, all known at the moment of asking.
-        t_s: (n,) moments to place.
+        r_peaks_s: (k,) increasing.
+        t_s: (n,) times at which phase is wanted.
     """
     n = len(t_s)
     if len(r_peaks_s) < 2:
         return BeatPhase(np.zeros(n), np.full(n, np.nan), np.zeros(n, dtype=np.bool_))
     rr = np.diff(r_peaks_s)
-    usual = np.array([np.median(rr[max(0, k - NEIGHBOURS) : k + NEIGHBOURS + 1]) for k in range(len(rr))])
-    regular = np.abs(rr - usual) <= MAX_RR_DEVIATION * usual
-    regular[1:] &= np.abs(rr[:-1] - usual[:-1]) <= MAX_RR_DEVIATION * usual[:-1]
+    normal = np.array([np.median(rr[max(0, k - NEIGHBOURS) : k + NEIGHBOURS + 1]) for k in range(len(rr))])
+    regular = np.abs(rr - normal) <= MAX_RR_DEVIATION * normal
+    regular[1:] &= np.abs(rr[:-1] - normal[:-1]) <= MAX_RR_DEVIATION * normal[:-1]
     beat = np.searchsorted(r_peaks_s, t_s, side="right") - 1
     inside = (beat >= 0) & (beat < len(rr))
     safe = np.clip(beat, 0, len(rr) - 1)

@@ -1,4 +1,4 @@
-"""How high QRS complexes and noise stand in each lead, and how to add the leads up."""
+"""Running amplitude of QRS complexes and of noise in each lead, and the leads' weighted sum."""
 
 from collections.abc import Sequence
 from math import exp
@@ -7,22 +7,22 @@ import numpy as np
 
 from dvf_ig.core import FloatArray
 
-RISE, FALL = 0.2, 0.05
-"""Share of a beat's surprise that its level takes up: quickly upwards, slowly downwards, so that a run of
-false small beats cannot drag the threshold down with it."""
+RISE_GAIN, FALL_GAIN = 0.2, 0.05
+"""Gains of the level on the deviation of a new beat: fast upwards, slow downwards, so that a run of small
+false detections does not pull the threshold down."""
 RELEARN_S = 2.0
-"""A lead that was off for this long is watched for as long before it counts again."""
+"""A lead that was off for this long is observed for as long before it is used again."""
 NOISE_TIME_S = 0.4
 NOISE_QUANTILE = 0.6
-"""Noise is this quantile of the envelope, which the complexes themselves hardly touch."""
-SILENT_CONTRAST = 3.0
-"""While no beat comes, levels fall no further than this many times the noise."""
+"""Noise is this quantile of the envelope, on which the complexes themselves have little influence."""
+MIN_CONTRAST = 3.0
+"""While no beat comes, levels fall no lower than this many times the noise."""
 NOISE_FLOOR = 0.02
-"""Smallest noise assumed, as a share of the level: a perfectly clean lead does not silence the others."""
+"""Smallest noise assumed, as a share of the level: a noise-free lead does not exclude the others."""
 
 
 class LeadLevels:
-    """Running level and noise per lead; `combined` is near 1 at the top of a usual complex.
+    """Running level and noise per lead; `combined` is near 1 at the peak of a typical complex.
 
     Leads are weighted by level / noise², the weights of a matched filter for independent noise.
     """
@@ -37,36 +37,36 @@ class LeadLevels:
         self._noise = [1.0] * leads
         self._weights = [1.0 / leads] * leads
         self._relearn_samples = round(RELEARN_S * rate_hz)
-        self._dark = [0] * leads  # samples for which the lead has been off
-        self._fresh = [0] * leads  # samples still to watch a returned lead before it counts
-        self._watched: list[list[float]] = [[] for _ in range(leads)]
+        self._off_samples = [0] * leads  # samples for which the lead has been off
+        self._relearning = [0] * leads  # samples still to observe of a returned lead before it is used
+        self._relearned: list[list[float]] = [[] for _ in range(leads)]
 
     def learn(self, envelope: FloatArray, rate_hz: float) -> None:
-        """Set levels from a first stretch of (n, leads) envelope: second-highest top, mean noise."""
+        """Initialise levels from the first (n, leads) of envelope: second-highest peak, noise quantile."""
         window = max(2, round(0.55 * rate_hz))
         starts = range(0, max(1, len(envelope) - window + 1), window // 2)
         tops = np.array([envelope[i : i + window].max(axis=0) for i in starts])
-        # each beat lies in two of the overlapping windows, a single artefact is not believed
+        # each beat lies in two of the overlapping windows; a single artefact is not taken for one
         second = np.sort(tops, axis=0)[-min(2, len(tops))]
         self._level = [float(v) + 1e-9 for v in second]
-        dead = envelope[-max(1, window // 2) :].max(axis=0) < 1e-9
-        self._dark = [self._relearn_samples if d else 0 for d in dead.tolist()]
+        flat = envelope[-max(1, window // 2) :].max(axis=0) < 1e-9
+        self._off_samples = [self._relearn_samples if d else 0 for d in flat.tolist()]
         self._noise = [float(v) + 1e-9 for v in np.quantile(envelope, NOISE_QUANTILE, axis=0)]
-        self._weigh()
+        self._update_weights()
 
     def combined(self, row: Sequence[float], off: Sequence[bool]) -> float:
-        """One sample of the leads' envelopes as one height; leads that are off do not count."""
+        """One sample of the leads' envelopes as one weighted sum; leads that are off are left out."""
         self._age += 1
         if self._age % self._period == 0:
-            self._weigh()
+            self._update_weights()
         height = 0.0
         for k in self._leads:
             if off[k]:
-                self._dark[k] += 1
+                self._off_samples[k] += 1
                 continue
-            if self._dark[k] or self._fresh[k]:
+            if self._off_samples[k] or self._relearning[k]:
                 self._returned(k, row[k])
-                if self._fresh[k]:
+                if self._relearning[k]:
                     continue
             value = min(row[k], self._clip * self._level[k])
             self._noise[k] *= self._up if value > self._noise[k] else self._down
@@ -74,39 +74,39 @@ class LeadLevels:
         return height
 
     def _returned(self, k: int, value: float) -> None:
-        """A lead that was off for long is watched for a while, then starts with levels of its own."""
-        if self._dark[k] >= self._relearn_samples:
-            self._fresh[k], self._watched[k] = self._relearn_samples, []
-        self._dark[k] = 0
-        if self._fresh[k]:
-            self._watched[k].append(value)
-            self._fresh[k] -= 1
-            if self._fresh[k] == 0:
-                watched = np.array(self._watched[k])
-                self._level[k] = float(watched.max()) + 1e-9
-                self._noise[k] = float(np.quantile(watched, NOISE_QUANTILE)) + 1e-9
-                self._weigh()
+        """A lead that was off for long is observed for a while, then restarts with new levels."""
+        if self._off_samples[k] >= self._relearn_samples:
+            self._relearning[k], self._relearned[k] = self._relearn_samples, []
+        self._off_samples[k] = 0
+        if self._relearning[k]:
+            self._relearned[k].append(value)
+            self._relearning[k] -= 1
+            if self._relearning[k] == 0:
+                values = np.array(self._relearned[k])
+                self._level[k] = float(values.max()) + 1e-9
+                self._noise[k] = float(np.quantile(values, NOISE_QUANTILE)) + 1e-9
+                self._update_weights()
 
     def background(self) -> float:
-        """Height of what lies between complexes; close to 1 where no complex stands out (flutter, noise)."""
+        """Weighted sum of the noise; close to 1 where no complex stands out (flutter, noise)."""
         return sum(w * noise for w, noise in zip(self._weights, self._noise, strict=True))
 
-    def beat(self, row: Sequence[float]) -> None:
-        """Follow the tops of an accepted complex."""
+    def follow(self, row: Sequence[float]) -> None:
+        """Update the levels with the peak of an accepted complex."""
         for k in self._leads:
-            surprise = min(row[k], 2.0 * self._level[k]) - self._level[k]
-            self._level[k] += (RISE if surprise > 0 else FALL) * surprise
-        self._weigh()
+            deviation = min(row[k], 2.0 * self._level[k]) - self._level[k]
+            self._level[k] += (RISE_GAIN if deviation > 0 else FALL_GAIN) * deviation
+        self._update_weights()
 
-    def silence(self) -> None:
-        """No beat for long: expect smaller ones, but still such that stand out from the noise."""
+    def decay(self) -> None:
+        """No beat for long: lower the levels, but not below what stands out from the noise."""
         self._level = [
-            min(level, max(0.8 * level, SILENT_CONTRAST * noise))
+            min(level, max(0.8 * level, MIN_CONTRAST * noise))
             for level, noise in zip(self._level, self._noise, strict=True)
         ]
-        self._weigh()
+        self._update_weights()
 
-    def _weigh(self) -> None:
+    def _update_weights(self) -> None:
         raw = [
             level / max(noise, NOISE_FLOOR * level) ** 2
             for level, noise in zip(self._level, self._noise, strict=True)

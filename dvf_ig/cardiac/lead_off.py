@@ -1,4 +1,4 @@
-"""Whether the electrodes deliver a signal at all: flat, railed or missing samples."""
+"""Lead-off detection: flat, railed or missing samples of each ECG lead."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import numpy as np
 from dvf_ig.core import BoolArray, FloatArray
 
 FLAT_S = 0.2
-"""A lead that keeps one value, or delivers nothing, for this long is off (dvf_ig/docs/theory/cardiac.md)."""
+"""A lead that keeps one value, or has no samples, for this long is off (LOST: docs/theory/cardiac.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +18,7 @@ class LeadChange:
     on: bool
 
 
-class LeadWatch:
+class LeadOffDetector:
     """Streaming test of every lead for one repeated value (rail, unplugged) or missing samples (NaN)."""
 
     def __init__(self, rate_hz: float, leads: int) -> None:
@@ -28,7 +28,7 @@ class LeadWatch:
         self._started = False
 
     def push(self, samples: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """(n, leads) samples, NaN where missing, to samples with gaps held and "lead off" flags."""
+        """(n, leads) samples, NaN where missing, to samples with gaps held, and lead-off flags."""
         if not self._started:
             self._held = np.where(np.isfinite(samples[0]), samples[0], 0.0)
             self._started = True

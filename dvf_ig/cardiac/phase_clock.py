@@ -1,4 +1,4 @@
-"""The heart's clock: phase, its uncertainty and its state at any time, from the R peaks known so far."""
+"""Cardiac phase estimator: phase, its uncertainty and state at any time, from the R peaks so far."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -12,30 +12,30 @@ from .rhythm import Rhythm, RhythmOptions
 from .rpeak import RPeak
 
 SAME_BEAT_S = 0.25
-"""An R peak this soon after the last one replaces it: the detector has corrected itself."""
+"""An R peak this soon after the last one replaces it: a correction by the detector."""
 R_TIMING_S = 0.005
-"""One standard deviation of the time of a detected R peak."""
+"""Standard deviation of the time of a detected R peak."""
 
 
 @dataclass(frozen=True, slots=True)
 class PhaseClockOptions:
-    """Limits of the states (dvf_ig/docs/theory/cardiac.md) and how fast phase may catch up.
+    """Limits of the states (docs/theory/cardiac.md) and of the rate of phase.
 
     Attributes:
-        rhythm: how intervals are judged and predicted.
+        rhythm: how intervals are classified and predicted.
         lock_beats: R peaks before the first lock.
-        relock_beats: intervals in a row that must come as predicted to end LOST.
-        consistent_share: an interval within this share of the prediction came as predicted.
-        lost_share: no R by this multiple of the predicted RR (and the detection latency) makes it LOST.
-        lock_spread: LOCKED needs one standard deviation of the predicted RR to be within this share of it.
-        miss_share: a prediction that would have been trusted was a miss when it was off by more than this.
-        missed_share: LOCKED needs at most this share of recent trusted predictions to be misses.
-        record_gain: weight of the latest trusted prediction in that share.
-        irregular_share: not to be trusted is called IRREGULAR, not SUSPECT, while half of the last intervals
-            were off by more than this.
+        relock_beats: intervals in a row that must agree with their prediction to end LOST.
+        consistent_share: an interval within this share of the prediction agrees with it.
+        lost_share: no R by this multiple of the predicted RR (plus the detection latency) gives LOST.
+        lock_spread: LOCKED needs a standard deviation of the predicted RR of at most this share of it.
+        miss_share: a confident prediction that was off by more than this share was wrong.
+        missed_share: LOCKED needs at most this share of recent confident predictions to be wrong.
+        record_gain: gain of that running share.
+        irregular_share: a phase that cannot be trusted is IRREGULAR, not SUSPECT, while the median error of
+            the last intervals is above this.
         regular_share: IRREGULAR ends when that median has fallen to this.
-        min_quality: an R of lower quality makes the clock SUSPECT.
-        catch_up: phase may advance at most this many times as fast as the heart's predicted rate.
+        min_quality: an R peak of lower quality gives SUSPECT.
+        catch_up: largest rate of phase, as a multiple of the predicted heart rate.
     """
 
     rhythm: RhythmOptions = field(default_factory=RhythmOptions)
@@ -54,7 +54,7 @@ class PhaseClockOptions:
 
 
 class PhaseReading(NamedTuple):
-    """Phase in [0, 1), one standard deviation of it, predicted length of the running beat, state."""
+    """Phase in [0, 1), its standard deviation, predicted length of the current beat, state."""
 
     phi: float
     sigma_phi: float
@@ -63,12 +63,12 @@ class PhaseReading(NamedTuple):
 
 
 class PhaseClock:
-    """Feed R peaks with `add` when they become known and ask with `at`, both in order of time.
+    """Takes R peaks with `add` when they are detected and gives phase with `at`, both in order of time.
 
-    LOCKED only where the forecast of the running beat is certain and such forecasts have held lately; never
-    in a beat that came early. Unwrapped phase (beats + phi) never decreases: a late R holds it, an early one
-    is caught up at a bounded rate. While no R is seen it runs on past 1 and wraps. The predicted RR is
-    latched at each beat.
+    LOCKED only where the forecast of the current beat is confident and such forecasts have recently been
+    right; never in a beat that came early. Unwrapped phase (beats + phi) never decreases: it waits for a late
+    R and catches up with an early one at a bounded rate. While no R comes it continues past 1 and wraps. The
+    predicted RR is updated once a beat.
     """
 
     def __init__(self, options: PhaseClockOptions | None = None) -> None:
@@ -78,14 +78,14 @@ class PhaseClock:
         self._last_r_s = float("nan")
         self._rr_s = float("nan")
         self._beats = 0
-        self._steady = 0  # intervals in a row that came as predicted, since the clock was lost
-        self._missed = 0.0  # share of recent certain forecasts that did not hold
+        self._consistent = 0  # intervals in a row that agreed with their prediction, since LOST
+        self._missed = 0.0  # share of recent confident forecasts that were wrong
         self._latencies: deque[float] = deque(maxlen=9)
         self._latency_s = 0.15
         self._phase = 0.0
-        self._turns = 0.0  # whole cycles between the count of beats and unwrapped phase
-        self._asked_s = -np.inf
-        self._unbroken = True  # the ECG was there since the last R
+        self._cycle_offset = 0.0  # whole cycles between the number of beats and unwrapped phase
+        self._last_query_s = -np.inf
+        self._continuous = True  # no interruption of the ECG since the last R
 
     @property
     def state(self) -> PhaseState:
@@ -93,7 +93,7 @@ class PhaseClock:
         return self._state
 
     def add(self, peak: RPeak) -> None:
-        """An R peak that has just become known.
+        """An R peak that has just been detected.
 
         Raises:
             InvalidInputError: it lies before the last one.
@@ -104,7 +104,7 @@ class PhaseClock:
             )
         self._advance(peak.detected_at_s)
         if self._beats and peak.t_s - self._last_r_s < SAME_BEAT_S:
-            # the detector found the true complex just after a false one: move R, undo nothing else
+            # the detector found the true complex just after a false one: only R is moved
             self._last_r_s = peak.t_s
             return
         self._latencies.append(peak.detected_at_s - peak.t_s)
@@ -112,26 +112,26 @@ class PhaseClock:
         interval_s = peak.t_s - self._last_r_s
         self._last_r_s = peak.t_s
         self._beats += 1
-        if self._beats > 1 and self._unbroken:
-            self._judge(interval_s, peak.quality)
-        self._unbroken = True
+        if self._beats > 1 and self._continuous:
+            self._assess(interval_s, peak.quality)
+        self._continuous = True
 
     def signal_changed(self, t_s: float, on: bool) -> None:
-        """The ECG was lost (flat, railed or missing for 200 ms) or came back."""
+        """The ECG was lost (flat, railed or missing for 200 ms) or has returned."""
         self._advance(t_s)
         if not on:
-            self._unbroken = False
-            self._lose()
+            self._continuous = False
+            self._set_lost()
 
     def at(self, t_s: float) -> PhaseReading:
         """Phase at `t_s` as known now.
 
         Raises:
-            InvalidInputError: `t_s` lies before an earlier question.
+            InvalidInputError: `t_s` lies before an earlier query.
         """
-        if t_s < self._asked_s:
+        if t_s < self._last_query_s:
             raise InvalidInputError(
-                f"phase at {t_s:.4f} s was asked for after {self._asked_s:.4f} s; ask in order of time"
+                f"phase at {t_s:.4f} s was requested after {self._last_query_s:.4f} s; needed times in order"
             )
         self._advance(t_s)
         return PhaseReading(float(self._phase % 1.0), self._sigma(t_s), self._rr_s, self._state)
@@ -139,88 +139,88 @@ class PhaseClock:
     # ------------------------------------------------------------------ phase
 
     def _target(self, t_s: float) -> float:
-        """Unwrapped phase that the R peaks known now imply: whole beats plus time over predicted RR."""
+        """Unwrapped phase from the R peaks known now: whole beats plus time over predicted RR."""
         if not self._rr_s > 0:
             return self._beats - 1.0 if self._beats else 0.0
         return self._beats - 1.0 + (t_s - self._last_r_s) / self._rr_s
 
     def _advance(self, t_s: float) -> None:
-        """Move phase to `t_s`: towards the target, never backwards, at most at the catch-up rate."""
-        if t_s <= self._asked_s:
+        """Advance phase to `t_s`: towards the target, never backwards, at most at the catch-up rate."""
+        if t_s <= self._last_query_s:
             return
-        self._notice_absence(t_s)
-        gap = self._target(t_s) + self._turns - self._phase
+        self._check_overdue(t_s)
+        gap = self._target(t_s) + self._cycle_offset - self._phase
         if self._state != PhaseState.LOCKED:
-            # only the place in the cycle counts now: run there forwards, or wait where that is shorter
+            # only the position in the cycle matters now: advance to it, or wait where that is shorter
             whole = float(np.floor(gap + 0.5))
-            self._turns -= whole
+            self._cycle_offset -= whole
             gap -= whole
         if gap > 0 and self._rr_s > 0:
-            reach = self._options.catch_up * (t_s - self._asked_s) / self._rr_s
-            self._phase += min(gap, reach)
-        self._asked_s = t_s
+            largest = self._options.catch_up * (t_s - self._last_query_s) / self._rr_s
+            self._phase += min(gap, largest)
+        self._last_query_s = t_s
 
-    def _notice_absence(self, t_s: float) -> None:
-        """An expected early beat that has not come, or no R at all for too long."""
+    def _check_overdue(self, t_s: float) -> None:
+        """React to an expected early beat that has not come, and to no R at all for too long."""
         if not (self._beats and self._rr_s > 0):
             return
-        forecast, waited_s = self._rhythm.forecast, t_s - self._last_r_s - self._latency_s
-        if forecast.early and self._rr_s < forecast.usual_s:
-            if waited_s > (1.0 + 2.0 * forecast.spread) * self._rr_s:
-                self._rr_s = forecast.usual_s
+        forecast, elapsed_s = self._rhythm.forecast, t_s - self._last_r_s - self._latency_s
+        if forecast.early and self._rr_s < forecast.normal_s:
+            if elapsed_s > (1.0 + 2.0 * forecast.spread) * self._rr_s:
+                self._rr_s = forecast.normal_s
                 if self._state == PhaseState.LOCKED:
                     self._state = PhaseState.SUSPECT
-        elif waited_s > self._options.lost_share * forecast.longest_s:
-            self._lose()
+        elif elapsed_s > self._options.lost_share * forecast.longest_s:
+            self._set_lost()
 
     def _sigma(self, t_s: float) -> float:
-        """One standard deviation: RR prediction error grown with the beat, R timing, what is to catch up."""
+        """Standard deviation: RR prediction error growing over the beat, R timing, lag behind the target."""
         if not self._rr_s > 0:
             return float("nan")
         share = max(0.0, t_s - self._last_r_s) / self._rr_s
         timing = R_TIMING_S / self._rr_s
-        behind = self._target(t_s) + self._turns - self._phase
-        return float(np.sqrt((self._rhythm.forecast.spread * share) ** 2 + timing**2 + behind**2))
+        lag = self._target(t_s) + self._cycle_offset - self._phase
+        return float(np.sqrt((self._rhythm.forecast.spread * share) ** 2 + timing**2 + lag**2))
 
     # ------------------------------------------------------------------ state
 
-    def _judge(self, interval_s: float, quality: float) -> None:
+    def _assess(self, interval_s: float, quality: float) -> None:
         """Update prediction and state with a finished interval."""
         if quality < self._options.min_quality:
-            self._steady = 0
+            self._consistent = 0
             if self._state == PhaseState.LOCKED:
                 self._state = PhaseState.SUSPECT
             return
-        self._keep_record(interval_s)
+        self._score_forecast(interval_s)
         self._rhythm.add(interval_s)
         self._rr_s = self._rhythm.forecast.rr_s
-        self._settle()
+        self._update_state()
 
-    def _keep_record(self, interval_s: float) -> None:
-        """How well forecasts held, above all those that looked certain."""
+    def _score_forecast(self, interval_s: float) -> None:
+        """Update how many intervals agreed with their forecast, and how many confident forecasts failed."""
         options, expected_s = self._options, self._rhythm.forecast.rr_s
-        off = abs(interval_s - expected_s) / expected_s
-        self._steady = self._steady + 1 if off <= options.consistent_share else 0
-        if self._certain():
-            self._missed += options.record_gain * (float(off > options.miss_share) - self._missed)
+        error = abs(interval_s - expected_s) / expected_s
+        self._consistent = self._consistent + 1 if error <= options.consistent_share else 0
+        if self._confident():
+            self._missed += options.record_gain * (float(error > options.miss_share) - self._missed)
 
-    def _certain(self) -> bool:
-        """The forecast of the running beat says of itself that phase may be used."""
+    def _confident(self) -> bool:
+        """Whether the forecast of the current beat is precise enough for phase to be used."""
         forecast = self._rhythm.forecast
-        return forecast.spread <= self._options.lock_spread and not forecast.unsettled
+        return forecast.spread <= self._options.lock_spread and not forecast.unreliable
 
-    def _settle(self) -> None:
+    def _update_state(self) -> None:
         options = self._options
-        trusted = self._certain() and self._missed <= options.missed_share
+        trusted = self._confident() and self._missed <= options.missed_share
         if self._state == PhaseState.INIT and self._beats < options.lock_beats:
             return
         limit = options.regular_share if self._state == PhaseState.IRREGULAR else options.irregular_share
         if not trusted and self._rhythm.irregularity > limit:
             self._state = PhaseState.IRREGULAR
-        elif self._state != PhaseState.LOST or self._steady >= options.relock_beats:
+        elif self._state != PhaseState.LOST or self._consistent >= options.relock_beats:
             self._state = PhaseState.LOCKED if trusted else PhaseState.SUSPECT
 
-    def _lose(self) -> None:
+    def _set_lost(self) -> None:
         if self._state != PhaseState.INIT:
             self._state = PhaseState.LOST
-        self._steady = 0
+        self._consistent = 0

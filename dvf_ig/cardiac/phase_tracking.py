@@ -1,4 +1,4 @@
-"""Phase of a recorded ECG as it would have been known live."""
+"""Phase over a recorded ECG, causally: at each time from what was known by then."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,12 @@ from .rpeak import CHUNK_S, RPeak, RPeakDetector
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhaseTracking:
-    """R peaks with the phase that followed from them.
+    """R peaks with the phase estimated from them.
 
     Attributes:
-        peaks: in the order in which they became known.
-        lead_changes: when the ECG was lost and came back.
-        track: phase at the times asked for.
+        peaks: in order of detection.
+        lead_changes: when the ECG was lost and when it returned.
+        track: phase at the requested times.
     """
 
     peaks: tuple[RPeak, ...]
@@ -29,11 +29,11 @@ class PhaseTracking:
 def track_phase(
     signal: Signal, t_s: FloatArray, *, options: PhaseClockOptions | None = None
 ) -> PhaseTracking:
-    """Detect and keep phase over a recording, each time from what was known by then.
+    """Detect R peaks and estimate phase over a recording, each time from what was known by then.
 
     Args:
         signal: the ECG.
-        t_s: (n,) strictly increasing times at which phase is wanted, on the ECG's clock.
+        t_s: (n,) strictly increasing times at which phase is wanted, in the ECG's time base.
     Raises:
         InvalidInputError: sampled below 100 Hz, or times that do not increase.
     """
@@ -42,7 +42,7 @@ def track_phase(
 
 
 def stream_recording(signal: Signal) -> tuple[tuple[RPeak, ...], tuple[LeadChange, ...]]:
-    """R peaks and lead changes of a whole recording, found causally."""
+    """R peaks and lead changes of a whole recording, detected causally."""
     detector = RPeakDetector(signal.rate_hz, len(signal.leads))
     step = max(1, round(CHUNK_S * signal.rate_hz))
     peaks: list[RPeak] = []

@@ -1,21 +1,23 @@
-"""Where in a QRS complex the R peak lies."""
+"""Time of the R peak within a QRS complex."""
 
 import numpy as np
 
 from dvf_ig.core import FloatArray
 
-REACH_S = 0.08
-"""How far the R peak may lie from the centre of the complex's energy."""
+SEARCH_S = 0.08
+"""Largest distance of the R peak from the centre of the complex's energy."""
 BASELINE_S = 0.30
+"""Signal before the complex that gives the local mean."""
 TAPER = 0.3
-"""How much less an extremum at the edge of the window counts than one in the middle."""
+"""Reduction of the weight from the middle of the search window to its edge."""
 SWITCH_RATIO = 3.0
 """R is timed in the first lead unless another one is this many times higher."""
-FOLLOW = 0.1
+HEIGHT_GAIN = 0.1
+"""Gain of the running height of each lead."""
 
 
 class RLocator:
-    """Keeps a few seconds of signal and finds the largest deflection from the local mean near a complex."""
+    """Buffers a few seconds of signal and finds the largest deflection from the local mean near a complex."""
 
     def __init__(self, rate_hz: float, leads: int) -> None:
         self._rate = rate_hz
@@ -29,26 +31,26 @@ class RLocator:
         """Append (n, leads) finite samples."""
         self._samples = np.concatenate([self._samples, samples])
 
-    def forget(self) -> None:
-        """Drop what no complex can need any more."""
+    def discard_old(self) -> None:
+        """Discard samples that no later complex can need."""
         surplus = len(self._samples) - self._keep
         if surplus > 0:
             self._samples, self._first = self._samples[surplus:], self._first + surplus
 
     def locate(self, center: float, now: int) -> float:
         """Sample position of the R peak of a complex centred at `center`, from samples up to `now`."""
-        reach = round(REACH_S * self._rate)
+        half_width = round(SEARCH_S * self._rate)
         middle = round(center)
-        low = max(self._first, middle - reach)
-        high = min(now, middle + reach)
+        low = max(self._first, middle - half_width)
+        high = min(now, middle + half_width)
         start = max(self._first, middle - round(BASELINE_S * self._rate))
         if high <= low:
             return float(max(middle, self._first))
         near = self._samples[start - self._first : high + 1 - self._first]
         deflection = np.abs(_smoothed(near, self._smooth) - near.mean(axis=0))[low - start :]
-        weight = 1.0 - TAPER * np.abs(np.arange(low, high + 1) - middle) / reach
+        weight = 1.0 - TAPER * np.abs(np.arange(low, high + 1) - middle) / half_width
         weighted = deflection * weight[:, None]
-        self._height += FOLLOW * (weighted.max(axis=0) - self._height)
+        self._height += HEIGHT_GAIN * (weighted.max(axis=0) - self._height)
         lead = 0
         strongest = int(self._height.argmax())
         if self._height[strongest] > SWITCH_RATIO * self._height[0]:

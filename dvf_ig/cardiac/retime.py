@@ -1,4 +1,9 @@
-"""From phase to the pre-operative cycle: what the heart looks like now, in a beat of this length."""
+"""Heart-rate retiming and T_d: from phase in the current beat to phase of the model (Ren 2008, Section VII).
+
+Ren 2008 shows each of the model's N frames for T_d = RR/N (`frame_period_s`): the model's phase advances
+evenly from R to R, which is `retime` in mode "uniform". The clock gives phase, time since R over the
+predicted RR, so T_d enters through that RR; `dvf-ig replay` reports T_d beside it.
+"""
 
 from typing import Literal
 
@@ -26,7 +31,7 @@ def retime(
     """Model phase at fraction `phi` of a beat that lasts `rr_s`.
 
     Args:
-        phi: (...) in [0, 1), share of the running RR interval since R.
+        phi: (...) in [0, 1), share of the current RR interval since R.
         rr_s: (...) its predicted length.
         timing_rr_s: RR interval at which the model was acquired.
         es_fraction: end-systole as a share of that interval, measured in the model's own images.
@@ -63,7 +68,7 @@ def systole_share(
     *,
     slope_s_per_bpm: float = SYSTOLE_SLOPE_S_PER_BPM,
 ) -> FloatArray:
-    """(...) share of a beat of length `rr_s` that systole takes: S/RR with S = S0 + k(HR0 − HR), bounded."""
+    """(...) share of a beat of length `rr_s` that systole takes: S/RR, S = S0 + k(HR0 − HR), limited."""
     rr = np.asarray(rr_s, dtype=np.float64)
     systole_s = es_fraction * timing_rr_s + slope_s_per_bpm * (60.0 / timing_rr_s - 60.0 / rr)
     low, high = min(SYSTOLE_BOUNDS[0], es_fraction), max(SYSTOLE_BOUNDS[1], es_fraction)
@@ -89,15 +94,15 @@ def _joined(phase: FloatArray, systole: FloatArray, es_fraction: float) -> Float
     With three knots a period PCHIP's slopes have a closed form, so that every beat may have its own systole.
     """
     rise, rest = es_fraction / systole, (1.0 - es_fraction) / (1.0 - systole)
-    at_knee = _pchip_slope(systole, 1.0 - systole, rise, rest)
+    at_breakpoint = _pchip_slope(systole, 1.0 - systole, rise, rest)
     at_r = _pchip_slope(1.0 - systole, systole, rest, rise)
     early = phase <= systole
     width = np.where(early, systole, 1.0 - systole)
     u = np.where(early, phase, phase - systole) / width
     bottom = np.where(early, 0.0, es_fraction)
     height = np.where(early, es_fraction, 1.0 - es_fraction)
-    first = np.where(early, at_r, at_knee) * width
-    last = np.where(early, at_knee, at_r) * width
+    first = np.where(early, at_r, at_breakpoint) * width
+    last = np.where(early, at_breakpoint, at_r) * width
     cubic = bottom + height * u * u * (3 - 2 * u) + first * u * (1 - u) ** 2 - last * u * u * (1 - u)
     return np.asarray(np.clip(cubic, 0.0, np.nextafter(1.0, 0.0)))
 

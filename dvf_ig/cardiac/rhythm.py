@@ -1,34 +1,34 @@
-"""How long the running beat will last, with what certainty."""
+"""Forecast of the current RR interval and of its uncertainty."""
 
 from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from .beat_pattern import BeatKind, BeatPattern, PatternOptions
+from .beat_pattern import BeatKind, BeatPattern, BeatPatternOptions
 from .rr_predictor import PredictorName, make_predictor
 
 FIRST_EARLY, FIRST_LATE = 0.65, 1.35
-"""Early and late intervals relative to the usual one, before any was seen."""
+"""Early and late intervals relative to the normal one, before any was observed."""
 FIRST_SPREAD = 0.1
-LENGTH_GAIN = 0.15
+STATISTICS_GAIN = 0.15
 COMPENSATED_SHARE = 0.25
-"""An early beat and the pause after it make two usual intervals, to within this share of one."""
+"""Compensatory pause: with the early beat before it two normal intervals, within this share of one."""
 
 
 @dataclass(frozen=True, slots=True)
 class RhythmOptions:
-    """How intervals are judged.
+    """How intervals are classified and predicted.
 
     Attributes:
         predictor: how the next normal interval is predicted.
-        early_share: an interval below this share of the usual one ended early.
-        late_share: one above this share of the usual one ended late.
-        learn_beats: intervals before any is judged.
-        new_rate_beats: irregular intervals in a row that agree with each other make a new rate.
-        new_rate_share: how well they must agree with their median.
-        residual_beats: intervals over which irregularity is judged.
-        spread_gain: share of a normal interval's squared miss that the variance takes up.
+        early_share: an interval below this share of the normal one ended early.
+        late_share: one above this share of the normal one ended late.
+        learn_beats: intervals before any is classified.
+        new_rate_beats: so many irregular intervals in a row that agree with each other are a new rate.
+        new_rate_share: largest deviation of those from their median.
+        residual_beats: intervals over which irregularity is measured.
+        spread_gain: gain of the running variance on a normal interval's squared error.
         pattern: how irregular beats are forecast.
     """
 
@@ -40,69 +40,69 @@ class RhythmOptions:
     new_rate_share: float = 0.12
     residual_beats: int = 16
     spread_gain: float = 0.1
-    pattern: PatternOptions = field(default_factory=PatternOptions)
+    pattern: BeatPatternOptions = field(default_factory=BeatPatternOptions)
 
 
 @dataclass(frozen=True, slots=True)
 class RrForecast:
-    """The running beat.
+    """Forecast of the current RR interval.
 
     Attributes:
         rr_s: most likely length; NaN before the first interval.
         spread: one standard deviation of the length, relative to rr_s.
-        usual_s: length if it ends neither early nor late.
-        longest_s: longest of the lengths that are likely.
+        normal_s: length if it ends neither early nor late.
+        longest_s: longest of the likely lengths.
         ectopic: the beat that began this interval came early: its motion is not the model's.
-        unsettled: that, or an early beat was not made up for by its pause: it may have been no beat at all.
+        unreliable: that, or the last early beat had no compensatory pause: it may be a false detection.
         early: the next beat is expected early.
     """
 
     rr_s: float
     spread: float
-    usual_s: float
+    normal_s: float
     longest_s: float
     ectopic: bool
-    unsettled: bool
+    unreliable: bool
     early: bool
 
 
-NOTHING_KNOWN = RrForecast(
-    float("nan"), float("nan"), float("nan"), float("nan"), ectopic=False, unsettled=False, early=False
+NO_FORECAST = RrForecast(
+    float("nan"), float("nan"), float("nan"), float("nan"), ectopic=False, unreliable=False, early=False
 )
 
 
-class Length:
-    """Running mean and variance of one kind of interval, relative to the usual one."""
+class IntervalStatistics:
+    """Running mean and variance of one kind of interval, relative to the normal one."""
 
     def __init__(self, mean: float) -> None:
         self.mean, self.variance = mean, FIRST_SPREAD**2
 
     def add(self, relative: float) -> None:
-        miss = relative - self.mean
-        self.mean += LENGTH_GAIN * miss
-        self.variance += LENGTH_GAIN * (miss**2 - self.variance)
+        deviation = relative - self.mean
+        self.mean += STATISTICS_GAIN * deviation
+        self.variance += STATISTICS_GAIN * (deviation**2 - self.variance)
 
 
 class Rhythm:
-    """Takes finished intervals in order; forecasts the running one.
+    """Takes finished intervals in order; forecasts the current one.
 
-    Normal intervals are predicted from normal ones alone: an early beat and the pause after it leave that
-    prediction as it was. Whether the running one is normal is forecast from the pattern of irregular beats.
+    Normal intervals are predicted from normal ones alone: an early beat and the pause after it do not change
+    that prediction. Whether the current one is normal is forecast from the pattern of irregular beats.
     """
 
     def __init__(self, options: RhythmOptions | None = None) -> None:
         self._options = options or RhythmOptions()
-        self._begin(())
+        self._restart(())
         self._residuals: deque[float] = deque(maxlen=self._options.residual_beats)
         self._variance = 0.05**2
-        self.forecast = NOTHING_KNOWN
+        self.forecast = NO_FORECAST
 
     @property
     def irregularity(self) -> float:
-        """Median miss of the forecast over the last intervals, relative; NaN before there are enough.
+        """Median relative error of the forecast over the last intervals; NaN before there are enough.
 
-        Ectopic beats are few or follow a pattern, so that the median hardly knows them; fibrillation misses
-        beat by beat.
+        Ectopic beats are few or follow a pattern, so they have little influence on the median; in
+        fibrillation the forecast fails beat by beat.
         """
         if len(self._residuals) < self._options.residual_beats:
             return float("nan")
@@ -113,7 +113,7 @@ class Rhythm:
         self._recent.append(interval_s)
         kind = BeatKind.NORMAL
         if self._intervals >= self._options.learn_beats:
-            kind = self._kind(interval_s)
+            kind = self._classify(interval_s)
             self._residuals.append(min(abs(interval_s / self.forecast.rr_s - 1.0), 1.0))
             self._learn(kind, interval_s)
         else:
@@ -121,38 +121,38 @@ class Rhythm:
         self._intervals += 1
         self._kinds.append(kind)
         if kind != BeatKind.NORMAL and self._new_rate():
-            self._begin(tuple(self._recent))
+            self._restart(tuple(self._recent))
             kind = BeatKind.NORMAL
-        self._expect(kind)
+        self._update_forecast(kind)
         return kind
 
-    def _kind(self, interval_s: float) -> BeatKind:
-        relative = interval_s / self.forecast.usual_s
+    def _classify(self, interval_s: float) -> BeatKind:
+        relative = interval_s / self.forecast.normal_s
         if relative < self._options.early_share:
             return BeatKind.EARLY
         late = relative > self._options.late_share and not self.forecast.ectopic
         return BeatKind.LATE if late else BeatKind.NORMAL
 
     def _learn(self, kind: BeatKind, interval_s: float) -> None:
-        usual = self.forecast.usual_s
-        relative = min(interval_s / usual, 2.0)
+        normal = self.forecast.normal_s
+        relative = min(interval_s / normal, 2.0)
         self._pattern.add(kind)
         if kind != BeatKind.NORMAL or self.forecast.ectopic:
-            self._lengths(self.forecast.ectopic)[kind].add(relative)
-            # the sinus beat that the irregular one replaced leaves the prediction as it was
-            self._predictor.add(usual)
+            self._statistics(self.forecast.ectopic)[kind].add(relative)
+            # the prediction is continued as if the replaced sinus beat had come when expected
+            self._predictor.add(normal)
             return
         self._variance += self._options.spread_gain * ((relative - 1.0) ** 2 - self._variance)
         self._predictor.add(interval_s)
 
     def _uncompensated(self) -> bool:
-        """The last two intervals were an early one and its pause, but not two usual intervals together."""
+        """The last two intervals were an early one and its pause, but not two normal intervals together."""
         if not self.forecast.ectopic:
             return False
         pair = self._recent[-1] + self._recent[-2]
-        return bool(abs(pair / self.forecast.usual_s - 2.0) > COMPENSATED_SHARE)
+        return bool(abs(pair / self.forecast.normal_s - 2.0) > COMPENSATED_SHARE)
 
-    def _lengths(self, ectopic: bool) -> dict[BeatKind, Length]:
+    def _statistics(self, ectopic: bool) -> dict[BeatKind, IntervalStatistics]:
         return self._after_early if ectopic else self._after_normal
 
     def _new_rate(self) -> bool:
@@ -162,15 +162,15 @@ class Rhythm:
         middle = np.median(recent)
         return bool((np.abs(recent - middle) <= self._options.new_rate_share * middle).all())
 
-    def _begin(self, intervals_s: tuple[float, ...]) -> None:
-        """Learn anew, from intervals that agree with each other."""
+    def _restart(self, intervals_s: tuple[float, ...]) -> None:
+        """Discard what was learnt and start from intervals that agree with each other."""
         self._predictor = make_predictor(self._options.predictor)
         self._pattern = BeatPattern(self._options.pattern)
-        early, late = Length(FIRST_EARLY), Length(FIRST_LATE)
+        early, late = IntervalStatistics(FIRST_EARLY), IntervalStatistics(FIRST_LATE)
         self._after_normal = {BeatKind.EARLY: early, BeatKind.LATE: late}
         self._after_early = {
-            BeatKind.NORMAL: Length(2.0 - FIRST_EARLY),
-            BeatKind.EARLY: Length(FIRST_EARLY),
+            BeatKind.NORMAL: IntervalStatistics(2.0 - FIRST_EARLY),
+            BeatKind.EARLY: IntervalStatistics(FIRST_EARLY),
             BeatKind.LATE: late,
         }
         self._intervals = len(intervals_s)
@@ -179,22 +179,22 @@ class Rhythm:
         for interval_s in intervals_s:
             self._predictor.add(interval_s)
 
-    def _expect(self, kind: BeatKind) -> None:
-        usual, ectopic = self._predictor.predict(), kind == BeatKind.EARLY
-        known = self._lengths(ectopic)
+    def _update_forecast(self, kind: BeatKind) -> None:
+        normal, ectopic = self._predictor.predict(), kind == BeatKind.EARLY
+        statistics = self._statistics(ectopic)
         means, variances = np.array([1.0, 0, 0]), np.array([self._variance, 0, 0])
-        for which, length in known.items():
-            means[which], variances[which] = length.mean, length.variance
-        chances = self._pattern.chances()
-        likely = int(chances.argmax())
+        for which, one in statistics.items():
+            means[which], variances[which] = one.mean, one.variance
+        probabilities = self._pattern.probabilities()
+        likely = int(probabilities.argmax())
         ratio = means[likely]
-        variance = float(chances @ (variances + (means - ratio) ** 2))
+        variance = float(probabilities @ (variances + (means - ratio) ** 2))
         self.forecast = RrForecast(
-            float(ratio * usual),
+            float(ratio * normal),
             float(np.sqrt(variance) / ratio),
-            usual,
-            float(max(means[likely], means[BeatKind.NORMAL]) * usual),
+            normal,
+            float(max(means[likely], means[BeatKind.NORMAL]) * normal),
             ectopic,
-            unsettled=ectopic or self._uncompensated(),
+            unreliable=ectopic or self._uncompensated(),
             early=likely == BeatKind.EARLY,
         )

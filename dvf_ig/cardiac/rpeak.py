@@ -1,4 +1,4 @@
-"""R peaks from a live ECG: samples in, peaks out, each with the moment at which it became known."""
+"""R peaks from a live ECG: samples in, peaks out, each with the time at which it was detected."""
 
 from dataclasses import dataclass
 
@@ -7,12 +7,12 @@ import numpy as np
 from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, Signal
 
 from .beat_finder import BeatFinder, Complex, RPeakOptions
-from .lead_off import LeadChange, LeadWatch
+from .lead_off import LeadChange, LeadOffDetector
 from .qrs_feature import QrsFeature
 from .r_locator import RLocator
 
 CHUNK_S = 1.0
-"""How much of a whole recording is streamed at a time; the peaks do not depend on it."""
+"""Length of the chunks in which a whole recording is streamed; the peaks do not depend on it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class RPeak:
     Attributes:
         t_s: when the R wave peaked.
         detected_at_s: time of the last sample that was needed to know it; never before t_s.
-        quality: 0 to 1, height of the complex against the recent ones; small for search-back finds.
+        quality: 0 to 1, height of the complex against the recent ones; small for beats found by search-back.
     """
 
     t_s: float
@@ -40,22 +40,22 @@ class RPeakDetector:
             InvalidInputError: a rate below 100 Hz, or no lead.
         """
         if leads < 1:
-            raise InvalidInputError(f"an ECG of {leads} leads was announced; needed at least 1")
+            raise InvalidInputError(f"the ECG has {leads} leads; needed at least 1")
         self.rate_hz = rate_hz
         self.leads = leads
         self._options = options or RPeakOptions()
         self._origin_s: float | None = None
-        self._watch = LeadWatch(rate_hz, leads)
+        self._lead_off = LeadOffDetector(rate_hz, leads)
         self._changes: list[LeadChange] = []
         self._on = True
         self._restart()
 
     def push(self, samples: FloatArray, start_s: float) -> list[RPeak]:
-        """Take the next samples and return the peaks that they made known.
+        """Take the next samples and return the peaks detected with them.
 
         Args:
             samples: (n, leads), in any unit; NaN where the recorder delivered nothing.
-            start_s: time of the first of them; after a gap the detector learns anew.
+            start_s: time of the first of them; after a gap the detector restarts.
         Raises:
             InvalidInputError: wrong number of leads, or samples that go back in time.
         """
@@ -64,16 +64,16 @@ class RPeakDetector:
             raise InvalidInputError(f"ECG samples have shape {chunk.shape}; needed (n, {self.leads})")
         if len(chunk) == 0:
             return []
-        self._place(start_s)
-        filled, off = self._watch.push(chunk)
+        self._check_start(start_s)
+        filled, off = self._lead_off.push(chunk)
         envelope = self._feature.push(filled)
         self._locator.push(filled)
-        self._note_changes(np.asarray(off.all(axis=1)))
+        self._record_changes(np.asarray(off.all(axis=1)))
         found: list[RPeak] = []
         for row, flags in zip(envelope.tolist(), off.tolist(), strict=True):
             self._count += 1
             found += [self._peak(beat) for beat in self._finder.step(row, flags)]
-        self._locator.forget()
+        self._locator.discard_old()
         return found
 
     def take_lead_changes(self) -> list[LeadChange]:
@@ -90,40 +90,40 @@ class RPeakDetector:
         self._count = 0
 
     def _peak(self, beat: Complex) -> RPeak:
-        at = self._locator.locate(beat.top - self._feature.delay, beat.judged)
-        return RPeak(self._time(at), self._time(beat.judged), min(1.0, beat.height))
+        at = self._locator.locate(beat.top - self._feature.delay, beat.decided)
+        return RPeak(self._time(at), self._time(beat.decided), min(1.0, beat.height))
 
-    def _note_changes(self, lost: BoolArray) -> None:
+    def _record_changes(self, lost: BoolArray) -> None:
         for index in np.flatnonzero(np.diff(np.concatenate([[not self._on], lost]).astype(np.int8))):
             self._on = not lost[index]
             self._changes.append(LeadChange(self._time(self._count + int(index)), self._on))
 
-    def _place(self, start_s: float) -> None:
+    def _check_start(self, start_s: float) -> None:
         """Check that the chunk continues the last one; follow slow drift of the recorder's clock."""
         if self._origin_s is None:
             self._origin_s = start_s
         expected = self._time(self._count)
-        slip = (start_s - expected) * self.rate_hz
-        if slip < -1.5:
+        offset = (start_s - expected) * self.rate_hz
+        if offset < -1.5:
             raise InvalidInputError(
                 f"ECG samples from {start_s:.4f} s came after samples up to {expected:.4f} s; feed them in "
                 "order of time and once only"
             )
-        if slip > 1.5:
+        if offset > 1.5:
             self._changes.append(LeadChange(expected, False))
             self._changes.append(LeadChange(start_s, True))
             self._on = True
             self._restart()
             self._origin_s = start_s
-        elif abs(slip) > 0.5:
-            self._origin_s += slip / self.rate_hz
+        elif abs(offset) > 0.5:
+            self._origin_s += offset / self.rate_hz
 
     def _time(self, index: float) -> float:
         return (self._origin_s or 0.0) + index / self.rate_hz
 
 
 def detect_r_peaks(signal: Signal, options: RPeakOptions | None = None) -> tuple[RPeak, ...]:
-    """All R peaks of a recording, found as they would be live.
+    """All R peaks of a recording, detected causally.
 
     Raises:
         InvalidInputError: sampled below 100 Hz.

@@ -1,4 +1,4 @@
-"""How long the running beat will last, from the beats before it."""
+"""Predictors of the next RR interval from the intervals before it."""
 
 from collections import deque
 from collections.abc import Callable
@@ -29,7 +29,7 @@ class RrPredictor(Protocol):
 
 
 class LastRr:
-    """The next beat lasts as long as the last one."""
+    """Predicts the last interval again."""
 
     def __init__(self) -> None:
         self._last = float("nan")
@@ -57,7 +57,7 @@ class EwmaRr:
 class AutoregressiveRr:
     """Recursive least squares on the last eight deviations from a running mean.
 
-    Respiratory arrhythmia repeats every few beats, which a mean cannot follow and this can.
+    Respiratory sinus arrhythmia repeats every few beats; a running mean cannot follow it, this predictor can.
     Source: Haykin, Adaptive Filter Theory, RLS with exponential forgetting.
     """
 
@@ -90,7 +90,7 @@ class AutoregressiveRr:
         return float(np.clip(raw, AR_LIMITS[0] * middle, AR_LIMITS[1] * middle))
 
     def _past(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """(8,) relative deviations, the latest first; a wild interval counts as 30 %."""
+        """(8,) relative deviations, the latest first, limited to 30 %."""
         return np.asarray(np.clip((np.array(self._recent) - self._mean) / self._mean, -0.3, 0.3))
 
 

@@ -1,4 +1,4 @@
-"""What a recording's gating amounts to: rate, and where phase may be used."""
+"""Summary of a recording's gating: heart rate, and where phase is valid."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -9,7 +9,7 @@ from dvf_ig.core import FloatArray, InvalidInputError, PhaseState, PhaseTrack, r
 
 from .rpeak import RPeak
 
-FEWEST_BEATS = 5
+MIN_BEATS = 5
 
 
 @read_only_arrays
@@ -18,7 +18,7 @@ class GateSummary:
     """Attributes:
     rate_bpm: 60 / median RR interval.
     valid_share: share of the track's times at which the clock was LOCKED.
-    invalid_segments_s: (k, 2) start and stop of each stretch in which it was not.
+    invalid_segments_s: (k, 2) start and stop of each interval in which it was not.
     """
 
     rate_bpm: float
@@ -30,12 +30,12 @@ def summarise_gating(peaks: tuple[RPeak, ...], track: PhaseTrack) -> GateSummary
     """Rate and validity of a whole recording.
 
     Raises:
-        InvalidInputError: fewer than five R peaks, which no phase can be kept from.
+        InvalidInputError: fewer than five R peaks, too few for a phase.
     """
-    if len(peaks) < FEWEST_BEATS:
+    if len(peaks) < MIN_BEATS:
         raise InvalidInputError(
             f"the ECG shows {len(peaks)} R peaks in {track.t_s[-1] - track.t_s[0]:.1f} s, needed at least "
-            f"{FEWEST_BEATS}; check the electrodes and that the file holds an ECG"
+            f"{MIN_BEATS}; check the electrodes and that the file holds an ECG"
         )
     intervals = np.diff([peak.t_s for peak in peaks])
     valid = track.valid
@@ -51,7 +51,7 @@ def summarise_gating(peaks: tuple[RPeak, ...], track: PhaseTrack) -> GateSummary
 
 
 def state_segments(track: PhaseTrack) -> tuple[tuple[float, float, PhaseState], ...]:
-    """(start s, stop s, state) of each stretch of one state, in order; together they cover the track."""
+    """(start s, stop s, state) of each interval of one state, in order; together they cover the track."""
     edges = [0, *(np.flatnonzero(np.diff(track.state)) + 1).tolist(), len(track.state)]
     last = len(track.t_s) - 1
     return tuple(

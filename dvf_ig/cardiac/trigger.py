@@ -8,17 +8,17 @@ from .rpeak import RPeak
 
 LONGEST_DELAY_S = 0.5
 SHORTEST_INTERVAL_S = 0.2
-"""Two pulses closer than this are not two heart beats (300 per minute)."""
+"""Two pulses closer than this cannot be two heart beats (300 per minute)."""
 
 
 def trigger_peaks(t_s: FloatArray, fixed_delay_s: float = 0.0) -> tuple[RPeak, ...]:
-    """Turn trigger pulses into R peaks for the phase clock.
+    """R peaks from trigger pulses.
 
     Args:
-        t_s: (n,) times of the pulses, increasing, on the clock on which phase is wanted.
+        t_s: (n,) times of the pulses, increasing, in the time base in which phase is wanted.
         fixed_delay_s: how long after the R peak the device fires; measure it once, it does not change.
     Returns:
-        one R peak a pulse, `fixed_delay_s` before it and known when it fires.
+        one R peak a pulse, `fixed_delay_s` before it and detected when it fires.
     Raises:
         InvalidInputError: no pulse, times that are not finite or do not increase, pulses less than 0.2 s
             apart, or a delay outside 0 to 0.5 s.

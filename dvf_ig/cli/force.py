@@ -1,4 +1,4 @@
-"""`dvf-ig force`: what a fixture would push at given points and one phase."""
+"""`dvf-ig force`: forces of a fixture at given points and one phase."""
 
 import csv
 import math
@@ -38,7 +38,7 @@ def force(
         typer.Option("--points", help="CSV of x,y,z in mm in the model's frame (LPS); a header is allowed."),
     ],
     phase: Annotated[
-        float, typer.Option("--phase", help="Place in the model's cycle, 0 at the R peak, modulo 1.")
+        float, typer.Option("--phase", help="Phase of the model's cycle, 0 at the R peak, modulo 1.")
     ],
     law: Annotated[LawName, typer.Option("--law", help="Force law.")] = LawName.sigmoid,
     gamma: Annotated[float, typer.Option("--gamma", help="Sigmoid: steepness in 1/mm.")] = 1.0,
@@ -53,8 +53,11 @@ def force(
         float | None,
         typer.Option("--free-zone-mm", help="Gaussian: choose width and exponent for this zone …"),
     ] = None,
-    felt_below_n: Annotated[
-        float, typer.Option("--felt-below-n", help="… in which the force stays below this, in N.")
+    detection_threshold_n: Annotated[
+        float,
+        typer.Option(
+            "--felt-below-n", help="… in which the force stays below this detection threshold, in N."
+        ),
     ] = 0.05,
     blend: Annotated[BlendName, typer.Option("--blend", help="How phases are blended.")] = BlendName.force,
     stiffness: Annotated[
@@ -82,27 +85,27 @@ def force(
         elif inside:
             raise typer.BadParameter("--inside goes with --law sigmoid; a Gaussian pulls from both sides")
         elif free_zone_mm is not None:
-            chosen = _for_free_zone(free_zone_mm, felt_below_n, cap_n, depth_mm, limits)
+            chosen = _for_free_zone(free_zone_mm, detection_threshold_n, cap_n, depth_mm, limits)
         else:
             chosen = Gaussian(delta_mm, exponent, cap_n, depth_mm)
         model = read_model(model_file)
         xyz_mm = _read_points(points)
         samples = Evaluator(model, chosen, blend=blend.value, device=limits).force(xyz_mm, phase)
-        _print(samples, xyz_mm, model.frame, as_json)
+        _print(samples, xyz_mm, as_json)
 
 
 def _for_free_zone(
-    half_width_mm: float, felt_below_n: float, cap_n: float, depth_mm: float, limits: "DeviceLimits"
+    half_width_mm: float, detection_threshold_n: float, cap_n: float, depth_mm: float, limits: "DeviceLimits"
 ) -> "Gaussian":
     from dvf_ig.guidance import FreeZone, gaussian_for_free_zone
 
-    zone = FreeZone(half_width_mm, felt_below_n)
+    zone = FreeZone(half_width_mm, detection_threshold_n)
     law = gaussian_for_free_zone(zone, cap_n=cap_n, depth_mm=depth_mm, device=limits)
     warn(f"the free zone gives --delta-mm {law.delta_mm:.4g} --m {law.m:g}")
     return law
 
 
-def _print(samples: "ForceSamples", xyz_mm: FloatArray, frame: str, as_json: bool) -> None:
+def _print(samples: "ForceSamples", xyz_mm: FloatArray, as_json: bool) -> None:
     from dvf_ig.guidance import Status
 
     names = [Status(code).name for code in samples.status.tolist()]
@@ -110,7 +113,7 @@ def _print(samples: "ForceSamples", xyz_mm: FloatArray, frame: str, as_json: boo
         "force_n": samples.force_n.tolist(),
         "distance_mm": [d if math.isfinite(d) else None for d in samples.distance_mm.tolist()],
         "status": names,
-        "frame": frame,
+        "frame": samples.frame,
     }
     rows = [("x y z (mm)", "force x y z (N)         distance (mm)  status")]
     for point, push, distance, name in zip(xyz_mm, samples.force_n, samples.distance_mm, names, strict=True):

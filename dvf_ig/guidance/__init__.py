@@ -1,4 +1,4 @@
-"""From a registered, phased tool to a force: laws, blending, evaluation."""
+"""Guidance forces: laws (Ren 2008, eqs 4–9), blending (eqs 10–11), evaluation, pose-and-phase, devices."""
 
 from .blend import Blend as Blend
 from .blend import blend_distances as blend_distances

@@ -1,6 +1,6 @@
-"""Blending two neighbouring phases: the readable form of what `dvf_ig.kernels.dynamic` computes.
+"""Blending two neighbouring phases (Ren 2008, eqs 10 and 11): the readable form of `dvf_ig.kernels.dynamic`.
 
-Eq. 10 of Ren 2008 as printed, αF(V_i) + (1−α)F(V_{i+1}) with α = (t − t_i)/T_d, gives F(V_{i+1}) at t = t_i
+Eq. 10 as printed, αF(V_i) + (1−α)F(V_{i+1}) with α = (t − t_i)/T_d, gives F(V_{i+1}) at t = t_i
 and jumps at every frame switch. The continuous form, used here, is (1−α)F(V_i) + αF(V_{i+1}).
 """
 

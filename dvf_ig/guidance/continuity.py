@@ -1,4 +1,4 @@
-"""How fast a fixture's force can change with place and phase: bounds, and a search for pairs beyond them.
+"""Continuity of a fixture's force in position and phase: Lipschitz bounds, and a search for violations.
 
 The fields of a model are splines, so bounds come from their coefficients. With knot pitch h, differences Δ
 of neighbouring coefficients and the convexity of B-splines, |∂_a d| <= max|Δ_a c|/h and |∂_ab d| <=
@@ -35,15 +35,15 @@ DIRECTION_LIPSCHITZ = 7.5
 """E."""
 FADE_OVER_NORM = 2.56
 """S."""
-SIGMOID_REACH = 0.22388
+SIGMOID_SLOPE_TIMES_DISTANCE = 0.22388
 """sup of x eˣ/(1 + eˣ)²."""
 LARGEST_STEP_MM = 0.3
 SMALLEST_STEP_MM = 1e-7
 PHASE_STEP = 0.02
 """Largest step in phase, cycles; the smallest is as much smaller as that in place."""
 CHUNK = 50_000
-CLIMB = 16
-"""Whole steps of one knot, and as many shrinking ones."""
+ASCENT_STEPS = 16
+"""Gradient ascent takes so many steps of one knot, then as many shrinking ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,16 +56,16 @@ class ForceBounds:
 
 @dataclass(frozen=True, slots=True)
 class Continuity:
-    """Forces at pairs of neighbours against their bound.
+    """Force differences between neighbouring points against their bound.
 
     Attributes:
         blend, law: of the fixture.
-        pairs: how many pairs had a force at both ends.
+        pairs: number of pairs with a force at both ends.
         largest_share: largest |ΔF| as a share of its bound.
         violations: pairs beyond the bound.
         across_switches, near_no_direction: pairs with a frame switch or the cycle's end between them, and
             pairs where |∇d| < 0.4.
-        bounds: what they were held against.
+        bounds: the bounds used.
     """
 
     blend: str
@@ -95,7 +95,7 @@ def force_bounds(evaluator: Evaluator) -> ForceBounds:
         width = _widths(evaluator.model.timing.fractions).min()
         per_cycle = min(stiffness * rate + DIRECTION_LIPSCHITZ * turn, 2.0 / width)
         return ForceBounds(cap * (stiffness * slope + DIRECTION_LIPSCHITZ * bend), cap * per_cycle)
-    lever = FADE_OVER_NORM * _reach(evaluator.law.parameters, stiffness) + DIRECTION_LIPSCHITZ
+    lever = FADE_OVER_NORM * _slope_times_distance(evaluator.law.parameters, stiffness) + DIRECTION_LIPSCHITZ
     return ForceBounds(
         cap * (stiffness + lever * bend), cap * (FADE_OVER_NORM * stiffness * rate + lever * turn)
     )
@@ -104,19 +104,19 @@ def force_bounds(evaluator: Evaluator) -> ForceBounds:
 def check_continuity(evaluator: Evaluator, pairs: int, rng: np.random.Generator) -> Continuity:
     """Force at random pairs (q, φ) of neighbours, steps from 1e-7 of the largest to 0.3 mm and 0.02 cycles.
 
-    A third of the pairs lies across a frame switch or the cycle's end, a third begins near the medial axis,
-    the rest is anywhere in the box.
+    A third of the pairs lies across a frame switch or the cycle's end, a third starts near the medial axis,
+    the others anywhere in the box.
 
     Args:
         evaluator: the fixture.
-        pairs: how many to draw.
+        pairs: number of pairs drawn.
         rng: source of the pairs.
     """
     bounds = force_bounds(evaluator)
-    worst, broken, used, across, lost = 0.0, 0, 0, 0, 0
+    worst, violations, used, across, uncertain = 0.0, 0, 0, 0, 0
     for begin in range(0, pairs, CHUNK):
         n = min(CHUNK, pairs - begin)
-        q, phi = _places(evaluator, n, rng)
+        q, phi = _positions(evaluator, n, rng)
         shrink = 10.0 ** rng.uniform(math.log10(SMALLEST_STEP_MM / LARGEST_STEP_MM), 0.0, n)
         dq = rng.normal(size=(n, 3))
         dq *= (LARGEST_STEP_MM * shrink / np.linalg.norm(dq, axis=1))[:, None]
@@ -126,47 +126,47 @@ def check_continuity(evaluator: Evaluator, pairs: int, rng: np.random.Generator)
         phi = np.where(at_switch, rng.choice(switches, n) - dphi * rng.uniform(0.0, 1.0, n), phi)
         a, b = evaluator.force(q, phi), evaluator.force(q + dq, phi + dphi)
         ok = (a.status == Status.OK) & (b.status == Status.OK)
-        # both ends as they are stored, not as they were asked for
+        # distances between the rounded ends, not the requested steps
         moved = np.linalg.norm((q + dq) - q, axis=1)
         turned = np.abs((phi + dphi) - phi)
         allowed = bounds.per_mm * moved + bounds.per_cycle * turned + 1e-12
         share = np.linalg.norm(b.force_n - a.force_n, axis=1)[ok] / allowed[ok]
         worst = max(worst, float(share.max(initial=0.0)))
-        broken += int((share > 1.0).sum())
+        violations += int((share > 1.0).sum())
         used += int(ok.sum())
         across += int((ok & at_switch).sum())
-        lost += int((np.linalg.norm(a.gradient[ok], axis=1) < 0.4).sum())
+        uncertain += int((np.linalg.norm(a.gradient[ok], axis=1) < 0.4).sum())
     law = type(evaluator.law).__name__.lower()
-    return Continuity(evaluator.blend, law, used, worst, broken, across, lost, bounds)
+    return Continuity(evaluator.blend, law, used, worst, violations, across, uncertain, bounds)
 
 
-def _places(evaluator: Evaluator, n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) places in the box and (n,) phases; every third place has climbed to the medial axis."""
+def _positions(evaluator: Evaluator, n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) positions in the box and (n,) phases; every third position is near the medial axis."""
     q, phi = rng.uniform(evaluator.model.origin_mm, evaluator.model.upper_mm, (n, 3)), rng.uniform(size=n)
-    climbing = np.arange(1, n, 3)
-    q[climbing] = _on_medial_axis(evaluator, q[climbing], phi[climbing], rng)
+    third = np.arange(1, n, 3)
+    q[third] = _on_medial_axis(evaluator, q[third], phi[third], rng)
     return q, phi
 
 
 def _on_medial_axis(
     evaluator: Evaluator, q: FloatArray, phi: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """(n, 3) places where the distance has a ridge, reached by climbing; then moved by a sixth of a knot.
+    """(n, 3) positions near ridges of the distance: gradient ascent, then a shift by a sixth of a knot.
 
-    Ridges are where normals meet and |∇d| is small. Who leaves the box stays where he was.
+    On ridges normals meet and |∇d| is small. A position that would leave the box is not moved.
     """
     knot = evaluator.model.knot_spacing_mm
-    for step in [knot] * CLIMB + [knot * 0.75**k for k in range(CLIMB)]:
+    for step in [knot] * ASCENT_STEPS + [knot * 0.75**k for k in range(ASCENT_STEPS)]:
         gradient = evaluator.force(q, phi).gradient
         norm = np.linalg.norm(gradient, axis=1, keepdims=True)
-        # no direction: nothing is left to climb
+        # without a direction the position is not moved
         ahead = q + np.divide(step * gradient, norm, out=np.zeros_like(q), where=norm > 0.0)
         q = np.where(np.isfinite(ahead), ahead, q)
     return np.asarray(q + rng.normal(scale=knot / 6.0, size=q.shape))
 
 
 def _phase_slopes(evaluator: Evaluator, c: FloatArray) -> FloatArray:
-    """(n, cx, cy, cz) coefficients of ∂d/∂φ, or of a field whose convex combinations it is."""
+    """(n, cx, cy, cz) coefficients of ∂d/∂φ, or of fields of which it is a convex combination."""
     timing = evaluator.model.timing
     width = _widths(timing.fractions)
     if evaluator.blend == "periodic":
@@ -181,10 +181,10 @@ def _widths(fractions: FloatArray) -> FloatArray:
     return np.diff(np.append(fractions, fractions[0] + 1.0))
 
 
-def _reach(parameters: FloatArray, stiffness: float) -> float:
-    """T, from what the kernels take; with d/r for d where fields are blended."""
+def _slope_times_distance(parameters: FloatArray, stiffness: float) -> float:
+    """T from the law's kernel parameters; with d/r for d where fields are blended."""
     kind, _, exponent, _, depth = parameters
-    own = SIGMOID_REACH if int(kind) == SIGMOID else 2.0 * exponent / math.e
+    own = SIGMOID_SLOPE_TIMES_DISTANCE if int(kind) == SIGMOID else 2.0 * exponent / math.e
     return float(own + abs(depth) * stiffness)
 
 

@@ -1,4 +1,4 @@
-"""What a haptic device can render without adding energy; fixtures beyond it are refused."""
+"""Stiffness limits of a haptic device: its cap and the passivity bound; stiffer fixtures are refused."""
 
 import math
 from dataclasses import dataclass
@@ -30,9 +30,9 @@ class DeviceLimits:
         damping_n_s_per_m: physical damping b of device and hand; None where it is unknown, and then the
             passivity bound is not checked.
         virtual_damping_n_s_per_m: damping B that the controller adds.
-        friction_n: dry friction c that is always there; 0 counts on none.
+        friction_n: smallest dry friction c; 0 assumes none.
         resolution_mm: step Δ of the position sensor.
-        fastest_mm_s: the bound is to hold up to this speed of the tip.
+        fastest_mm_s: largest speed of the tip for which the bound holds.
     Raises:
         InvalidInputError: a number that is negative or not finite.
     Source: Colgate and Schenkel 1997; Abbott and Okamura 2005 (IEEE Trans. Robotics 21(5)).
@@ -66,7 +66,7 @@ class DeviceLimits:
 
     @property
     def passive_stiffness_n_per_mm(self) -> float:
-        """The stiffest spring that adds no energy; infinite where b is unknown, 0 where none is passive."""
+        """Stiffness of the stiffest passive spring; infinite where b is unknown, 0 where none is passive."""
         if self.damping_n_s_per_m is None:
             return math.inf
         spare = (self.damping_n_s_per_m - abs(self.virtual_damping_n_s_per_m)) / MM_PER_M
@@ -75,8 +75,8 @@ class DeviceLimits:
         if math.isinf(self.fastest_mm_s):
             moving = 2.0 * spare * self.rate_hz
         else:
-            lost_n = spare * self.fastest_mm_s + self.friction_n
-            moving = 2.0 * lost_n / (self.fastest_mm_s / self.rate_hz + self.resolution_mm)
+            dissipated_n = spare * self.fastest_mm_s + self.friction_n
+            moving = 2.0 * dissipated_n / (self.fastest_mm_s / self.rate_hz + self.resolution_mm)
         return max(0.0, min(resting, moving))
 
     @property
@@ -85,7 +85,7 @@ class DeviceLimits:
         return min(self.stiffness_n_per_m / MM_PER_M, self.passive_stiffness_n_per_mm)
 
     def checked(self, law: L) -> L:
-        """The law itself, if this device can render it.
+        """The law, if this device can render it.
 
         Raises:
             InvalidInputError: its steepest point exceeds the stiffness cap or the passivity bound.
@@ -113,11 +113,11 @@ class DeviceLimits:
 
 
 COMMON_DEVICE = DeviceLimits()
-"""1 kHz and 400 N/m: what is assumed of a device of which nothing else is known."""
+"""1 kHz and 400 N/m: assumed where no device is given."""
 
 
 def _remedy(law: Law, allowed_n_per_mm: float) -> str:
-    """What to change so that the law fits: γ ≤ 4K/F, δ ≥ c_m F/K."""
+    """Change of the law that makes it passive: γ ≤ 4K/F, δ ≥ c_m F/K."""
     if allowed_n_per_mm <= 0.0:
         return "no stiffness is passive: lower the virtual damping or raise the physical one"
     if not isinstance(law, Gaussian):

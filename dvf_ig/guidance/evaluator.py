@@ -1,4 +1,4 @@
-"""Force of a dynamic virtual fixture at given points and phases of the model."""
+"""Force of a dynamic virtual fixture at given points and phases of the model (Ren 2008, eqs 4–11)."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError, read_only_arrays
+from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError, Rigid, read_only_arrays
 from dvf_ig.core.arrays import check_shape
+from dvf_ig.core.frames import check_frame, require_same_frame
 from dvf_ig.kernels.dynamic import force_batch, packed_fixture
 
 from .blend import BLEND_CODES, Blend
@@ -20,16 +21,18 @@ from .status import Status
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceSamples:
-    """What the fixture answers at n points; vectors are in the frame in which the points were given.
+    """Forces of a fixture at n points.
 
     Attributes:
+        frame: frame of the vectors.
         force_n: (n, 3) N; zero unless the status is OK.
         distance_mm: (n,) signed distance, positive inside, blended between phases; NaN unless OK.
-        gradient: (n, 3) its gradient, pointing into the organ; NaN unless OK.
+        gradient: (n, 3) gradient of the distance, pointing into the organ; NaN unless OK.
         status: (n,) `Status` values.
-        rate_mm_per_cycle: (n,) ∂d/∂φ, the point held still; NaN unless OK, and where nothing is known of it.
+        rate_mm_per_cycle: (n,) ∂d/∂φ at the fixed point; NaN unless OK, or where it was not computed.
     """
 
+    frame: str
     force_n: FloatArray
     distance_mm: FloatArray
     gradient: FloatArray
@@ -37,22 +40,15 @@ class ForceSamples:
     rate_mm_per_cycle: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
+        check_frame(self.frame)
         if len(self.rate_mm_per_cycle) != len(self.status):
             object.__setattr__(self, "rate_mm_per_cycle", np.full(len(self.status), np.nan))
-        for array in (
-            self.force_n,
-            self.distance_mm,
-            self.gradient,
-            self.status,
-            self.rate_mm_per_cycle,
-        ):
-            array.setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.status)
 
     def surface_speed_mm_s(self, phase_rate_hz: float) -> FloatArray:
-        """(n,) how fast the surface through each point moves along ∇d/|∇d|, into the organ: −(∂d/∂t)/|∇d|.
+        """(n,) speed of the surface through each point along ∇d/|∇d|, into the organ: −(∂d/∂t)/|∇d|.
 
         Args:
             phase_rate_hz: dφ/dt, one over the RR interval where the phase runs evenly.
@@ -63,9 +59,9 @@ class ForceSamples:
 
 
 class Evaluator:
-    """A model, a law and a blend, ready to be asked for forces.
+    """A model, a law and a blend, ready to evaluate forces.
 
-    Holds its own copy of the coefficients: kernels are quicker to call with arrays that are not read-only.
+    Holds its own copy of the coefficients: kernels are faster to call with arrays that are not read-only.
 
     Args:
         model: the dynamic fixture.
@@ -102,28 +98,41 @@ class Evaluator:
         """(n, cx, cy, cz) mm: those of the model, or of the periodic spline through its phases."""
         return self._coefficients
 
-    def kernel_arguments(self, model_from_query: FloatArray) -> tuple[NDArray[np.float32], FloatArray]:
-        """Leading arguments of `dvf_ig.kernels.dynamic.force_tick` and `force_batch`; map as (3, 4)."""
-        return self._coefficients, packed_fixture(*self._constants, model_from_query)
+    def kernel_arguments(self, model_from_query: Rigid) -> tuple[NDArray[np.float32], FloatArray]:
+        """Leading arguments of `dvf_ig.kernels.dynamic.force_tick` and `force_batch`.
+
+        Raises:
+            FrameMismatchError: the model is in another frame than the map's target.
+        """
+        require_same_frame(model_from_query.target, self.model.frame, "registered model")
+        matrix = np.ascontiguousarray(model_from_query.matrix[:3])
+        return self._coefficients, packed_fixture(*self._constants, matrix)
 
     def force(self, xyz_mm: Any, model_phase: Any) -> ForceSamples:
         """Forces in the model's frame.
 
         Args:
             xyz_mm: (n, 3) points in the model's frame.
-            model_phase: (n,) place in the model's cycle, taken modulo 1; one number serves all points.
+            model_phase: (n,) phase of the model's cycle, taken modulo 1; or one number for all points.
         Raises:
             InvalidInputError: shapes that do not fit.
         """
-        return self.force_through(np.eye(3, 4), xyz_mm, model_phase)
+        frame = self.model.frame
+        return self.force_through(Rigid.identity(frame, frame), xyz_mm, model_phase)
 
     def force_through(
-        self, model_from_query: FloatArray, xyz_mm: Any, model_phase: Any, status: IntArray | None = None
+        self, model_from_query: Rigid, xyz_mm: Any, model_phase: Any, status: IntArray | None = None
     ) -> ForceSamples:
-        """Forces in a query frame whose rigid map into the model's frame is (3, 4) `model_from_query`.
+        """Forces in another frame than the model's.
 
         Args:
-            status: (n,) what is known beforehand; entries that are not OK get no force. None: all OK.
+            model_from_query: rigid map of the query frame into the model's.
+            xyz_mm: (n, 3) points in the query frame.
+            model_phase: as in `force`.
+            status: (n,) `Status` of the input; entries that are not OK get no force. None: all OK.
+        Raises:
+            FrameMismatchError: the model is in another frame than the map's target.
+            InvalidInputError: shapes that do not fit.
         """
         xyz = np.array(xyz_mm, dtype=np.float64, order="C")
         check_shape(xyz, "points", (None, 3))
@@ -132,10 +141,10 @@ class Evaluator:
         if phase.ndim == 0:
             phase = np.full(n, phase)
         check_shape(phase, "model phase", (n,))
-        known = np.full(n, int(Status.OK)) if status is None else np.array(status, dtype=np.int64)
-        check_shape(known, "status", (n,))
+        found = np.full(n, int(Status.OK)) if status is None else np.array(status, dtype=np.int64)
+        check_shape(found, "status", (n,))
         force, distance, gradient, rate = np.empty((n, 3)), np.empty(n), np.empty((n, 3)), np.empty(n)
         force_batch(
-            *self.kernel_arguments(model_from_query), xyz, phase, force, distance, gradient, rate, known
+            *self.kernel_arguments(model_from_query), xyz, phase, force, distance, gradient, rate, found
         )
-        return ForceSamples(force, distance, gradient, known, rate)
+        return ForceSamples(model_from_query.source, force, distance, gradient, found, rate)

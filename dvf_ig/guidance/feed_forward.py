@@ -1,4 +1,4 @@
-"""Going with a moving surface: what its known speed adds to a fixture's force."""
+"""Feed-forward of the surface's motion: damping relative to it, and compensation of dry friction along it."""
 
 import math
 from dataclasses import dataclass
@@ -15,14 +15,15 @@ MM_PER_M = 1000.0
 class FeedForward:
     """−B((v·n) − v_n)n + c·tanh(v_n/v₀)·n, n = ∇d/|∇d|, v_n = −(∂d/∂t)/|∇d| the surface's speed along n.
 
-    The first part damps the tool relative to the surface instead of the room. The second overcomes dry
-    friction on the tool's way with the surface. Its power is at most c·|v|, so a device whose own dry
-    friction is at least c stays passive; `SimulatedDevice.limits` counts on what is left.
+    The first term damps the tool relative to the surface instead of the room. The second compensates dry
+    friction while the tool moves with the surface. Its power is at most c·|v|, so a device whose own dry
+    friction is at least c stays passive; `SimulatedDevice.limits` uses the remaining friction.
 
     Attributes:
         damping_n_s_per_m: B.
-        friction_n: c, at most the dry friction that the device certainly has.
-        slow_mm_s: v₀, below which compensation fades in, so that it does not flip where the surface turns.
+        friction_n: c, at most the smallest dry friction of the device.
+        slow_mm_s: v₀, below which the compensation is reduced, so that it does not jump where the surface
+            reverses.
     """
 
     damping_n_s_per_m: float = 0.0
@@ -40,11 +41,11 @@ class FeedForward:
             raise InvalidInputError(f"feed-forward slow_mm_s is {self.slow_mm_s:g}; it must be positive")
 
     def force(self, gradient: FloatArray, distance_rate_mm_s: float, velocity_mm_s: FloatArray) -> FloatArray:
-        """(3,) N to add to the fixture's force, faded like it where the direction is lost.
+        """(3,) N to add to the fixture's force, faded like it where the direction is uncertain.
 
         Args:
             gradient: (3,) ∇d at the tool.
-            distance_rate_mm_s: ∂d/∂t there, the tool held still.
+            distance_rate_mm_s: ∂d/∂t at the fixed position of the tool.
             velocity_mm_s: (3,) of the tool, same frame; used by the damping alone.
         """
         norm = float(np.linalg.norm(gradient))

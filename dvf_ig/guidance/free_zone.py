@@ -1,4 +1,4 @@
-"""Gaussian fixtures designed from what is wanted of them: a free zone, or the least slack a device allows."""
+"""Design of Gaussian fixtures (eqs 7–9): from a free zone, or for the narrowest dead band a device allows."""
 
 from dataclasses import dataclass
 
@@ -8,47 +8,51 @@ from .device import COMMON_DEVICE, DeviceLimits
 from .laws import Gaussian, gaussian_steepness
 
 EXPONENTS = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
-"""Exponents m a design chooses from."""
+"""Exponents m among which a design chooses."""
 
 
 @dataclass(frozen=True, slots=True)
 class FreeZone:
-    """What the hand is to feel.
+    """A zone about the target in which the hand should feel no force.
 
     Attributes:
-        half_width_mm: within this distance of the target …
-        felt_below_n: … the force stays below this, for example the threshold of touch.
+        half_width_mm: half-width of the zone.
+        detection_threshold_n: the force stays below this within it, for example the threshold of touch.
     """
 
     half_width_mm: float
-    felt_below_n: float
+    detection_threshold_n: float
 
 
 def gaussian_for_free_zone(
     zone: FreeZone, *, cap_n: float = 0.6, depth_mm: float = 0.0, device: DeviceLimits = COMMON_DEVICE
 ) -> Gaussian:
-    """The flattest free zone with the steepest wall about it that the device renders: the largest m.
+    """The law with the given free zone and the steepest wall about it that the device renders: the largest m.
 
     Raises:
-        InvalidInputError: a zone without width, a threshold beyond the cap, or a zone so narrow that every
-            exponent asks too much of the device.
+        InvalidInputError: a zone without width, a threshold beyond the cap, or a zone so narrow that no
+            exponent is within the device's stiffness.
     """
     best: Gaussian | None = None
     for m in EXPONENTS:
         law = Gaussian.with_free_zone(
-            zone.half_width_mm, zone.felt_below_n, m=m, cap_n=cap_n, depth_mm=depth_mm
+            zone.half_width_mm, zone.detection_threshold_n, m=m, cap_n=cap_n, depth_mm=depth_mm
         )
         if law.stiffness_n_per_mm <= device.allowed_stiffness_n_per_mm:
             best = law
     if best is None:
         narrowest = min(
-            (law.half_width_mm(zone.felt_below_n) for law in _stiffest_laws(cap_n, depth_mm, device)),
+            (
+                law.half_width_mm(zone.detection_threshold_n)
+                for law in _stiffest_laws(cap_n, depth_mm, device)
+            ),
             default=float("inf"),
         )
+        allowed_n_per_m = 1000.0 * device.allowed_stiffness_n_per_mm
         raise InvalidInputError(
-            f"a free zone of ±{zone.half_width_mm:g} mm below {zone.felt_below_n:g} N asks for a stiffer "
-            f"wall than the device's {device.allowed_stiffness_n_per_mm * 1000:.4g} N/m; the narrowest it "
-            f"renders is ±{narrowest:.3g} mm; widen it or lower the cap of {cap_n:g} N"
+            f"a free zone of ±{zone.half_width_mm:g} mm below {zone.detection_threshold_n:g} N needs a stiffer "
+            f"wall than the device's {allowed_n_per_m:.4g} N/m; the narrowest it renders is ±{narrowest:.3g} mm; "
+            f"widen it or lower the cap of {cap_n:g} N"
         )
     return best
 
@@ -73,10 +77,10 @@ def tightest_gaussian(
 
 
 def _stiffest_laws(cap_n: float, depth_mm: float, device: DeviceLimits) -> list[Gaussian]:
-    """One law an exponent, as stiff as the device allows: δ = c_m·F/K."""
+    """One law for each exponent, as stiff as the device allows: δ = c_m·F/K."""
     stiffness = device.allowed_stiffness_n_per_mm
     if stiffness <= 0.0:
         return []
-    # a part in 10⁹ wider, lest rounding puts the law beyond the limit it was made for
-    reach_mm = (1.0 + 1e-9) * cap_n / stiffness
-    return [Gaussian(gaussian_steepness(m) * reach_mm, m, cap_n, depth_mm) for m in EXPONENTS]
+    # a part in 10⁹ wider, so that rounding does not put the law beyond the limit
+    width_mm = (1.0 + 1e-9) * cap_n / stiffness
+    return [Gaussian(gaussian_steepness(m) * width_mm, m, cap_n, depth_mm) for m in EXPONENTS]

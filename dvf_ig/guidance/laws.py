@@ -1,8 +1,8 @@
-"""Force laws: how hard the fixture pushes at a signed distance (Ren 2008, Sections IV and V).
+"""Force laws at a signed distance: sigmoid (Ren 2008, eqs 4–6) and Gaussian (eqs 7–9), Sections IV and V.
 
 Every law is F = −cap·f(s)·n with s = d − depth, d > 0 inside the organ and n = ∇d/|∇d|. The readable form of
-f is here; `dvf_ig.kernels.laws` holds the same formula for the servo loop. Where |∇d| falls below 0.4 there
-is no sure direction, and every law is faded by smoothstep(|∇d|, 0.2, 0.4) (`static_force`).
+f is here; `dvf_ig.kernels.laws` holds the same formula for the servo loop. Where |∇d| falls below 0.4 the
+direction is uncertain, and every law is faded by smoothstep(|∇d|, 0.2, 0.4) (`static_force`).
 """
 
 import math
@@ -21,7 +21,7 @@ class Sigmoid:
     Attributes:
         gamma_per_mm: steepness γ.
         cap_n: largest force F.
-        depth_mm: how far below the surface the guarded surface lies (negative: above it).
+        depth_mm: depth of the guarded surface below the organ's surface (negative: above it).
     """
 
     gamma_per_mm: float = 1.0
@@ -54,13 +54,13 @@ class Confinement:
     """Confinement inside a chamber: a sigmoid of s = −d − depth, d the distance field of the cavity.
 
     The wall around the cavity is what is forbidden: the force points into the chamber. The kernels need no
-    law of their own for it: cap·σ(γ(−d − depth)) is a sigmoid of steepness −γ, depth −depth and cap −cap.
+    separate law for it: cap·σ(γ(−d − depth)) is a sigmoid of steepness −γ, depth −depth and cap −cap.
 
     Attributes:
         gamma_per_mm: steepness γ.
         cap_n: largest force F.
-        depth_mm: how far beyond the chamber's surface, in its wall, the guarded surface lies (negative: how
-            far inside the chamber, a margin).
+        depth_mm: depth of the guarded surface beyond the chamber's, in its wall (negative: a margin inside
+            the chamber).
     """
 
     gamma_per_mm: float = 1.0
@@ -124,25 +124,25 @@ class Gaussian:
     def with_free_zone(
         cls,
         half_width_mm: float,
-        felt_below_n: float,
+        detection_threshold_n: float,
         *,
         m: float = 2.0,
         cap_n: float = 0.6,
         depth_mm: float = 0.0,
     ) -> "Gaussian":
-        """The law whose force stays under `felt_below_n` within `half_width_mm` of its target.
+        """The law whose force stays below `detection_threshold_n` within `half_width_mm` of its target.
 
         δ = w/[−ln(1 − f_t/F)]^(1/2m) (dvf_ig/docs/theory/fixtures.md).
         """
         _require_positive("free zone half_width_mm", half_width_mm, "mm")
         unit = cls(1.0, m, cap_n, depth_mm)
-        return cls(half_width_mm / unit.half_width_mm(felt_below_n), m, cap_n, depth_mm)
+        return cls(half_width_mm / unit.half_width_mm(detection_threshold_n), m, cap_n, depth_mm)
 
     def half_width_mm(self, force_n: float) -> float:
         """Distance from the target at which the pull reaches `force_n`: δ[−ln(1 − f/F)]^(1/2m).
 
-        For the threshold of touch this is the free zone; for the dry friction of a device it is the dead band
-        in which the fixture cannot move it.
+        For the detection threshold of the hand this is the free zone; for the dry friction of a device it is
+        the dead band in which the fixture cannot move it.
 
         Raises:
             InvalidInputError: a force that is not between 0 and the cap.

@@ -1,8 +1,8 @@
-"""Signed distance as a cubic periodic spline of phase, through every phase that the model has.
+"""Signed distance as a cubic periodic spline of phase through all phases of the model.
 
 d(q, φ) = Σ_j N_j(φ) b_j(q), with N_j the cubic B-splines on the phase times continued around the cycle. The
-fields b_j are splines in space on the model's own knots, so asking for d at the phase times is one small
-cyclic system, the same for every coefficient. d is then C² in phase and ∂d/∂φ comes with it.
+fields b_j are splines in space on the model's own knots, so interpolation at the phase times is one small
+cyclic system, the same for every coefficient. d is then C² in phase, and ∂d/∂φ is available.
 """
 
 import numpy as np
@@ -13,13 +13,13 @@ from dvf_ig.core import CycleTiming, FloatArray
 
 DEGREE = 3
 SUPPORT = DEGREE + 1
-"""Intervals over which one cubic B-spline lives, and B-splines over one interval."""
+"""Intervals in the support of one cubic B-spline, and B-splines that are not zero on one interval."""
 
 
 def periodic_powers(timing: CycleTiming) -> FloatArray:
     """(n, 4, 4) per interval, the coefficients of 1, α, α², α³ in the B-splines centred on phases i−1 … i+2.
 
-    α in [0, 1] is the place between phase i and the next. The B-spline of phase j lives from j−2 to j+2.
+    α in [0, 1] is the position between phase i and the next. The support of phase j's B-spline is j−2 to j+2.
     """
     count = len(timing)
     powers = np.empty((count, SUPPORT, SUPPORT))

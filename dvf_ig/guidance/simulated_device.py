@@ -1,4 +1,4 @@
-"""A haptic stylus that exists only as its mass, its friction and its clock: what a fixture is tried on."""
+"""Simulated haptic stylus: mass, viscous and dry friction, sensor resolution and servo rate."""
 
 import math
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ from .feed_forward import NO_FEED_FORWARD, FeedForward
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceState:
-    """Where the stylus tip is and how it moves.
+    """Position and velocity of the stylus tip.
 
     Attributes:
-        position_mm: (3,), frame of the device.
+        position_mm: (3,), frame "device".
         velocity_mm_s: (3,).
     """
 
@@ -40,12 +40,12 @@ class SimulatedDevice:
     """A gravity-compensated stylus: the same apparent mass and friction in every direction.
 
     Attributes:
-        name: what it stands for.
+        name: the device it models.
         mass_kg: apparent mass at the tip.
         viscous_n_s_per_m: viscous friction at the tip.
         dry_n: dry (Coulomb) friction at the tip, static and sliding alike.
         resolution_mm: step of the position sensor; 0 measures exactly.
-        largest_n: longer forces are shortened to this.
+        largest_n: longer forces are limited to this.
         rate_hz: servo rate; a force is held for one period.
         steps: sub-steps of a period.
     """
@@ -74,7 +74,7 @@ class SimulatedDevice:
     def step(self, state: DeviceState, force_n: FloatArray) -> DeviceState:
         """The state one servo period later, under a force (3,) in N held meanwhile.
 
-        A force that is not finite counts as none.
+        A force that is not finite is replaced by zero.
         """
         before = np.concatenate([state.position_mm, state.velocity_mm_s])
         after = np.empty(6)
@@ -106,9 +106,10 @@ class SimulatedDevice:
         stiffness_n_per_m: float = 400.0,
         feed_forward: FeedForward = NO_FEED_FORWARD,
     ) -> DeviceLimits:
-        """What this device renders passively while its tip moves no faster than `fastest_mm_s`.
+        """Limits within which this device is passive while its tip moves no faster than `fastest_mm_s`.
 
-        Friction that a feed-forward compensates takes no energy away any more, and its damping costs some.
+        Friction compensated by a feed-forward dissipates nothing, and its damping reduces the passivity
+        margin.
 
         Raises:
             InvalidInputError: a feed-forward that compensates more friction than there is.
@@ -130,12 +131,12 @@ class SimulatedDevice:
 
 
 PREMIUM = SimulatedDevice("PHANToM Premium 1.0", 0.072, 0.005, 0.038, 0.03, 8.5)
-"""A research arm: mass and frictions as identified by Diolaiti, Niemeyer, Barbagli and Salisbury (IEEE Trans.
-Robotics 22(2), 2006); resolution and largest force from its maker (SensAble: 0.03 mm, 8.5 N)."""
+"""A research device: mass and frictions as identified by Diolaiti, Niemeyer, Barbagli and Salisbury (IEEE
+Trans. Robotics 22(2), 2006); resolution and largest force from its maker (SensAble: 0.03 mm, 8.5 N)."""
 
 OMNI = SimulatedDevice("PHANToM Omni", 0.045, 0.005, 0.26, 0.055, 3.3)
 """A desktop stylus: its maker's apparent mass (45 g), back-drive friction (0.26 N), resolution (0.055 mm) and
-largest force (3.3 N). No viscous friction is published: that of the other arm stands in."""
+largest force (3.3 N). No viscous friction is published: that of the Premium is used."""
 
 DEVICES = {"premium": PREMIUM, "omni": OMNI}
 """Simulated devices by name."""

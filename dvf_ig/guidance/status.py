@@ -1,4 +1,4 @@
-"""Why a force was, or was not, produced."""
+"""Status of a force: why it was, or was not, produced."""
 
 from enum import IntEnum
 
@@ -12,10 +12,10 @@ class Status(IntEnum):
     OUT_OF_VOLUME = code.OUT_OF_VOLUME
     """The tool is outside the box in which the model is defined: unprotected."""
     NO_PHASE = code.NO_PHASE
-    """The heart's clock is not locked."""
+    """The cardiac phase is not valid: the phase clock is not locked."""
     NO_POSE = code.NO_POSE
     """The patient is not registered, or the registration must not be used."""
     STALE_TOOL = code.STALE_TOOL
     """The tool's pose is too old, or the tracker does not see it."""
     FAULT = code.FAULT
-    """A number that is not finite came in or would have gone out."""
+    """The input or the output was not finite."""

@@ -1,4 +1,4 @@
-"""Guidance to a line or a path: Gaussian laws of the unsigned distance to a polyline that may beat."""
+"""Guidance to a line or a path: Gaussian laws (eqs 7–9) of the distance to a polyline that may beat."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,18 +16,19 @@ from .laws import Gaussian
 from .status import Status
 
 CORNER_MM = 0.5
-"""Where several parts of a path are as near as this to being the nearest, their directions are blended."""
+"""Parts of a path whose distances differ by less than about this have their directions blended."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PathTarget:
-    """A polyline, still or moving with the heart; two points make a line.
+    """A polyline, static or moving with the heart; two points make a line.
 
     Attributes:
         frame: frame of the points, normally "mr".
-        points_mm: (n, k, 3) k >= 2 points in each of n phases; point i is the same place in every phase.
-        timing: of the n phases; None for n = 1, a path that stands still.
+        points_mm: (n, k, 3) k >= 2 points in each of n phases; point i is the same anatomical point in
+            every phase.
+        timing: of the n phases; None for n = 1, a static path.
     """
 
     frame: str
@@ -49,8 +50,8 @@ class PathTarget:
         object.__setattr__(self, "points_mm", points)
 
     @classmethod
-    def still(cls, frame: str, points_mm: Any) -> "PathTarget":
-        """A path (k, 3) that does not move."""
+    def static(cls, frame: str, points_mm: Any) -> "PathTarget":
+        """A static path (k, 3)."""
         return cls(frame, np.array(points_mm, dtype=np.float64)[None])
 
     def at(self, model_phase: float) -> FloatArray:
@@ -74,12 +75,12 @@ class PathTarget:
 
 
 class PathFixture:
-    """A path with a Gaussian law: what `Evaluator` is for surfaces.
+    """A path with a Gaussian law, ready to evaluate forces: the counterpart of `Evaluator` for surfaces.
 
     Args:
         target: the path.
-        law: a Gaussian without depth; with m >= 1/2 it is within the device's stiffness sideways too, as
-            F(d)/d is nowhere above the steepest slope.
+        law: a Gaussian without depth; with m >= 1/2 it is within the device's stiffness sideways too, because
+            F(d)/d nowhere exceeds the steepest slope.
         device: what the haptic device can render.
     Raises:
         InvalidInputError: another law, a depth, or a law beyond the device's limits.
@@ -118,7 +119,7 @@ class PathFixture:
         distance[good], away[good] = self.target.distance(xyz[good], phase[good])
         force[good] = static_force(self.law, distance[good], away[good])
         status = np.where(good, int(Status.OK), int(Status.FAULT)).astype(np.int64)
-        return ForceSamples(force, distance, away, status)
+        return ForceSamples(self.target.frame, force, distance, away, status)
 
 
 def _from_path(point: FloatArray, path: FloatArray) -> tuple[float, FloatArray]:

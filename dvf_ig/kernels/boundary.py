@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dvf_ig.core import FloatArray, IntArray
 
 from .compiled import inlined, kernel
-from .lanes import numbers
+from .lanes import unpack
 from .spline import cell_value_gradient, find_cell, inside_box
 
 UNKNOWNS = 7
@@ -37,7 +37,7 @@ def _at(
     w = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
     if not inside_box(u, v, w, cells):
         return False, 0.0, 0.0, 0.0, 0.0
-    d, a, b, c = numbers(cell_value_gradient(coefficients, np.uintp(phase), find_cell(u, v, w, cells)))
+    d, a, b, c = unpack(cell_value_gradient(coefficients, np.uintp(phase), find_cell(u, v, w, cells)))
     gx = m[0, 0] * a + m[1, 0] * b + m[2, 0] * c
     gy = m[0, 1] * a + m[1, 1] * b + m[2, 1] * c
     gz = m[0, 2] * a + m[1, 2] * b + m[2, 2] * c

@@ -1,4 +1,4 @@
-"""Distance from points to triangles through a tree of boxes (exact; Ericson 2005, Section 5.1.5).
+"""Exact distance from points to triangles through a tree of bounding boxes (Ericson 2005, Section 5.1.5).
 
 The tree is complete and implicit: node n has children 2n+1 and 2n+2, its last level are the leaves, and leaf
 l holds triangles `leaf_start[l]` to `leaf_start[l+1]` of the reordered list (`triangle_tree`).
@@ -11,7 +11,7 @@ from dvf_ig.core import FloatArray, IntArray
 from .compiled import inlined, kernel
 
 DEPTH = 64
-"""Room for pending nodes: one a level, and no tree of ours has 64 levels."""
+"""Capacity for pending nodes: one for each level of the tree."""
 
 
 @inlined
@@ -93,7 +93,7 @@ def closest_batch(
         leaf_start: (l + 1,) first triangle of each leaf.
         corners: (t, 9) triangle corners in leaf order.
         xyz_mm: (n, 3) points.
-        pending, bound: (DEPTH,) work space: nodes still to visit, and the squared distance to each.
+        pending, bound: (DEPTH,) work space: nodes still to visit, and the squared distance to each of them.
         distance_mm: (n,) output.
         triangle: (n,) output, the nearest triangle's place in leaf order.
     """

@@ -1,12 +1,12 @@
-"""How every kernel here is compiled: no GIL, cached on disk, division by zero gives inf.
+"""Compilation of the kernels: without the GIL, cached on disk, division by zero gives inf.
 
 Kernels are compiled anew for read-only arrays, so callers hand over writable copies of what users give them.
-The disk cache follows the file of the outer kernel alone: after an edit to a function that is merged into
+The disk cache follows the file of the outer kernel alone: after an edit to a function that is inlined into
 another file's kernel, delete `dvf_ig/kernels/__pycache__`.
 
-No fast-math: sums keep their order, NaN keeps its meaning, and a kernel's NumPy twin can be held against it.
-The spline works on rows of four (`lanes`, dvf_ig/docs/decisions/0006-force-kernel.md) and fuses a product
-with its sum where the processor can; numba's own settings are left as they are.
+No fast-math: sums keep their order, NaN keeps its meaning, and a kernel can be tested against its NumPy twin.
+The spline works on rows of four (`lanes`, docs/decisions/0006) and uses fused multiply-add where the processor
+has it; numba's own settings are left as they are.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """A function called from other kernels only; always merged into its caller."""
+    """A function called from other kernels only; always inlined into its caller."""
     compiled: Callable[P, R] = njit(nogil=True, cache=True, error_model="numpy", forceinline=True)(function)
     return compiled
 

@@ -1,8 +1,8 @@
-"""A mass with viscous and dry friction under a force that is held for one servo period.
+"""Motion of a mass with viscous and dry friction under a force held for one servo period.
 
 Each sub-step is semi-implicit: applied force and viscous friction give a velocity implicitly, dry friction
-takes away up to its impulse and no more (so it holds a mass at rest exactly), then the position follows the
-new velocity. Friction so computed removes energy at any sub-step.
+reduces the speed by at most its impulse (so a mass at rest stays at rest exactly), then the position follows
+the new velocity. Friction so computed removes energy at any sub-step.
 """
 
 import math
@@ -30,7 +30,7 @@ def advance(
 
     Args:
         state: (6,) position in mm, velocity in mm/s.
-        force_n: (3,) commanded force; longer than `largest_n` it is shortened to it, not finite it is zero.
+        force_n: (3,) commanded force; limited to `largest_n`; zero where it is not finite.
         mass_kg, viscous_n_s_per_m, dry_n: of the moving parts.
         period_s: time the force is held, in `steps` equal sub-steps.
         out: (6,) state afterwards; may be `state` itself.

@@ -1,7 +1,7 @@
-"""The dynamic virtual fixture in one call: pose, phases around φ, splines, law, blend, force turned back.
+"""The dynamic virtual fixture in one call (Ren 2008, eqs 1, 4–11): pose, phases, splines, law, blend, force.
 
 Corrected eq. 10: F = (1−α) F(V_i) + α F(V_{i+1}); as printed, the weights are swapped and the force jumps at
-every frame switch (dvf_ig/docs/theory/fixtures.md).
+every frame switch (docs/theory/fixtures.md).
 """
 
 import math
@@ -13,7 +13,7 @@ from dvf_ig.core import FloatArray, IntArray
 
 from . import status as code
 from .compiled import inlined, kernel
-from .lanes import Four, four, numbers, plus, scaled, times
+from .lanes import Float64x4, fma, multiply, pack, scale, unpack
 from .laws import direction_certainty, signed_potential
 from .phase import cubic_in_phase, phase_bracket
 from .spline import Cell, cell_value_gradient, find_cell, inside_box
@@ -22,7 +22,7 @@ BLEND_FORCE = 0
 BLEND_DISTANCE = 1
 BLEND_PERIODIC = 2
 
-# Places in a packed fixture.
+# Offsets in a packed fixture.
 ORIGIN = 0
 PER_KNOT = 3
 BLEND = 4
@@ -31,13 +31,13 @@ DEPTH = 9
 POSE = 10
 TIMES = 22
 POWERS = 16
-"""Numbers a phase behind the phase times, with the periodic blend."""
+"""Numbers for each phase that follow the phase times, with the periodic blend."""
 
 WITHOUT_RATE = 7
-"""Numbers in the answer of a tick: force 3, distance, gradient 3; the distance rate may follow."""
+"""Numbers in the output of a tick: force 3, distance, gradient 3; the distance rate may follow."""
 
 Vector = tuple[float, float, float]
-Answer = tuple[int, Vector, float, Vector, float]
+Output = tuple[int, Vector, float, Vector, float]
 """Status, force (N), distance (mm), gradient, distance rate (mm a cycle)."""
 
 
@@ -65,43 +65,43 @@ def packed_fixture(
 
 
 @inlined
-def _nothing(status: int) -> Answer:
-    """No force, and nothing known."""
-    unknown = (math.nan, math.nan, math.nan)
-    return status, (0.0, 0.0, 0.0), math.nan, unknown, math.nan
+def _no_output(status: int) -> Output:
+    """Zero force, everything else NaN."""
+    undefined = (math.nan, math.nan, math.nan)
+    return status, (0.0, 0.0, 0.0), math.nan, undefined, math.nan
 
 
 @inlined
-def _push(f: FloatArray, s_mm: float, norm: float) -> float:
-    """Force per unit of gradient: −cap·f(s)·certainty/|∇d|; zero where there is no direction."""
+def _force_per_gradient(f: FloatArray, s_mm: float, norm: float) -> float:
+    """Force per unit of gradient: −cap·f(s)·certainty/|∇d|; zero where the direction is lost."""
     certainty = direction_certainty(norm)
     if certainty == 0.0:
         return 0.0
     potential = signed_potential(int(f[LAW]), f[LAW + 1], f[LAW + 2], s_mm)
-    push: float = -f[LAW + 3] * potential * certainty / norm
-    return push
+    ratio: float = -f[LAW + 3] * potential * certainty / norm
+    return ratio
 
 
 @inlined
-def _push_of_field(f: FloatArray, field: Four) -> float:
-    """`_push` at a distance and gradient of one phase."""
-    d, gx, gy, gz = numbers(field)
-    return _push(f, d - f[DEPTH], math.sqrt(gx * gx + gy * gy + gz * gz))
+def _force_per_gradient_of_field(f: FloatArray, field: Float64x4) -> float:
+    """`_force_per_gradient` at a distance and gradient of one phase."""
+    d, gx, gy, gz = unpack(field)
+    return _force_per_gradient(f, d - f[DEPTH], math.sqrt(gx * gx + gy * gy + gz * gz))
 
 
 @inlined
-def _push_of_blend(f: FloatArray, field: Four) -> float:
-    """`_push` on a blended field; d/|∇d| because a blend of distances is no distance."""
-    d, gx, gy, gz = numbers(field)
+def _force_per_gradient_of_blend(f: FloatArray, field: Float64x4) -> float:
+    """`_force_per_gradient` on a blended field; d/|∇d| because a blend of distances is no distance."""
+    d, gx, gy, gz = unpack(field)
     norm = math.sqrt(gx * gx + gy * gy + gz * gz)
-    return _push(f, d / norm - f[DEPTH], norm) if norm > 0.0 else 0.0
+    return _force_per_gradient(f, d / norm - f[DEPTH], norm) if norm > 0.0 else 0.0
 
 
 @inlined
-def _field(coefficients: NDArray[np.float32], phase: int, cell: Cell, per_knot: float) -> Four:
+def _field(coefficients: NDArray[np.float32], phase: int, cell: Cell, per_knot: float) -> Float64x4:
     """(distance, gradient) of one phase, gradient per mm."""
-    return times(
-        four(1.0, per_knot, per_knot, per_knot), cell_value_gradient(coefficients, np.uintp(phase), cell)
+    return multiply(
+        pack(1.0, per_knot, per_knot, per_knot), cell_value_gradient(coefficients, np.uintp(phase), cell)
     )
 
 
@@ -111,7 +111,7 @@ def _cells(coefficients: NDArray[np.float32]) -> tuple[int, int, int]:
 
 
 @inlined
-def _placed(
+def _knot_coordinates(
     coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float
 ) -> tuple[int, float, float, float]:
     """Status and knot coordinates of a point."""
@@ -124,25 +124,24 @@ def _placed(
 
 
 @inlined
-def _answer(push: Four, field: Four, rate: float) -> Answer:
-    """The answer made of (0, force), (distance, gradient) and distance rate."""
-    _, fx, fy, fz = numbers(push)
-    d, gx, gy, gz = numbers(field)
+def _output(force: Float64x4, field: Float64x4, rate: float) -> Output:
+    """Output of the rows (0, force) and (distance, gradient), and the distance rate."""
+    _, fx, fy, fz = unpack(force)
+    d, gx, gy, gz = unpack(field)
     if not math.isfinite(fx + fy + fz):
-        return _nothing(code.FAULT)
+        return _no_output(code.FAULT)
     return code.OK, (fx, fy, fz), d, (gx, gy, gz), rate
 
 
 @kernel
-def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Answer:
+def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Output:
     """Cubic in phase: one law on the blended field, whose phases are those of the periodic spline.
 
-    Not merged into its callers, whose registers it would take
-    (dvf_ig/docs/decisions/0006-force-kernel.md).
+    Not inlined: it would take registers from its callers (docs/decisions/0006).
     """
-    status, u, v, w = _placed(coefficients, f, q, phi)
+    status, u, v, w = _knot_coordinates(coefficients, f, q, phi)
     if status != code.OK:
-        return _nothing(status)
+        return _no_output(status)
     cell = find_cell(u, v, w, _cells(coefficients))
     count, per_knot = len(coefficients), f[PER_KNOT]
     first, second, alpha, width = phase_bracket(f, TIMES, count, phi)
@@ -151,39 +150,43 @@ def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, ph
     after = second + 1 if second + 1 < count else 0
     a = _field(coefficients, before, cell, per_knot)
     b = _field(coefficients, first, cell, per_knot)
-    mixed = plus(scaled(weights[0], a), weights[1], b)
-    sloped = plus(scaled(slopes[0], a), slopes[1], b)
+    mixed = fma(scale(weights[0], a), weights[1], b)
+    sloped = fma(scale(slopes[0], a), slopes[1], b)
     a = _field(coefficients, second, cell, per_knot)
     b = _field(coefficients, after, cell, per_knot)
-    mixed = plus(plus(mixed, weights[2], a), weights[3], b)
-    sloped = plus(plus(sloped, slopes[2], a), slopes[3], b)
-    return _answer(scaled(_push_of_blend(f, mixed), mixed), mixed, numbers(sloped)[0] / width)
+    mixed = fma(fma(mixed, weights[2], a), weights[3], b)
+    sloped = fma(fma(sloped, slopes[2], a), slopes[3], b)
+    return _output(scale(_force_per_gradient_of_blend(f, mixed), mixed), mixed, unpack(sloped)[0] / width)
 
 
 @inlined
-def _force_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Answer:
+def _force_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Output:
     """Force at one point of the model's frame; linear in phase, unless the blend is periodic."""
     blend = int(f[BLEND])
     if blend == BLEND_PERIODIC:
         return _periodic_at(coefficients, f, q, phi)
-    status, u, v, w = _placed(coefficients, f, q, phi)
+    status, u, v, w = _knot_coordinates(coefficients, f, q, phi)
     if status != code.OK:
-        return _nothing(status)
+        return _no_output(status)
     cell = find_cell(u, v, w, _cells(coefficients))
     first, second, alpha, width = phase_bracket(f, TIMES, len(coefficients), phi)
     a = _field(coefficients, first, cell, f[PER_KNOT])
     b = _field(coefficients, second, cell, f[PER_KNOT])
-    mixed = plus(scaled(1.0 - alpha, a), alpha, b)
-    rate = (numbers(b)[0] - numbers(a)[0]) / width
+    mixed = fma(scale(1.0 - alpha, a), alpha, b)
+    rate = (unpack(b)[0] - unpack(a)[0]) / width
     if blend == BLEND_DISTANCE:
-        force = scaled(_push_of_blend(f, mixed), mixed)
+        force = scale(_force_per_gradient_of_blend(f, mixed), mixed)
     else:
-        force = plus(scaled((1.0 - alpha) * _push_of_field(f, a), a), alpha * _push_of_field(f, b), b)
-    return _answer(force, mixed, rate)
+        force = fma(
+            scale((1.0 - alpha) * _force_per_gradient_of_field(f, a), a),
+            alpha * _force_per_gradient_of_field(f, b),
+            b,
+        )
+    return _output(force, mixed, rate)
 
 
 @inlined
-def _moved(f: FloatArray, x: float, y: float, z: float) -> Vector:
+def _transformed(f: FloatArray, x: float, y: float, z: float) -> Vector:
     return (
         f[POSE] * x + f[POSE + 1] * y + f[POSE + 2] * z + f[POSE + 3],
         f[POSE + 4] * x + f[POSE + 5] * y + f[POSE + 6] * z + f[POSE + 7],
@@ -192,8 +195,8 @@ def _moved(f: FloatArray, x: float, y: float, z: float) -> Vector:
 
 
 @inlined
-def _turned_back(f: FloatArray, v: Vector) -> Vector:
-    """Rᵀ v: a free vector of the model's frame in the query frame."""
+def _rotated_back(f: FloatArray, v: Vector) -> Vector:
+    """Rᵀ v: a free vector of the model's frame, expressed in the query frame."""
     return (
         f[POSE] * v[0] + f[POSE + 4] * v[1] + f[POSE + 8] * v[2],
         f[POSE + 1] * v[0] + f[POSE + 5] * v[1] + f[POSE + 9] * v[2],
@@ -207,7 +210,7 @@ def force_tick(
     packed: FloatArray,
     xyz_mm: FloatArray,
     phi: float,
-    known: int,
+    input_status: int,
     out: FloatArray,
 ) -> int:
     """Force at one point; the call of a servo loop.
@@ -217,19 +220,19 @@ def force_tick(
         packed: the rest of the fixture (`packed_fixture`).
         xyz_mm: (3,) point in the query frame.
         phi: model phase.
-        known: status of everything that led here; anything but OK is passed on with zero force.
-        out: (7,) force in N, distance in mm, gradient of distance, vectors in the query frame; (8,) to be
-            told the distance rate too, in mm a cycle.
+        input_status: status of the inputs; anything but OK is returned with zero force.
+        out: (7,) force in N, distance in mm, gradient of distance, vectors in the query frame; (8,) for
+            the distance rate as well, in mm a cycle.
     Returns:
         status code; unless OK the force is zero and the rest NaN.
     """
-    status, force, d, gradient, rate = _nothing(known)
+    status, force, d, gradient, rate = _no_output(input_status)
     if status == code.OK:
-        q = _moved(packed, xyz_mm[0], xyz_mm[1], xyz_mm[2])
+        q = _transformed(packed, xyz_mm[0], xyz_mm[1], xyz_mm[2])
         status, force, d, gradient, rate = _force_at(coefficients, packed, q, phi)
-    out[0], out[1], out[2] = _turned_back(packed, force)
+    out[0], out[1], out[2] = _rotated_back(packed, force)
     out[3] = d
-    out[4], out[5], out[6] = _turned_back(packed, gradient)
+    out[4], out[5], out[6] = _rotated_back(packed, gradient)
     if len(out) > WITHOUT_RATE:
         out[WITHOUT_RATE] = rate
     return status
@@ -249,12 +252,12 @@ def force_batch(
 ) -> None:
     """`force_tick` for (k, 3) points and (k,) phases; entries whose `status` comes in not OK get no force."""
     for n in range(len(xyz_mm)):
-        known, force, d, g, rate = _nothing(status[n])
-        if known == code.OK:
-            q = _moved(packed, xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
-            known, force, d, g, rate = _force_at(coefficients, packed, q, phi[n])
-        status[n] = known
-        force_n[n, 0], force_n[n, 1], force_n[n, 2] = _turned_back(packed, force)
+        found, force, d, g, rate = _no_output(status[n])
+        if found == code.OK:
+            q = _transformed(packed, xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
+            found, force, d, g, rate = _force_at(coefficients, packed, q, phi[n])
+        status[n] = found
+        force_n[n, 0], force_n[n, 1], force_n[n, 2] = _rotated_back(packed, force)
         distance_mm[n] = d
-        gradient[n, 0], gradient[n, 1], gradient[n, 2] = _turned_back(packed, g)
+        gradient[n, 0], gradient[n, 1], gradient[n, 2] = _rotated_back(packed, g)
         rate_mm_per_cycle[n] = rate

@@ -1,9 +1,9 @@
-"""Four doubles side by side in one vector register, as a value that kernels can hold.
+"""Four float64 in one SIMD register, as a value that kernels can hold.
 
-A spline sums rows of four coefficients, so its kernel is written on rows. Left to itself the compiler finds
-them only with an optimisation that numba switches off for the whole process
-(dvf_ig/docs/decisions/0006-force-kernel.md). Every sum keeps the order in which it is written; `plus`
-rounds once where the processor can fuse, twice elsewhere.
+A spline sums rows of four coefficients, so its kernel is written on rows. The compiler vectorises plain code
+only with an optimisation that numba switches off for the whole process (docs/decisions/0006). Every sum
+keeps the order in which it is written; `fma` rounds once where the processor has fused multiply-add, twice
+elsewhere.
 """
 
 from typing import Any
@@ -22,39 +22,39 @@ _STORED_ROW = ir.VectorType(ir.FloatType(), LANES)
 _FUSED = ("contract",)
 
 
-class FourType(types.Type):  # type: ignore[misc]
-    """Type of a `Four`; lives inside kernels only, Python never sees one."""
+class Float64x4Type(types.Type):  # type: ignore[misc]
+    """Numba type of a `Float64x4`; exists inside kernels only, never in Python."""
 
     def __init__(self) -> None:
-        super().__init__(name="Four")
+        super().__init__(name="Float64x4")
 
 
-Four = Any
+Float64x4 = Any
 """Four float64 values."""
 
-_FOUR = FourType()
+_FLOAT64X4 = Float64x4Type()
 
 
-@register_model(FourType)
-class _FourModel(models.PrimitiveModel):  # type: ignore[misc]
+@register_model(Float64x4Type)
+class _Float64x4Model(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, _ROW)
 
 
-def _pick(*lanes: int) -> ir.Constant:
+def _shuffle_mask(*lanes: int) -> ir.Constant:
     return ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), list(lanes))
 
 
-def _everywhere(builder: Any, number: Any) -> Any:
+def _broadcast(builder: Any, number: Any) -> Any:
     """The same number in all lanes."""
-    nothing = ir.Constant(_ROW, ir.Undefined)
-    first = builder.insert_element(nothing, number, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(first, nothing, _pick(0, 0, 0, 0))
+    undefined = ir.Constant(_ROW, ir.Undefined)
+    first = builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(first, undefined, _shuffle_mask(0, 0, 0, 0))
 
 
 @intrinsic
-def four(typing: Any, a: float, b: float, c: float, d: float) -> Four:
-    """(a, b, c, d)."""
+def pack(typing: Any, a: float, b: float, c: float, d: float) -> Float64x4:
+    """Four numbers as one row."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         row = ir.Constant(_ROW, ir.Undefined)
@@ -62,22 +62,22 @@ def four(typing: Any, a: float, b: float, c: float, d: float) -> Four:
             row = builder.insert_element(row, number, ir.Constant(ir.IntType(32), lane))
         return row
 
-    return _FOUR(*[types.float64] * LANES), build
+    return _FLOAT64X4(*[types.float64] * LANES), build
 
 
 @intrinsic
-def numbers(typing: Any, row: Four) -> Any:
+def unpack(typing: Any, row: Float64x4) -> Any:
     """The four values, as a tuple of float64."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         lanes = [builder.extract_element(args[0], ir.Constant(ir.IntType(32), k)) for k in range(LANES)]
         return context.make_tuple(builder, signature.return_type, lanes)
 
-    return types.UniTuple(types.float64, LANES)(_FOUR), build
+    return types.UniTuple(types.float64, LANES)(_FLOAT64X4), build
 
 
 @intrinsic
-def row_of(typing: Any, c: Any, p: Any, i: Any, j: Any, k: Any) -> Four:
+def load_row(typing: Any, c: Any, p: Any, i: Any, j: Any, k: Any) -> Float64x4:
     """c[p, i, j, k] … c[p, i, j, k+3] of a C-ordered float32 array; indices np.uintp, not checked."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -89,49 +89,51 @@ def row_of(typing: Any, c: Any, p: Any, i: Any, j: Any, k: Any) -> Four:
         stored.align = np.dtype(np.float32).itemsize
         return builder.fpext(stored, _ROW)
 
-    return _FOUR(c, *[types.uintp] * 4), build
+    return _FLOAT64X4(c, *[types.uintp] * 4), build
 
 
 @intrinsic
-def scaled(typing: Any, w: float, row: Four) -> Four:
+def scale(typing: Any, w: float, row: Float64x4) -> Float64x4:
     """w · row."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.fmul(_everywhere(builder, args[0]), args[1])
+        return builder.fmul(_broadcast(builder, args[0]), args[1])
 
-    return _FOUR(types.float64, _FOUR), build
+    return _FLOAT64X4(types.float64, _FLOAT64X4), build
 
 
 @intrinsic
-def plus(typing: Any, total: Four, w: float, row: Four) -> Four:
-    """total + w · row."""
+def fma(typing: Any, total: Float64x4, w: float, row: Float64x4) -> Float64x4:
+    """Multiply-add: total + w · row."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        product = builder.fmul(_everywhere(builder, args[1]), args[2], flags=_FUSED)
+        product = builder.fmul(_broadcast(builder, args[1]), args[2], flags=_FUSED)
         return builder.fadd(args[0], product, flags=_FUSED)
 
-    return _FOUR(_FOUR, types.float64, _FOUR), build
+    return _FLOAT64X4(_FLOAT64X4, types.float64, _FLOAT64X4), build
 
 
 @intrinsic
-def times(typing: Any, a: Four, b: Four) -> Four:
-    """Lane by lane."""
+def multiply(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
+    """a · b, lane by lane."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.fmul(args[0], args[1])
 
-    return _FOUR(_FOUR, _FOUR), build
+    return _FLOAT64X4(_FLOAT64X4, _FLOAT64X4), build
 
 
 @intrinsic
-def sums(typing: Any, a: Four, b: Four, c: Four, d: Four) -> Four:
+def horizontal_sums(typing: Any, a: Float64x4, b: Float64x4, c: Float64x4, d: Float64x4) -> Float64x4:
     """(Σa, Σb, Σc, Σd), each as (1st + 2nd) + (3rd + 4th)."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         def added(p: Any, q: Any, one: Any, other: Any) -> Any:
             return builder.fadd(builder.shuffle_vector(p, q, one), builder.shuffle_vector(p, q, other))
 
-        ab, cd = (added(p, q, _pick(0, 2, 4, 6), _pick(1, 3, 5, 7)) for p, q in (args[:2], args[2:]))
-        return added(ab, cd, _pick(0, 2, 4, 6), _pick(1, 3, 5, 7))
+        ab, cd = (
+            added(p, q, _shuffle_mask(0, 2, 4, 6), _shuffle_mask(1, 3, 5, 7)) for p, q in (args[:2], args[2:])
+        )
+        return added(ab, cd, _shuffle_mask(0, 2, 4, 6), _shuffle_mask(1, 3, 5, 7))
 
-    return _FOUR(*[_FOUR] * LANES), build
+    return _FLOAT64X4(*[_FLOAT64X4] * LANES), build

@@ -1,4 +1,4 @@
-"""Force laws as scalars of a signed distance (Ren 2008, eqs 4 and 7), for use inside other kernels.
+"""Force laws as scalars of a signed distance (Ren 2008, eqs 4–9), for use inside other kernels.
 
 Both return f in [−1, 1] such that F = −cap·f·n with n the unit gradient of distance, which points into the
 organ: the sigmoid pushes out of the organ everywhere, the Gaussian pulls back to its surface from both sides.
@@ -12,7 +12,7 @@ SIGMOID = 0
 GAUSSIAN = 1
 
 DIRECTION_LOST = 0.2
-"""Below this |∇d| there is no direction to push along (medial axis, opposing walls): no force."""
+"""Below this |∇d| the direction is lost (medial axis, opposing walls): no force."""
 DIRECTION_SURE = 0.4
 """Above this |∇d| the law is unchanged; between the two it fades by smoothstep
 (dvf_ig/docs/theory/fixtures.md)."""

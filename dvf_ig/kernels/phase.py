@@ -1,20 +1,20 @@
-"""Where a phase falls in the cycle, and the weights of the phases around it."""
+"""Position of a phase in the cycle, and the weights of the phases around it (α of Ren 2008, eq. 10)."""
 
 import math
 
 from dvf_ig.core import FloatArray
 
 from .compiled import inlined
-from .lanes import Four, four, numbers, plus, scaled
+from .lanes import Float64x4, fma, pack, scale, unpack
 
-Numbers = tuple[float, float, float, float]
+Weights4 = tuple[float, float, float, float]
 
 
 @inlined
 def phase_bracket(times: FloatArray, start: int, count: int, phi: float) -> tuple[int, int, float, float]:
     """Neighbouring phases of `phi` (cyclic), weight of the second, and their distance in cycles.
 
-    The search starts where evenly spaced phases would put `phi`, and is then over at once.
+    The search starts at the index for evenly spaced phases, and then ends at once.
 
     Args:
         times: holds the phase times as fractions of the cycle, `count` of them from `start` on.
@@ -36,20 +36,20 @@ def phase_bracket(times: FloatArray, start: int, count: int, phi: float) -> tupl
 
 
 @inlined
-def _row(c: FloatArray, k: int) -> Four:
-    return four(c[k], c[k + 1], c[k + 2], c[k + 3])
+def _row(c: FloatArray, k: int) -> Float64x4:
+    return pack(c[k], c[k + 1], c[k + 2], c[k + 3])
 
 
 @inlined
-def cubic_in_phase(powers: FloatArray, start: int, alpha: float) -> tuple[Numbers, Numbers]:
-    """Weights of the four phases around an interval, and their derivatives re alpha.
+def cubic_in_phase(powers: FloatArray, start: int, alpha: float) -> tuple[Weights4, Weights4]:
+    """Weights of the four phases around an interval, and their derivatives with respect to alpha.
 
     Args:
         powers: from `start` on, the coefficients of 1, α, α², α³ for phases first−1 … first+2, 16 numbers.
-        alpha: place in the interval, 0 … 1.
+        alpha: position in the interval, 0 … 1.
     """
     one, a1 = _row(powers, start), _row(powers, start + 4)
     a2, a3 = _row(powers, start + 8), _row(powers, start + 12)
-    weights = plus(one, alpha, plus(a1, alpha, plus(a2, alpha, a3)))
-    slopes = plus(a1, alpha, plus(scaled(2.0, a2), alpha, scaled(3.0, a3)))
-    return numbers(weights), numbers(slopes)
+    weights = fma(one, alpha, fma(a1, alpha, fma(a2, alpha, a3)))
+    slopes = fma(a1, alpha, fma(scale(2.0, a2), alpha, scale(3.0, a3)))
+    return unpack(weights), unpack(slopes)

@@ -15,32 +15,33 @@ from dvf_ig.core import FloatArray, IntArray
 
 from . import status as code
 from .compiled import inlined, kernel
-from .lanes import Four, four, numbers, plus, row_of, scaled, sums, times
+from .lanes import Float64x4, fma, horizontal_sums, load_row, multiply, pack, scale, unpack
 
-Numbers = tuple[float, float, float, float]
+Weights4 = tuple[float, float, float, float]
+"""Weights of four neighbouring coefficients."""
 Index = Any
-"""np.uintp: indices that cannot be negative spare the compiled code a wrap-around test."""
-Weights = tuple[Numbers, Numbers]
+"""np.uintp: with indices that cannot be negative the compiled code needs no wrap-around test."""
+AxisWeights = tuple[Weights4, Weights4]
 """B_0 … B_3 along one axis, and their derivatives."""
-Cell = tuple[Index, Index, Index, Weights, Weights, Four, Four]
+Cell = tuple[Index, Index, Index, AxisWeights, AxisWeights, Float64x4, Float64x4]
 """First coefficient along each axis; weights along x and y; weights and derivatives along z, as rows."""
 
 
 @inlined
-def cubic_weights(t: float) -> tuple[Four, Four]:
+def cubic_weights(t: float) -> tuple[Float64x4, Float64x4]:
     """B_0 … B_3 and their derivatives at t in [0, 1], by powers of t."""
-    one = four(1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0, 0.0)
-    t1 = four(-0.5, 0.0, 0.5, 0.0)
-    t2 = four(0.5, -1.0, 0.5, 0.0)
-    t3 = four(-1.0 / 6.0, 0.5, -0.5, 1.0 / 6.0)
-    weights = plus(one, t, plus(t1, t, plus(t2, t, t3)))
-    slopes = plus(t1, t, plus(scaled(2.0, t2), t, scaled(3.0, t3)))
+    one = pack(1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0, 0.0)
+    t1 = pack(-0.5, 0.0, 0.5, 0.0)
+    t2 = pack(0.5, -1.0, 0.5, 0.0)
+    t3 = pack(-1.0 / 6.0, 0.5, -0.5, 1.0 / 6.0)
+    weights = fma(one, t, fma(t1, t, fma(t2, t, t3)))
+    slopes = fma(t1, t, fma(scale(2.0, t2), t, scale(3.0, t3)))
     return weights, slopes
 
 
 @inlined
 def inside_box(u: float, v: float, w: float, cells: tuple[int, int, int]) -> bool:
-    """Whether knot coordinates lie where the spline is defined; False for NaN."""
+    """Whether knot coordinates lie in the spline's domain; False for NaN."""
     return 0.0 <= u <= cells[0] and 0.0 <= v <= cells[1] and 0.0 <= w <= cells[2]
 
 
@@ -52,84 +53,66 @@ def _cell_of(u: float, cells: int) -> Index:
 
 @inlined
 def find_cell(u: float, v: float, w: float, cells: tuple[int, int, int]) -> Cell:
-    """Where knot coordinates inside the box fall, and the weights there; one for all phases."""
+    """Knot cell of knot coordinates inside the box, and the basis weights there; shared by all phases."""
     i, j, k = _cell_of(u, cells[0]), _cell_of(v, cells[1]), _cell_of(w, cells[2])
     x, dx = cubic_weights(u - i)
     y, dy = cubic_weights(v - j)
     z, dz = cubic_weights(w - k)
-    return i, j, k, (numbers(x), numbers(dx)), (numbers(y), numbers(dy)), z, dz
+    return i, j, k, (unpack(x), unpack(dx)), (unpack(y), unpack(dy)), z, dz
 
 
 @inlined
-def _sum_y(c: NDArray[np.float32], p: Index, i: Index, j: Index, k: Index, y: Weights) -> tuple[Four, Four]:
+def _sum_y(
+    c: NDArray[np.float32], p: Index, i: Index, j: Index, k: Index, y: AxisWeights
+) -> tuple[Float64x4, Float64x4]:
     """Σ_b B_b(y) of the rows of one slice, and the same with the derivatives."""
     r0, r1, r2, r3 = (
-        row_of(c, p, i, j, k),
-        row_of(c, p, i, j + 1, k),
-        row_of(c, p, i, j + 2, k),
-        row_of(c, p, i, j + 3, k),
+        load_row(c, p, i, j, k),
+        load_row(c, p, i, j + 1, k),
+        load_row(c, p, i, j + 2, k),
+        load_row(c, p, i, j + 3, k),
     )
     w, s = y
     return (
-        plus(plus(plus(scaled(w[0], r0), w[1], r1), w[2], r2), w[3], r3),
-        plus(plus(plus(scaled(s[0], r0), s[1], r1), s[2], r2), s[3], r3),
+        fma(fma(fma(scale(w[0], r0), w[1], r1), w[2], r2), w[3], r3),
+        fma(fma(fma(scale(s[0], r0), s[1], r1), s[2], r2), s[3], r3),
     )
 
 
 @inlined
-def cell_value_gradient(c: NDArray[np.float32], p: Index, cell: Cell) -> Four:
+def cell_value_gradient(c: NDArray[np.float32], p: Index, cell: Cell) -> Float64x4:
     """(value, ∂x, ∂y, ∂z) of phase `p` in one cell; gradient per knot."""
     i, j, k, x, y, z, dz = cell
     w, s = x
     plain, slope = _sum_y(c, p, i, j, k, y)
-    value, dx, dy = scaled(w[0], plain), scaled(s[0], plain), scaled(w[0], slope)
+    value, dx, dy = scale(w[0], plain), scale(s[0], plain), scale(w[0], slope)
     plain, slope = _sum_y(c, p, i + 1, j, k, y)
-    value, dx, dy = plus(value, w[1], plain), plus(dx, s[1], plain), plus(dy, w[1], slope)
+    value, dx, dy = fma(value, w[1], plain), fma(dx, s[1], plain), fma(dy, w[1], slope)
     plain, slope = _sum_y(c, p, i + 2, j, k, y)
-    value, dx, dy = plus(value, w[2], plain), plus(dx, s[2], plain), plus(dy, w[2], slope)
+    value, dx, dy = fma(value, w[2], plain), fma(dx, s[2], plain), fma(dy, w[2], slope)
     plain, slope = _sum_y(c, p, i + 3, j, k, y)
-    value, dx, dy = plus(value, w[3], plain), plus(dx, s[3], plain), plus(dy, w[3], slope)
-    return sums(times(z, value), times(z, dx), times(z, dy), times(dz, value))
+    value, dx, dy = fma(value, w[3], plain), fma(dx, s[3], plain), fma(dy, w[3], slope)
+    return horizontal_sums(multiply(z, value), multiply(z, dx), multiply(z, dy), multiply(dz, value))
 
 
 @inlined
-def _point(
+def spline_at(
     coefficients: NDArray[np.float32],
     origin_mm: FloatArray,
     per_knot: float,
     phase: int,
     q: tuple[float, float, float],
 ) -> tuple[int, float, float, float, float]:
-    """Status, distance and gradient of one phase; NaN unless OK."""
+    """Status, distance and gradient of one phase at a point `q` (mm, the model's frame); NaN unless OK."""
     cells = (coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3)
     u = (q[0] - origin_mm[0]) * per_knot
     v = (q[1] - origin_mm[1]) * per_knot
     w = (q[2] - origin_mm[2]) * per_knot
     if not inside_box(u, v, w, cells):
-        known = code.OUT_OF_VOLUME if math.isfinite(u + v + w) else code.FAULT
-        return known, math.nan, math.nan, math.nan, math.nan
-    d, gx, gy, gz = numbers(cell_value_gradient(coefficients, np.uintp(phase), find_cell(u, v, w, cells)))
+        status = code.OUT_OF_VOLUME if math.isfinite(u + v + w) else code.FAULT
+        return status, math.nan, math.nan, math.nan, math.nan
+    d, gx, gy, gz = unpack(cell_value_gradient(coefficients, np.uintp(phase), find_cell(u, v, w, cells)))
     return code.OK, d, gx * per_knot, gy * per_knot, gz * per_knot
-
-
-@kernel
-def spline_tick(
-    coefficients: NDArray[np.float32], box: FloatArray, phase: int, xyz_mm: FloatArray, out: FloatArray
-) -> int:
-    """Distance and gradient of one phase at one point.
-
-    Args:
-        coefficients: (n, cx, cy, cz) mm.
-        box: (4,) origin in mm, knot pitch in mm.
-        phase: index of the phase, not checked.
-        xyz_mm: (3,) point in the model's frame.
-        out: (4,) distance in mm and its gradient; NaN unless the status is OK.
-    Returns:
-        status code.
-    """
-    q = (xyz_mm[0], xyz_mm[1], xyz_mm[2])
-    status, out[0], out[1], out[2], out[3] = _point(coefficients, box, 1.0 / box[3], phase, q)
-    return status
 
 
 @kernel
@@ -155,6 +138,6 @@ def spline_batch(
     per_knot = 1.0 / knot_mm
     for n in range(len(xyz_mm)):
         q = (xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
-        status[n], value[n], gradient[n, 0], gradient[n, 1], gradient[n, 2] = _point(
+        status[n], value[n], gradient[n, 0], gradient[n, 1], gradient[n, 2] = spline_at(
             coefficients, origin_mm, per_knot, phase, q
         )

@@ -1,4 +1,4 @@
-"""Status codes of the real-time loop; `dvf_ig.guidance.Status` gives them their names."""
+"""Status codes of the servo loop; `dvf_ig.guidance.Status` names and explains them."""
 
 OK = 0
 OUT_OF_VOLUME = 1

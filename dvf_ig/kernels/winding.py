@@ -1,7 +1,7 @@
-"""How often a closed surface winds around each node of a grid, by scanning the columns along the third axis.
+"""Winding number of a closed surface at each node of a grid, by scanning the columns along the third axis.
 
-A node is inside where the winding number is not zero. Overlapping pieces are therefore united, and a fold or
-a self-intersecting cap does no harm beyond itself.
+A node is inside where the winding number is not zero. Overlapping components are therefore united, and a fold
+or a self-intersecting cap has only a local effect.
 """
 
 import math

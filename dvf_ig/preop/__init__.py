@@ -1,4 +1,4 @@
-"""From pre-operative surfaces or labels to the dynamic fixture model: Sections III and VI of Ren 2008."""
+"""The dynamic fixture model from pre-operative images, labels or surfaces (Ren 2008, Section III)."""
 
 from .build import ModelOptions as ModelOptions
 from .build import border_distance_mm as border_distance_mm
@@ -15,6 +15,8 @@ from .check import random_surface_points as random_surface_points
 from .cine_model import CineModel as CineModel
 from .cine_model import CineOptions as CineOptions
 from .cine_model import model_from_cine as model_from_cine
+from .conjugate_gradients import Solution as Solution
+from .conjugate_gradients import conjugate_gradients as conjugate_gradients
 from .distance.dilation import NEIGHBOURHOODS as NEIGHBOURHOODS
 from .distance.dilation import dilation_distance_mm as dilation_distance_mm
 from .distance.signed import inside_mask as inside_mask
@@ -25,8 +27,8 @@ from .distance.triangle_tree import build_triangle_tree as build_triangle_tree
 from .motion.cavity import cavity_volumes_mm3 as cavity_volumes_mm3
 from .motion.cycle import CycleMotion as CycleMotion
 from .motion.cycle import MotionOptions as MotionOptions
-from .motion.cycle import carry_labels as carry_labels
-from .motion.cycle import carry_surface as carry_surface
+from .motion.cycle import propagate_labels as propagate_labels
+from .motion.cycle import propagate_surface as propagate_surface
 from .motion.cycle import track_cycle as track_cycle
 from .motion.demons import DemonsOptions as DemonsOptions
 from .motion.demons import DisplacementField as DisplacementField
@@ -50,13 +52,6 @@ from .spline.fit import surface_weights as surface_weights
 from .spline.knots import KnotChoice as KnotChoice
 from .spline.knots import KnotTrial as KnotTrial
 from .spline.knots import choose_knot_spacing as choose_knot_spacing
-from .spline.network import SplineAxis as SplineAxis
-from .spline.network import SplineNetwork as SplineNetwork
-from .spline.trainers import Trained as Trained
-from .spline.trainers import safe_step as safe_step
-from .spline.trainers import train_gradient as train_gradient
-from .spline.trainers import train_scattered as train_scattered
-from .spline.trainers import train_separable as train_separable
 from .surface.budget import SurfaceBudget as SurfaceBudget
 from .surface.budget import surface_budget as surface_budget
 from .surface.closing import close_surface as close_surface

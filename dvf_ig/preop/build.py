@@ -1,4 +1,4 @@
-"""From closed surfaces, one a phase, to the dynamic fixture: distance, then spline, phase by phase."""
+"""The dynamic fixture model from closed surfaces: signed distance, then a spline fit, phase by phase."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -35,11 +35,11 @@ class ModelOptions:
 
     Attributes:
         knot_spacing_mm: knot pitch.
-        margin_mm: how far the box reaches beyond everything the surface sweeps; at 15 mm a sigmoid of 1/mm
-            has fallen to 3e-7 of its cap.
-        band_mm: distance from the surface within which samples are exact at full density.
-        threads: phases computed at a time; has no influence on the result.
-        accuracy_mm: wanted mean surface error; the pitch is then chosen on a pilot phase (see
+        margin_mm: distance of the box's border from the volume that the surface sweeps; at 15 mm a sigmoid of
+            1/mm has fallen to 3e-7 of its cap.
+        band_mm: distance from the surface within which every sample is exact.
+        threads: phases fitted at a time; has no influence on the result.
+        accuracy_mm: wanted mean surface error; the pitch is then chosen on one phase (see
             `choose_knot_spacing`) and knot_spacing_mm is not used.
     """
 
@@ -79,18 +79,18 @@ def build_model(
 
     Args:
         reference: closed surfaces, outward orientation, one a phase, in `frame`; their triangles may differ.
-        caps: per phase, (t,) True for triangles that close an opening and were never measured.
+        caps: per phase, (t,) True for triangles that close an opening and were not measured.
         timing: phase times.
-        cavity_mm3: (n,) left ventricular volume, which tells end-diastole from end-systole; the
-            enclosed volume where it is not known.
-        progress: told the fraction done.
-        sources: what the model is built from, for the record.
+        cavity_mm3: (n,) left ventricular volume, from which end-diastole and end-systole are found; None uses
+            the enclosed volume.
+        progress: called with the fraction done.
+        sources: provenance recorded in the model.
     Raises:
         InvalidInputError: counts that do not match the timing, a surface that is not closed, or a wanted
             accuracy that no pitch reaches.
         FrameMismatchError: a surface in another frame.
     Source: Ren 2008, Section III, with exact distances instead of dilation, and the minimiser of eq. 2 with
-        weights that put the surface first.
+        larger weights near the surface.
     """
     _check_reference(reference, timing, frame, surface_name)
     if options.accuracy_mm is not None:
@@ -226,5 +226,5 @@ def border_distance_mm(model: DvfModel) -> float:
 
 
 def potential_at_border(border_mm: float, gamma_per_mm: float) -> float:
-    """f of the sigmoid law `border_mm` outside the surface: what is left of the cap where the model ends."""
+    """f of the sigmoid law `border_mm` outside the surface: what is left of the cap at the model's border."""
     return float(1.0 / (1.0 + np.exp(gamma_per_mm * border_mm)))

@@ -1,4 +1,4 @@
-"""How far the fitted model lies from the surface it was fitted to, and how its normals turn from it."""
+"""Surface and normal error of a fitted model against the surfaces to which it was fitted."""
 
 from dataclasses import dataclass
 
@@ -11,18 +11,19 @@ from dvf_ig.preop.surface.closing import triangle_areas_mm2
 from dvf_ig.preop.surface.normals import angle_deg, facet_normals, smooth_normals, vertex_normals
 
 CAP_RIM_MM = 5.0
+"""Width of the rim around caps that is left out."""
 NORMAL_BAND_MM = 2.0
 NORMAL_POINTS_SHARE = 0.25
-"""Normals are judged at every fourth point: each needs a search for the nearest point of the surface."""
+"""Share of the points at which normals are evaluated: each needs a search for the nearest surface point."""
 
 MIN_OFFSET_MM = 0.05
-"""Nearer to the surface the exact distance has no direction but its facet's."""
+"""Nearer to the surface the gradient of the exact distance is taken from the facet."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PhaseErrors:
-    """What one phase of a model gets wrong, at random points.
+    """Errors of one phase of a model at random points.
 
     Attributes:
         surface_mm: (n,) distance |d|/|∇d| of the spline's zero level from area-uniform points of the
@@ -30,8 +31,8 @@ class PhaseErrors:
         normal_deg: (k,) angle between the spline's ∇d and the normal of the smooth surface (vertex normals,
             interpolated at the nearest surface point), at points within 2 mm of the surface.
         facet_normal_deg: (k,) angle between ∇d and the gradient of the exact distance to the triangles, at
-            the same points; a mesh of flat facets turns by some degrees at each edge.
-        normal_points_mm: (k, 3) those points.
+            the same points; the normal of flat facets jumps by some degrees at each edge.
+        normal_points_mm: (k, 3) the points at which normals are compared.
     """
 
     surface_mm: FloatArray
@@ -43,7 +44,7 @@ class PhaseErrors:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelCheck:
-    """Errors of a model against its reference surfaces; see PhaseErrors for what each one is.
+    """Errors of a model against its reference surfaces; PhaseErrors defines each of them.
 
     Attributes:
         mean_mm, p99_mm, max_mm: surface error over all points of all phases.
@@ -52,8 +53,8 @@ class ModelCheck:
         normal_median_deg, normal_p95_deg: of the angle to the smooth surface's normal, all phases.
         per_phase_normal_p95_deg: (n,) of each phase.
         facet_normal_median_deg, facet_normal_p95_deg: of the angle to the exact distance's gradient.
-        points: how many surface points were judged.
-        excluded_area_share: share of the area left out: caps, and what lies within rim_mm of a cap.
+        points: number of surface points evaluated.
+        excluded_area_share: share of the area left out: caps, and points within rim_mm of a cap.
         rim_mm: width of that rim.
     """
 
@@ -80,7 +81,7 @@ def check_model(model: DvfModel, *, points_per_phase: int = 4000, rng: np.random
         points_per_phase: random points drawn on each phase, before caps and their rim are left out.
         rng: source of the points.
     Raises:
-        InvalidInputError: a phase where caps leave nothing to judge.
+        InvalidInputError: a phase of which nothing is left beside caps and their rim.
     """
     found = [phase_errors(model, i, points_per_phase, rng) for i in range(model.phases)]
     surface = np.concatenate([e.surface_mm for e in found])
@@ -115,7 +116,7 @@ def field_errors(
     """Errors of a spline against a surface at up to `points` random points; caps and their rim are left out.
 
     Raises:
-        InvalidInputError: caps leave nothing to judge, or the surface leaves the spline's box.
+        InvalidInputError: nothing is left beside caps and their rim, or the surface leaves the spline's box.
     """
     on_surface, triangle = _measured_points(mesh, caps, points, rng)
     if len(on_surface) == 0:
@@ -142,8 +143,8 @@ def _measured_points(
     mesh: Mesh, caps: BoolArray, count: int, rng: np.random.Generator
 ) -> tuple[FloatArray, IntArray]:
     points, triangle = random_surface_points(mesh, count, rng)
-    judged = ~caps[triangle] & away_from_caps(mesh, caps, points)
-    return points[judged], triangle[judged]
+    kept = ~caps[triangle] & away_from_caps(mesh, caps, points)
+    return points[kept], triangle[kept]
 
 
 def away_from_caps(mesh: Mesh, caps: BoolArray, xyz_mm: FloatArray) -> BoolArray:

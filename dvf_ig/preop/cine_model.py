@@ -16,9 +16,9 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.preop.motion.cavity import cavity_volumes_mm3
-from dvf_ig.preop.motion.cycle import CycleMotion, MotionOptions, carry_surface, track_cycle
+from dvf_ig.preop.motion.cycle import CycleMotion, MotionOptions, propagate_surface, track_cycle
 from dvf_ig.preop.motion.quality import MotionQuality, assess_motion
-from dvf_ig.preop.segment.seeded import solid_piece
+from dvf_ig.preop.segment.components import largest_component
 from dvf_ig.preop.surface.budget import SurfaceBudget, surface_budget
 from dvf_ig.preop.surface.from_labels import border_caps, surface_of_mask
 
@@ -29,7 +29,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class CineOptions:
-    """What the labels mean, and how motion and model are made.
+    """What the labels mean, and how motion and model are computed.
 
     Attributes:
         organ_labels: values inside the surface; empty means all but 0.
@@ -49,13 +49,13 @@ class CineOptions:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class CineModel:
-    """A model with everything it rests on.
+    """A model with the evidence behind it.
 
     Attributes:
         model: the fixture.
-        surfaces: the end-diastolic surface carried through the cycle.
-        motion, quality: how it was carried, and how well.
-        budget: error of the end-diastolic surface itself.
+        surfaces: the end-diastolic surface propagated through the cycle.
+        motion, quality: the motion that propagated it, and its quality.
+        budget: error budget of the end-diastolic surface itself.
         volume_mm3: (n,) of the cavity, or enclosed by the surface where no cavity is labelled.
     """
 
@@ -77,29 +77,29 @@ def model_from_cine(
     progress: Progress | None = None,
     sources: Sequence[str] = (),
 ) -> CineModel:
-    """Carry a segmented end-diastole through the cycle by the image's motion, and fit the model to it.
+    """Propagate a segmented end-diastole through the cycle by the image's motion, and fit the model to it.
 
     Args:
         image: 4-D grey levels.
         labels: labels of phase `options.ed_phase`, on the image's grid.
-        truth: labels of every phase; they judge the motion and have no part in it.
-        progress: told the fraction done.
+        truth: labels of every phase; used only to assess the motion, never to estimate it.
+        progress: called with the fraction done.
     Raises:
         InvalidInputError: no voxel of the organ or cavity labels, or labels on another grid.
     """
-    organ = solid_piece(_chosen(labels, options.organ_labels, "organ"))
+    organ = largest_component(_chosen(labels, options.organ_labels, "organ"))
     cavity = _chosen(labels, options.cavity_labels, "cavity") if options.cavity_labels else None
     report = progress or (lambda _: None)
     surface = surface_of_mask(organ, image.grid)
     motion = track_cycle(
         image, organ, ed_phase=options.ed_phase, options=options.motion, progress=lambda x: report(0.8 * x)
     )
-    surfaces = carry_surface(motion, image, surface, options.surface, patient_id)
+    surfaces = propagate_surface(motion, image, surface, options.surface, patient_id)
     volumes = cavity_volumes_mm3(motion, cavity) if cavity is not None else surfaces.volumes_mm3()
-    seen = (
+    labelled = (
         None if truth is None else np.stack([_chosen_values(v, options.organ_labels) for v in truth.values])
     )
-    quality = assess_motion(motion, image, organ, seen)
+    quality = assess_motion(motion, image, organ, labelled)
     caps = border_caps(surface, image.grid)
     model = build_model(
         [surfaces.phase(i) for i in range(len(image.timing))],

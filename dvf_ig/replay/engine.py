@@ -14,7 +14,7 @@ from time import perf_counter
 
 import numpy as np
 
-from dvf_ig.cardiac import FEWEST_BEATS, PhaseTracking, RPeak, track_phase
+from dvf_ig.cardiac import MIN_BEATS, PhaseTracking, RPeak, track_phase
 from dvf_ig.core import (
     BoolArray,
     DvfModel,
@@ -151,11 +151,11 @@ def _refuse_untracked(scenario: Scenario) -> None:
 
 
 def _refuse_beatless(tracking: PhaseTracking, scenario: Scenario) -> None:
-    if len(tracking.peaks) < FEWEST_BEATS:
+    if len(tracking.peaks) < MIN_BEATS:
         ecg = scenario.ecg
         raise InvalidInputError(
             f"the ECG has {len(tracking.peaks)} R peaks in {len(ecg) / ecg.rate_hz:.0f} s on lead(s) "
-            f"{', '.join(ecg.leads)}, needed at least {FEWEST_BEATS}; check the electrodes and the lead"
+            f"{', '.join(ecg.leads)}, needed at least {MIN_BEATS}; check the electrodes and the lead"
         )
 
 
@@ -222,7 +222,7 @@ def _forces(
         )
         force[here], gradient[here] = part.force_n, part.gradient
         distance[here], status[here] = part.distance_mm, part.status
-    return ForceSamples(force, distance, gradient, status), status == Status.OK
+    return ForceSamples("tracker", force, distance, gradient, status), status == Status.OK
 
 
 def _pieces(begins: IntArray, n: int) -> list[slice]:

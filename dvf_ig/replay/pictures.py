@@ -83,7 +83,7 @@ def _overlay_column(
 
 def _distance(replay: Replay, pose: Rigid, tracker_mm: FloatArray, phase: float) -> FloatArray:
     evaluator = Evaluator(replay.heart.model, Sigmoid(), blend="distance")
-    return evaluator.force_through(np.ascontiguousarray(pose.matrix[:3]), tracker_mm, phase).distance_mm
+    return evaluator.force_through(pose, tracker_mm, phase).distance_mm
 
 
 def _model_plane(replay: Replay, pose: Rigid, tracker_mm: FloatArray, phase: float) -> FloatArray:

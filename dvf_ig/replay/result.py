@@ -8,6 +8,7 @@ from typing import Any
 import jsonschema
 import numpy as np
 
+from dvf_ig.cardiac import frame_period_s
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.guidance import Sigmoid, Status
 from dvf_ig.guidance.blend import static_force
@@ -103,7 +104,7 @@ def _estimates(replay: Replay) -> dict[str, Any]:
         "lag_correlation": rulers.latency.correlation,
         "beats": len(replay.tracking.peaks),
         "rr_s": rr_s,
-        "frame_period_s": rr_s / model.phases if rr_s else None,
+        "frame_period_s": frame_period_s(rr_s, model.phases) if rr_s else None,
         "model_rr_s": model.timing.rr_s,
         "phases": model.phases,
         "model_megabytes": model.megabytes,

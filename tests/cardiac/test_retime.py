@@ -29,14 +29,14 @@ def test_two_segment_rises_within_the_cycle(rr_s: float, own_s: float, es: float
     assert (np.diff(found) > -1e-12).all()
     assert found[0] == 0.0
     assert found[-1] < 1.0
-    knee = float(systole_share(rr_s, own_s, es))
-    assert float(retime(knee, rr_s, own_s, es, "two-segment")) == pytest.approx(es, abs=1e-12)
+    systole = float(systole_share(rr_s, own_s, es))
+    assert float(retime(systole, rr_s, own_s, es, "two-segment")) == pytest.approx(es, abs=1e-12)
 
 
 @given(st.floats(0.4, 1.5), st.floats(0.5, 1.4), st.floats(0.25, 0.5))
-def test_knee_is_scipys_periodic_pchip(rr_s: float, own_s: float, es: float) -> None:
-    knee = float(systole_share(rr_s, own_s, es))
-    x = np.array([knee - 1, 0, knee, 1, 1 + knee])
+def test_breakpoint_is_scipys_periodic_pchip(rr_s: float, own_s: float, es: float) -> None:
+    systole = float(systole_share(rr_s, own_s, es))
+    x = np.array([systole - 1, 0, systole, 1, 1 + systole])
     y = np.array([es - 1, 0, es, 1, 1 + es])
     assert np.allclose(retime(PHI, rr_s, own_s, es, "two-segment"), PchipInterpolator(x, y)(PHI), atol=1e-9)
 

@@ -40,25 +40,25 @@ def test_trigeminy_is_forecast_once_seen() -> None:
         for kind in (BeatKind.EARLY, BeatKind.NORMAL, BeatKind.NORMAL):
             pattern.add(kind)
     # two normal beats since the last early one: the next is due
-    assert pattern.chances()[BeatKind.EARLY] > 0.85
+    assert pattern.probabilities()[BeatKind.EARLY] > 0.85
     pattern.add(BeatKind.EARLY)
-    assert pattern.chances()[BeatKind.EARLY] < 0.05
-    assert pattern.chances().sum() == pytest.approx(1.0)
+    assert pattern.probabilities()[BeatKind.EARLY] < 0.05
+    assert pattern.probabilities().sum() == pytest.approx(1.0)
 
 
 def test_random_early_beats_stay_uncertain() -> None:
     pattern, rng = BeatPattern(), np.random.default_rng(3)
-    chances = []
+    probabilities = []
     for k in range(2000):
         if k > 500:
-            chances.append(pattern.chances()[BeatKind.EARLY])
+            probabilities.append(pattern.probabilities()[BeatKind.EARLY])
         pattern.add(BeatKind.EARLY if rng.uniform() < 0.2 else BeatKind.NORMAL)
-    assert np.mean(chances) == pytest.approx(0.2, abs=0.03)
-    # rare situations know about 15 occasions: standard error 0.1, so that 0.5 is three of them away
-    assert np.mean(np.array(chances) > 0.5) < 0.05, "an early beat is hardly ever called the likely one"
+    assert np.mean(probabilities) == pytest.approx(0.2, abs=0.03)
+    # rare contexts have about 15 observations: standard error 0.1, so that 0.5 is three of them away
+    assert np.mean(np.array(probabilities) > 0.5) < 0.05, "an early beat is hardly ever called the likely one"
 
 
-def test_an_early_pair_does_not_move_the_usual_interval() -> None:
+def test_an_early_pair_does_not_move_the_normal_interval() -> None:
     rhythm = Rhythm()
     for _ in range(20):
         rhythm.add(0.8)
@@ -66,8 +66,8 @@ def test_an_early_pair_does_not_move_the_usual_interval() -> None:
     assert rhythm.forecast.ectopic
     assert rhythm.forecast.rr_s > 0.9
     assert rhythm.add(1.1) == BeatKind.NORMAL
-    assert rhythm.forecast.usual_s == pytest.approx(0.8)
-    assert not rhythm.forecast.unsettled
+    assert rhythm.forecast.normal_s == pytest.approx(0.8)
+    assert not rhythm.forecast.unreliable
 
 
 def test_isolated_early_beats_cost_little_and_stay_honest() -> None:

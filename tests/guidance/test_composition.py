@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dvf_ig.core import InvalidInputError
+from dvf_ig.core import FrameMismatchError, InvalidInputError
 from dvf_ig.guidance import Contribution, compose, slew_limited
 from dvf_ig.guidance.composition import without_inward_part
 
@@ -14,12 +14,12 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def drawn(rng, count, cap=CAP):
-    """Contributions of random directions and firmness, now and then none or full."""
+    """Contributions of random directions and activation, now and then none or full."""
     out = []
     for _ in range(count):
         direction = rng.normal(size=3)
         share = rng.choice([0.0, 1.0, rng.uniform(), rng.uniform()])
-        out.append(Contribution(cap * share * direction / np.linalg.norm(direction), cap))
+        out.append(Contribution("mr", cap * share * direction / np.linalg.norm(direction), cap))
     return out
 
 
@@ -29,15 +29,17 @@ def nudged(rng, contributions, step):
     for c in contributions:
         direction = rng.normal(size=3)
         force = c.force_n + step * rng.uniform() * direction / np.linalg.norm(direction)
-        out.append(Contribution(force * min(1.0, c.cap_n / max(np.linalg.norm(force), 1e-300)), c.cap_n))
+        out.append(
+            Contribution("mr", force * min(1.0, c.cap_n / max(np.linalg.norm(force), 1e-300)), c.cap_n)
+        )
     return out
 
 
-def test_one_region_takes_the_published_share_of_the_inward_part():
-    """F_g − f·max(0, F_g·n)·n with n into the region, f its firmness."""
+def test_one_region_takes_the_theory_s_share_of_the_inward_part():
+    """F_g − f·max(0, F_g·n)·n with n into the region, f its activation."""
     inward = np.array([0.0, 0.6, -0.8])
     for f in (0.0, 0.25, 0.5, 0.99, 1.0):
-        wall = Contribution(-f * CAP * inward, CAP)
+        wall = Contribution("mr", -f * CAP * inward, CAP)
         leading_in, leading_out = np.array([0.3, 0.1, -0.2]), np.array([0.3, -0.1, 0.2])
         expected = leading_in - f * (leading_in @ inward) * inward
         np.testing.assert_allclose(without_inward_part(leading_in, [wall]), expected, atol=1e-12)
@@ -47,7 +49,7 @@ def test_one_region_takes_the_published_share_of_the_inward_part():
 def test_two_parallel_regions_do_not_take_twice():
     """With n₁ = n₂ the penalties add: w = 2f/(1−f), so the share taken is w/(1+w)."""
     inward, f = np.array([1.0, 0.0, 0.0]), 0.5
-    walls = [Contribution(-f * CAP * inward, CAP)] * 2
+    walls = [Contribution("mr", -f * CAP * inward, CAP)] * 2
     got = without_inward_part(np.array([0.3, 0.1, 0.0]), walls)
     np.testing.assert_allclose(got, [0.3 * (1 - 2 / 3), 0.1, 0.0], atol=1e-12)
 
@@ -58,7 +60,7 @@ def test_full_firmness_leaves_nothing_that_leads_in(seed, count):
     inward = rng.normal(size=(count, 3))
     inward /= np.linalg.norm(inward, axis=1, keepdims=True)
     force = rng.normal(size=3)
-    left = without_inward_part(force, [Contribution(-CAP * n, CAP) for n in inward])
+    left = without_inward_part(force, [Contribution("mr", -CAP * n, CAP) for n in inward])
     assert (inward @ left).max() <= 1e-9
     assert np.linalg.norm(left) <= np.linalg.norm(force) * (1 + 1e-12)
 
@@ -69,7 +71,7 @@ def test_opposing_walls_leave_the_slide_between_them(seed):
     n = rng.normal(size=3)
     n /= np.linalg.norm(n)
     force = rng.normal(size=3)
-    left = without_inward_part(force, [Contribution(-CAP * n, CAP), Contribution(CAP * n, CAP)])
+    left = without_inward_part(force, [Contribution("mr", -CAP * n, CAP), Contribution("mr", CAP * n, CAP)])
     np.testing.assert_allclose(left, force - (force @ n) * n, atol=1e-9)
 
 
@@ -77,7 +79,7 @@ def test_opposing_walls_leave_the_slide_between_them(seed):
 def test_bounded_and_the_sum_of_its_parts(seed, walls, guides):
     rng = np.random.default_rng(seed)
     forbidden, guidance = drawn(rng, walls), drawn(rng, guides)
-    out = compose(forbidden, guidance, cap_n=CAP)
+    out = compose(forbidden, guidance, frame="mr", cap_n=CAP)
     assert np.linalg.norm(out.force_n) <= CAP * (1 + 1e-12)
     np.testing.assert_allclose(out.force_n, out.forbidden_n + out.guidance_n, atol=1e-15)
     if forbidden:
@@ -90,8 +92,8 @@ def test_bounded_and_the_sum_of_its_parts(seed, walls, guides):
 def test_order_within_a_class_does_not_matter(seed):
     rng = np.random.default_rng(seed)
     forbidden, guidance = drawn(rng, 3), drawn(rng, 3)
-    one = compose(forbidden, guidance, cap_n=CAP)
-    other = compose(forbidden[::-1], guidance[1:] + guidance[:1], cap_n=CAP)
+    one = compose(forbidden, guidance, frame="mr", cap_n=CAP)
+    other = compose(forbidden[::-1], guidance[1:] + guidance[:1], frame="mr", cap_n=CAP)
     assert np.array_equal(one.force_n, other.force_n)
     assert one.conflict == other.conflict
 
@@ -107,34 +109,38 @@ def test_continuous(seed, walls, guides):
     rng = np.random.default_rng(seed)
     forbidden, guidance = drawn(rng, walls), drawn(rng, guides)
     step = 1e-6
-    here = compose(forbidden, guidance, cap_n=CAP).force_n
-    there = compose(nudged(rng, forbidden, step), nudged(rng, guidance, step), cap_n=CAP).force_n
+    here = compose(forbidden, guidance, frame="mr", cap_n=CAP).force_n
+    there = compose(nudged(rng, forbidden, step), nudged(rng, guidance, step), frame="mr", cap_n=CAP).force_n
     assert np.linalg.norm(there - here) <= (14 if walls < 2 else 1000) * step
 
 
 def test_guidance_is_shortened_before_a_forbidden_region_s_push():
-    wall = Contribution(np.array([0.5, 0.0, 0.0]), CAP)
-    guide = Contribution(np.array([0.0, 0.6, 0.0]), CAP)
-    out = compose([wall], [guide], cap_n=CAP)
+    wall = Contribution("mr", np.array([0.5, 0.0, 0.0]), CAP)
+    guide = Contribution("mr", np.array([0.0, 0.6, 0.0]), CAP)
+    out = compose([wall], [guide], frame="mr", cap_n=CAP)
     np.testing.assert_allclose(out.force_n, [0.5, 0.1, 0.0])
     assert out.saturated
     assert not out.conflict
 
 
 def test_conflicts_are_reported():
-    wall = Contribution(np.array([0.54, 0.0, 0.0]), CAP)
-    into = Contribution(np.array([-0.5, 0.0, 0.0]), CAP)
-    assert compose([wall], [into], cap_n=CAP).conflict
-    np.testing.assert_allclose(compose([wall], [into], cap_n=CAP).lost_n, [-0.45, 0.0, 0.0], atol=1e-12)
-    opposite = Contribution(np.array([-0.5, 0.1, 0.0]), CAP)
-    assert compose([wall, opposite], [], cap_n=CAP).conflict
-    assert not compose([wall], [Contribution(np.array([0.0, 0.5, 0.0]), CAP)], cap_n=CAP).conflict
-    faint = [Contribution(np.array([x, 0.0, 0.0]), CAP) for x in (0.02, -0.02)]
-    assert not compose(faint, [], cap_n=CAP).conflict
+    wall = Contribution("mr", np.array([0.54, 0.0, 0.0]), CAP)
+    into = Contribution("mr", np.array([-0.5, 0.0, 0.0]), CAP)
+    assert compose([wall], [into], frame="mr", cap_n=CAP).conflict
+    np.testing.assert_allclose(
+        compose([wall], [into], frame="mr", cap_n=CAP).rejected_n, [-0.45, 0.0, 0.0], atol=1e-12
+    )
+    opposite = Contribution("mr", np.array([-0.5, 0.1, 0.0]), CAP)
+    assert compose([wall, opposite], [], frame="mr", cap_n=CAP).conflict
+    assert not compose(
+        [wall], [Contribution("mr", np.array([0.0, 0.5, 0.0]), CAP)], frame="mr", cap_n=CAP
+    ).conflict
+    faint = [Contribution("mr", np.array([x, 0.0, 0.0]), CAP) for x in (0.02, -0.02)]
+    assert not compose(faint, [], frame="mr", cap_n=CAP).conflict
 
 
 def test_nothing_composes_to_nothing():
-    out = compose([], [], cap_n=CAP)
+    out = compose([], [], frame="mr", cap_n=CAP)
     assert not out.force_n.any()
     assert not out.conflict
     assert not out.saturated
@@ -154,12 +160,19 @@ def test_slew_limit_moves_towards_the_wanted_force(seed, step):
 
 def test_senseless_numbers_are_refused():
     with pytest.raises(InvalidInputError, match=r"0\.7 N exceeds its own cap of 0\.6 N"):
-        Contribution(np.array([0.7, 0.0, 0.0]), CAP)
+        Contribution("mr", np.array([0.7, 0.0, 0.0]), CAP)
     with pytest.raises(InvalidInputError, match="cap is 0 N"):
-        Contribution(np.zeros(3), 0.0)
+        Contribution("mr", np.zeros(3), 0.0)
     with pytest.raises(InvalidInputError, match="non-finite"):
-        Contribution(np.array([np.nan, 0.0, 0.0]), CAP)
+        Contribution("mr", np.array([np.nan, 0.0, 0.0]), CAP)
     with pytest.raises(InvalidInputError, match="composed cap"):
-        compose([], [], cap_n=-1.0)
+        compose([], [], frame="mr", cap_n=-1.0)
     with pytest.raises(InvalidInputError, match="step of force"):
         slew_limited(np.zeros(3), np.zeros(3), 0.0)
+
+
+def test_fixtures_in_different_frames_are_refused():
+    wall, guide = Contribution("mr", [0.1, 0, 0], CAP), Contribution("tracker", [0, 0.1, 0], CAP)
+    assert compose([wall], [], frame="mr", cap_n=CAP).frame == "mr"
+    with pytest.raises(FrameMismatchError, match="composed fixtures: needed frame 'mr', got frame 'tracker'"):
+        compose([wall], [guide], frame="mr", cap_n=CAP)

@@ -44,7 +44,9 @@ class Jumping(Evaluator):
         whole = super().force(xyz_mm, model_phase)
         late = np.asarray(model_phase) % 1.0 >= 0.3
         jump = np.where(late, 1e-3, 0.0)[:, None] * np.array([1.0, 0.0, 0.0])
-        return ForceSamples(whole.force_n + jump, whole.distance_mm, whole.gradient, whole.status)
+        return ForceSamples(
+            whole.frame, whole.force_n + jump, whole.distance_mm, whole.gradient, whole.status
+        )
 
 
 def test_a_jump_of_a_millinewton_is_found(ball):

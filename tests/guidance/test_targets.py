@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from dvf_ig.core import CycleTiming, InvalidInputError
 from dvf_ig.guidance import DeviceLimits, Gaussian, PathFixture, PathTarget, Sigmoid, Status
 
-LINE = PathTarget.still("mr", [[0.0, 0, -50], [0.0, 0, 50]])
-HAIRPIN = PathTarget.still("mr", [[-20.0, 3, 0], [20.0, 3, 0], [20.0, -3, 0], [-20.0, -3, 0]])
+LINE = PathTarget.static("mr", [[0.0, 0, -50], [0.0, 0, 50]])
+HAIRPIN = PathTarget.static("mr", [[-20.0, 3, 0], [20.0, 3, 0], [20.0, -3, 0], [-20.0, -3, 0]])
 LAW = Gaussian(3.0, 1.0)
 
 
@@ -32,7 +32,7 @@ def test_beyond_its_end_a_line_pulls_to_the_end():
 
 def test_beside_a_straight_path_of_many_points_the_pull_has_no_ripple():
     """Neighbouring parts share the nearest point's direction; their ends' directions cancel in the middle."""
-    many = PathTarget.still("mr", np.column_stack([np.zeros((41, 2)), np.linspace(-50, 50, 41)]))
+    many = PathTarget.static("mr", np.column_stack([np.zeros((41, 2)), np.linspace(-50, 50, 41)]))
     points = np.column_stack([np.full(81, 2.0), np.zeros(81), np.linspace(-10, 10, 81)])
     got = PathFixture(many, LAW).force(points, 0.0)
     one = PathFixture(LINE, LAW).force(points, 0.0)
@@ -82,8 +82,8 @@ def test_what_a_path_refuses():
     with pytest.raises(InvalidInputError, match="too stiff for the device"):
         PathFixture(LINE, LAW, device=DeviceLimits(stiffness_n_per_m=100.0))
     with pytest.raises(InvalidInputError, match="at least 2 points"):
-        PathTarget.still("mr", [[0.0, 0, 0]])
+        PathTarget.static("mr", [[0.0, 0, 0]])
     with pytest.raises(InvalidInputError, match="equal points"):
-        PathTarget.still("mr", [[0.0, 0, 0], [0.0, 0, 0]])
+        PathTarget.static("mr", [[0.0, 0, 0], [0.0, 0, 0]])
     with pytest.raises(InvalidInputError, match="one phase without timing"):
         PathTarget("mr", np.zeros((2, 2, 3)))

@@ -72,7 +72,7 @@ def test_wanted_accuracy_picks_the_coarsest_knots_that_reach_it(beating_sphere):
     closed = close_surface(beating_sphere)
     meshes, caps = [closed.phase(i) for i in range(3)], [closed.caps] * 3
     choice = choose_knot_spacing(meshes, caps, 0.02, margin_mm=15.0, band_mm=4.0)
-    assert choice.pilot_phase == 1  # the smallest ball
+    assert choice.phase == 1  # the smallest ball
     *refused, taken = choice.tried
     assert taken.knot_spacing_mm == choice.knot_spacing_mm
     assert taken.mean_mm <= 0.02

@@ -90,7 +90,7 @@ def latency(
         typer.Option("--line-table", help="PLUS line results; otherwise lines are found in the images."),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write JSON here, and a picture beside it.")
+        Path | None, typer.Option("-o", "--out", help="Write JSON here, and a picture beside it.")
     ] = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 OutputOption = Annotated[
     Path | None,
-    typer.Option("-o", "--output", help="Write JSON here; PLUS XML and a picture go beside it."),
+    typer.Option("-o", "--out", help="Write JSON here; PLUS XML and a picture go beside it."),
 ]
 DeviceSetOption = Annotated[
     Path, typer.Option("--device-set", help="PLUS device-set XML with the phantom and its placement.")

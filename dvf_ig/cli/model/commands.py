@@ -23,7 +23,7 @@ app = typer.Typer(help="Build a dynamic fixture from pre-operative data, and che
 
 @app.command("build")
 def build(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Model file to write (.npz).")],
+    output: Annotated[Path, typer.Option("-o", "--out", help="Model file to write (.npz).")],
     surfaces: Annotated[
         Path | None, typer.Option("--surfaces", help="Folder (or archive) of surfaces, one mesh a phase.")
     ] = None,

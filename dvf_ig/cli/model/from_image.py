@@ -140,14 +140,14 @@ def _payload(result: "CineModel", request: ImageRequest) -> dict[str, Any]:
         "volume_ml": (result.volume_mm3 / 1000.0).tolist(),
         "closing_mm": {
             "phase": quality.meeting_phase,
-            "mean": quality.closing_mean_mm,
-            "p95": quality.closing_p95_mm,
+            "mean": quality.closure_mean_mm,
+            "p95": quality.closure_p95_mm,
         },
         "slice_pitch_mm": quality.slice_pitch_mm,
         "segmentation_mm": {
             "voxel_sd": budget.voxel_mm,
             "shrinkage_compensated": budget.shrinkage_mm,
-            "offset_left": budget.left_mm,
+            "offset_left": budget.residual_offset_mm,
             "triangles": budget.chord_mm,
         },
     }
@@ -179,12 +179,12 @@ def _summary_rows(result: "CineModel") -> list[tuple[str, ...]]:
     return [
         (
             "cycle closes",
-            f"to {quality.closing_mean_mm:.2f} mm mean, {quality.closing_p95_mm:.2f} p95 over the organ, "
+            f"to {quality.closure_mean_mm:.2f} mm mean, {quality.closure_p95_mm:.2f} p95 over the organ, "
             f"where both directions meet (phase {quality.meeting_phase})",
         ),
         (
             "ED surface",
             f"voxels and triangles {budget.voxel_mm:.2f} mm SD; smoothing {budget.shrinkage_mm:.2f} mm, "
-            f"compensated to {budget.left_mm:+.3f}; on a ball of radius {budget.radius_mm:.0f} mm",
+            f"compensated to {budget.residual_offset_mm:+.3f}; on a ball of radius {budget.radius_mm:.0f} mm",
         ),
     ]

@@ -1,1 +1,1 @@
-"""Signed distance to a closed surface: exact, and as the paper does it."""
+"""Signed distance to a closed surface: exact, and by dilation as in the paper."""

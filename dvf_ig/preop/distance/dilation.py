@@ -1,7 +1,7 @@
-"""The paper's distance map: dilate voxel by voxel and count (Ren 2008, Section III).
+"""The paper's distance map: dilate voxel by voxel and count the layers (Ren 2008, Section III).
 
 Not Euclidean: the count depends on the structuring element and ignores the voxels' shape. Kept as the paper's
-arm of `dvf-ig study distance`; models are built from `signed_distance_mm`.
+method in `dvf-ig study distance`; models are built from `signed_distance_mm`.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation, generate_binary_structure
 from dvf_ig.core import BoolArray, FloatArray, InvalidInputError
 
 NEIGHBOURHOODS = {6: 1, 18: 2, 26: 3}
-"""Neighbours of a voxel and the rank of their structuring element: through faces, edges, corners."""
+"""Neighbours of a voxel (sharing faces, edges or corners) and the rank of their structuring element."""
 
 
 def dilation_distance_mm(mask: BoolArray, spacing_mm: float, neighbours: int) -> FloatArray:
@@ -36,7 +36,7 @@ def dilation_distance_mm(mask: BoolArray, spacing_mm: float, neighbours: int) ->
 
 
 def _layers(start: BoolArray, element: BoolArray) -> FloatArray:
-    """How many dilations reach each voxel; 0 where it began."""
+    """Number of dilations after which each voxel is reached; 0 in the mask itself."""
     count = np.zeros(start.shape)
     reached, layer = start, 0
     while not reached.all():

@@ -8,11 +8,11 @@ from dvf_ig.kernels.winding import winding_numbers
 from .triangle_tree import TriangleTree, build_triangle_tree
 
 LEVELS = 2
-"""How often the sampling is doubled; shapes must be a multiple of 2^LEVELS, plus one."""
+"""Number of times the sampling is doubled; shapes must be a multiple of 2^LEVELS, plus one."""
 
 
 def inside_mask(vertices_index: FloatArray, triangles: IntArray, shape: tuple[int, int, int]) -> BoolArray:
-    """(nx, ny, nz) bool: nodes around which the closed surface winds; vertices in index coordinates."""
+    """(nx, ny, nz) bool: nodes with a winding number other than 0; vertices in index coordinates."""
     winding = np.empty(shape, dtype=np.int16)
     winding_numbers(np.array(vertices_index, order="C"), np.array(triangles, order="C"), winding)
     return np.asarray(winding != 0)
@@ -21,8 +21,8 @@ def inside_mask(vertices_index: FloatArray, triangles: IntArray, shape: tuple[in
 def signed_distance_mm(mesh: Mesh, grid: Grid, band_mm: float) -> FloatArray:
     """Signed distance at the voxel centres of an axis-aligned grid.
 
-    Computed on every fourth sample along each axis, then doubled twice: what lies within twice the band, and
-    at last within the band, is exact; the rest is interpolated by cubics.
+    Computed on every fourth sample along each axis, then refined twice: samples within twice the band, and in
+    the last step within the band, are exact; the others are interpolated by cubics.
 
     Args:
         mesh: closed surface, outward orientation, in the grid's frame.
@@ -45,7 +45,7 @@ def signed_distance_mm(mesh: Mesh, grid: Grid, band_mm: float) -> FloatArray:
     out = _exact(tree, [axis[::step] for axis in axes], inside[::step, ::step, ::step])
     while step > 1:
         step //= 2
-        out = _doubled(out)
+        out = _refined(out)
         near = np.nonzero(np.abs(out) <= step * band_mm)
         points = np.column_stack([axes[a][::step][near[a]] for a in range(3)])
         exact = tree.distance_mm(points)
@@ -60,7 +60,7 @@ def _exact(tree: TriangleTree, axes: list[FloatArray], inside: BoolArray) -> Flo
     return np.where(inside, distance, -distance)
 
 
-def _doubled(coarse: FloatArray) -> FloatArray:
+def _refined(coarse: FloatArray) -> FloatArray:
     """Four-point interpolation onto twice the density: (n, …) to (2n − 1, …) along each axis, n >= 2."""
     for axis in range(3):
         first = np.moveaxis(coarse, axis, 0)

@@ -1,4 +1,4 @@
-"""A tree of boxes over triangles, for exact distances to a surface."""
+"""Bounding-volume hierarchy over triangles, for exact distances to a surface."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ class TriangleTree:
         boxes: (2l − 1, 6) lower and upper corner of each node, mm.
         leaf_start: (l + 1,) first triangle of each leaf.
         corners: (t, 9) triangle corners in leaf order, mm.
-        order: (t,) which triangle of the mesh stands at each place of the leaf order.
+        order: (t,) index in the mesh of each triangle in leaf order.
     """
 
     boxes: FloatArray
@@ -28,7 +28,7 @@ class TriangleTree:
     order: IntArray
 
     def distance_mm(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n,) unsigned exact distance; quickest when consecutive points are neighbours."""
+        """(n,) unsigned exact distance; fastest when consecutive points are neighbours."""
         return self._search(xyz_mm)[0]
 
     def nearest(self, xyz_mm: FloatArray) -> "Nearest":
@@ -39,7 +39,7 @@ class TriangleTree:
         return Nearest(distance_mm, points, self.order[place], weights)
 
     def _search(self, xyz_mm: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Distances, and the place of the nearest triangle in leaf order."""
+        """Distances, and the index of the nearest triangle in leaf order."""
         points = np.array(xyz_mm, dtype=np.float64, order="C")
         distance_mm, place = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         pending, bound = np.empty(DEPTH, dtype=np.int64), np.empty(DEPTH)
@@ -125,7 +125,7 @@ def build_triangle_tree(vertices_mm: FloatArray, triangles: IntArray) -> Triangl
 
 
 def _starts(count: int, nodes: int) -> IntArray:
-    """(nodes + 1,) where each of `nodes` nearly equal shares of `count` items begins; levels nest."""
+    """(nodes + 1,) first item of each of `nodes` nearly equal parts of `count` items; levels nest."""
     return (np.arange(nodes + 1, dtype=np.int64) * count) // nodes
 
 

@@ -1,1 +1,1 @@
-"""Motion of the heart over the cycle from grey levels."""
+"""Motion of the heart over the cycle, estimated from grey levels."""

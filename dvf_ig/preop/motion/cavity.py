@@ -1,4 +1,4 @@
-"""Volume of a cavity over the cycle, from its labels at end-diastole and the motion alone."""
+"""Volume of a cavity over the cycle, from its labels at end-diastole and the estimated motion."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from .free_form import volume_ratio
 
 
 def cavity_volumes_mm3(motion: CycleMotion, cavity: BoolArray) -> FloatArray:
-    """(n,) volume that the cavity's voxels fill in each phase: ∫ det(∂x/∂X) dV over end-diastole.
+    """(n,) volume of the cavity in each phase: ∫ det(∂x/∂X) dV over its voxels at end-diastole.
 
     Args:
         cavity: (nx, ny, nz) voxels of the cavity at end-diastole, on the 4-D image's grid.

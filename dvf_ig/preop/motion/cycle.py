@@ -1,8 +1,9 @@
-"""Motion over the cycle from grey levels: end-diastole carried onto every phase (Ren 2008, Section III).
+"""Motion over the cycle from grey levels: end-diastole registered to every phase (Ren 2008, Section III).
 
-Two chains leave end-diastole, one forwards and one backwards in time, and meet half a cycle later. Every
-phase is compared with end-diastole itself, so nothing accumulates; its neighbour only says where to begin.
-Both chains do the phase at which they meet; how much they differ there is the closing error of the cycle.
+Two chains of registrations start at end-diastole, one forwards and one backwards in time, and meet half a
+cycle later. Every phase is registered to end-diastole itself, so errors do not accumulate; its neighbour only
+gives the initial deformation. Both chains register the phase at which they meet; how far they differ there is
+the closure error of the cycle.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,8 +37,8 @@ Progress = Callable[[float], None]
 Method = Literal["bspline", "demons"]
 
 INVERSE_STEPS = 12
-BEYOND_MM = 8.0
-"""Image kept beyond the voxels that are compared, for what moves in from outside."""
+PADDING_MM = 8.0
+"""Image kept beyond the voxels that are compared, for tissue that moves in from outside."""
 
 
 class Deformation(Protocol):
@@ -51,13 +52,13 @@ class Deformation(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class MotionOptions:
-    """How the motion is found.
+    """How the motion is estimated.
 
     Attributes:
         method: "bspline" (free-form, Gauss–Newton) or "demons" (diffeomorphic, SimpleITK).
-        rim_mm: how far around the organ grey levels are compared.
-        free_form, demons: settings of either.
-        threads: one chain each, two at most; has no influence on the result.
+        rim_mm: width of the rim around the organ in which grey levels are compared.
+        free_form, demons: settings of each method.
+        threads: one for each chain, at most two; has no influence on the result.
     """
 
     method: Method = "bspline"
@@ -78,15 +79,15 @@ class MotionOptions:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class CycleMotion:
-    """Where end-diastole goes.
+    """The estimated motion: where every point of end-diastole lies in each phase.
 
     Attributes:
-        ed_phase: the phase that everything is carried from.
+        ed_phase: the reference phase, end-diastole.
         deformations: one a phase, all on one grid around the organ; the identity at end-diastole.
-        meeting_phase: where the two chains meet.
-        meeting: what the backward chain found there; the forward chain's is in `deformations`.
+        meeting_phase: the phase at which the two chains meet.
+        meeting: the backward chain's deformation there; the forward chain's is in `deformations`.
         start: voxel of the 4-D image at which that grid begins.
-        counts: voxels of it that were compared.
+        mask: voxels of that grid that were compared.
     """
 
     ed_phase: int
@@ -94,14 +95,14 @@ class CycleMotion:
     meeting_phase: int
     meeting: Deformation
     start: tuple[int, int, int]
-    counts: BoolArray
+    mask: BoolArray
 
     @property
     def grid(self) -> Grid:
         return self.meeting.grid
 
     def cropped(self, values: AnyArray) -> AnyArray:
-        """(nx, ny, nz) of the 4-D image's grid to this motion's grid."""
+        """(nx, ny, nz) values on the 4-D image's grid, cropped to this motion's grid."""
         return values[tuple(slice(a, a + n) for a, n in zip(self.start, self.grid.shape, strict=True))]
 
 
@@ -119,7 +120,7 @@ def track_cycle(
         image: grey levels.
         organ: (nx, ny, nz) voxels of the organ at end-diastole.
         ed_phase: the phase in which the organ was labelled.
-        progress: told the fraction done.
+        progress: called with the fraction done.
     Raises:
         InvalidInputError: an organ of another shape or without voxels, or no such phase.
     """
@@ -130,18 +131,18 @@ def track_cycle(
         raise InvalidInputError(f"end-diastole is phase {ed_phase}; the image has phases 0 to {phases - 1}")
     if not organ.any():
         raise InvalidInputError("the organ has no voxels at end-diastole; check the label values")
-    box, counts = _surroundings(organ, image.grid, options.rim_mm)
+    box, mask = _region(organ, image.grid, options.rim_mm)
     grid = _cropped_grid(image.grid, box)
     grey = image.values[(slice(None), *box)]
     identity = _identity(grid, options)
-    told = _Counter(phases, progress)
+    counter = _Counter(phases, progress)
 
     def chain(order: Sequence[int]) -> list[Deformation]:
         found: list[Deformation] = []
         for phase in order:
             before = found[-1] if found else identity
-            found.append(_match(grey[ed_phase], grey[phase], counts, before, options))
-            told.step()
+            found.append(_match(grey[ed_phase], grey[phase], mask, before, options))
+            counter.step()
         return found
 
     half = phases // 2
@@ -153,13 +154,17 @@ def track_cycle(
     by_phase[ed_phase] = identity
     start = (int(box[0].start), int(box[1].start), int(box[2].start))
     ordered = tuple(by_phase[i] for i in range(phases))
-    return CycleMotion(ed_phase, ordered, forwards[-1], behind[-1], start, counts)
+    return CycleMotion(ed_phase, ordered, forwards[-1], behind[-1], start, mask)
 
 
-def carry_surface(
+def propagate_surface(
     motion: CycleMotion, image: VolumeSeries, surface: Mesh, name: str, patient: str
 ) -> SurfaceSeries:
-    """The end-diastolic surface in every phase, with the same triangles: vertex i is one material point."""
+    """The end-diastolic surface propagated to every phase, same triangles: vertex i is one material point.
+
+    Raises:
+        FrameMismatchError: the surface is in another frame than the image.
+    """
     require_same_frame(image.grid.frame, surface.frame, f"surface {name}")
     moved = [
         surface.vertices_mm if i == motion.ed_phase else deformation.move(surface.vertices_mm)
@@ -168,17 +173,18 @@ def carry_surface(
     return SurfaceSeries(name, surface.frame, np.stack(moved), surface.triangles, image.timing, patient)
 
 
-def carry_labels(motion: CycleMotion, image: VolumeSeries, labels: Volume, phase: int) -> AnyArray:
-    """(nx, ny, nz) end-diastolic labels as they lie in a phase, background beyond the motion's grid.
+def propagate_labels(motion: CycleMotion, image: VolumeSeries, labels: Volume, phase: int) -> AnyArray:
+    """(nx, ny, nz) end-diastolic labels propagated to a phase, background beyond the motion's grid.
 
-    Each voxel looks up where it came from: the inverse deformation by fixed-point iteration.
+    Each voxel takes the label of its place at end-diastole: the inverse deformation, by fixed-point
+    iteration.
     """
     out = np.zeros(image.grid.shape, dtype=labels.values.dtype)
-    known = motion.cropped(labels.values)
+    values = motion.cropped(labels.values)
     if phase != motion.ed_phase:
         origin = _inverse_index(motion.deformations[phase])
-        known = ndimage.map_coordinates(known, origin, order=0, mode="constant")
-    motion.cropped(out)[...] = known
+        values = ndimage.map_coordinates(values, origin, order=0, mode="constant")
+    motion.cropped(out)[...] = values
     return out
 
 
@@ -195,13 +201,15 @@ def _inverse_index(deformation: Deformation) -> FloatArray:
 
 
 def _match(
-    fixed: AnyArray, moving: AnyArray, counts: BoolArray, before: Deformation, options: MotionOptions
+    fixed: AnyArray, moving: AnyArray, mask: BoolArray, before: Deformation, options: MotionOptions
 ) -> Deformation:
     if isinstance(before, FreeForm):
-        return match_images(fixed, moving, counts, before, options.free_form)
+        return match_images(fixed, moving, mask, before, options.free_form)
     if isinstance(before, DisplacementField):
-        return match_images_by_demons(fixed, moving, counts, before, options.demons)
-    raise InvalidInputError(f"a motion cannot start from a {type(before).__name__}")
+        return match_images_by_demons(fixed, moving, mask, before, options.demons)
+    raise InvalidInputError(
+        f"the initial deformation is a {type(before).__name__}; needed FreeForm or DisplacementField"
+    )
 
 
 def _identity(grid: Grid, options: MotionOptions) -> Deformation:
@@ -210,15 +218,13 @@ def _identity(grid: Grid, options: MotionOptions) -> Deformation:
     return FreeForm.identity(Lattice.over(grid, options.free_form.pitch_mm))
 
 
-def _surroundings(
-    organ: BoolArray, grid: Grid, rim_mm: float
-) -> tuple[tuple[slice, slice, slice], BoolArray]:
-    """The part of the image that is used, and in it the voxels within `rim_mm` of the organ."""
-    reach = np.ceil((rim_mm + BEYOND_MM) / grid.spacing_mm).astype(int)
+def _region(organ: BoolArray, grid: Grid, rim_mm: float) -> tuple[tuple[slice, slice, slice], BoolArray]:
+    """The box of the image that is used, and in it the mask of voxels within `rim_mm` of the organ."""
+    margin = np.ceil((rim_mm + PADDING_MM) / grid.spacing_mm).astype(int)
     found = ndimage.find_objects(organ.view(np.int8))[0]
     x, y, z = (
         slice(max(part.start - int(r), 0), min(part.stop + int(r), n))
-        for part, r, n in zip(found, reach, grid.shape, strict=True)
+        for part, r, n in zip(found, margin, grid.shape, strict=True)
     )
     from_organ_mm = ndimage.distance_transform_edt(~organ[x, y, z], sampling=grid.spacing_mm)
     return (x, y, z), np.asarray(from_organ_mm <= rim_mm)
@@ -231,7 +237,7 @@ def _cropped_grid(grid: Grid, box: tuple[slice, slice, slice]) -> Grid:
 
 
 class _Counter:
-    """Registrations done, from two threads."""
+    """Counts finished registrations of both threads."""
 
     def __init__(self, total: int, report: Progress | None) -> None:
         self._total, self._done = total, 0

@@ -1,4 +1,4 @@
-"""Carry one image onto another by diffeomorphic demons, a second opinion on the free-form motion.
+"""Non-rigid registration by diffeomorphic demons, an independent check of the free-form motion.
 
 Imports SimpleITK, when it runs.
 """
@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from dvf_ig.core import AnyArray, BoolArray, FloatArray, Grid, IntArray, InvalidInputError, read_only_arrays
 
-from .image_match import blurred, seen_axes
+from .image_match import blurred, observable_axes
 
 if TYPE_CHECKING:
     import SimpleITK
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class DemonsOptions:
-    """How demons run.
+    """Settings of diffeomorphic demons.
 
     Attributes:
         blurs_mm: standard deviation of the Gaussian on both images, coarse to fine.
@@ -33,7 +33,9 @@ class DemonsOptions:
 
     def __post_init__(self) -> None:
         if not self.blurs_mm or min(self.blurs_mm) < 0.0 or self.steps < 1 or not self.smooth_mm > 0.0:
-            raise InvalidInputError("demons need blurs of 0 mm or more, at least one step and some smoothing")
+            raise InvalidInputError(
+                "demons need blurs of 0 mm or more, at least one step, and a positive smoothing"
+            )
 
 
 @read_only_arrays
@@ -42,7 +44,7 @@ class DisplacementField:
     """x ↦ x + u(x), u linear between voxels.
 
     Attributes:
-        grid: where it is known.
+        grid: voxels on which it is given.
         values_mm: (nx, ny, nz, 3) mm along the grid's axes.
     """
 
@@ -58,7 +60,7 @@ class DisplacementField:
         return self.values_mm
 
     def move(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n, 3) points to where they go; outside the image the displacement of its border holds."""
+        """(n, 3) displaced points; outside the image the displacement at its border is used."""
         at = self.grid.to_index(xyz_mm).T
         moved = [
             ndimage.map_coordinates(self.values_mm[..., a], at, order=1, mode="nearest") for a in range(3)
@@ -69,17 +71,17 @@ class DisplacementField:
 def match_images_by_demons(
     fixed: AnyArray,
     moving: AnyArray,
-    counts: BoolArray,
+    mask: BoolArray,
     start: DisplacementField,
     options: DemonsOptions = DemonsOptions(),
 ) -> DisplacementField:
-    """Displacement for which moving(x + u(x)) looks like fixed(x).
+    """Displacement that makes moving(x + u(x)) similar to fixed(x).
 
     Args:
         fixed, moving: (nx, ny, nz) grey levels on the start's grid.
-        counts: voxels whose mean and spread bring both images to one scale; demons compare all of them.
-        start: where to begin.
-    Source: Vercauteren 2009, as implemented in ITK; one thread, so that its sums have one order.
+        mask: voxels whose mean and standard deviation normalise both images; demons compare all voxels.
+        start: initial displacement.
+    Source: Vercauteren 2009, as implemented in ITK; on one thread, so that its sums have one order.
     """
     import SimpleITK
 
@@ -88,7 +90,7 @@ def match_images_by_demons(
     for blur_mm in options.blurs_mm:
         step = np.maximum(np.rint(blur_mm / spacing), 1).astype(int)
         thin = tuple(slice(None, None, int(s)) for s in step)
-        pair = [_scaled(blurred(v, spacing, blur_mm), counts)[thin] for v in (fixed, moving)]
+        pair = [_scaled(blurred(v, spacing, blur_mm), mask)[thin] for v in (fixed, moving)]
         demons = SimpleITK.DiffeomorphicDemonsRegistrationFilter()
         demons.SetNumberOfThreads(1)
         demons.SetNumberOfIterations(options.steps)
@@ -96,21 +98,21 @@ def match_images_by_demons(
         images = [_sitk_image(grey, spacing * step) for grey in pair]
         field = demons.Execute(*images, _sitk_image(values[thin], spacing * step, vector=True))
         found = np.swapaxes(SimpleITK.GetArrayFromImage(field), 0, 2)
-        values = _spread(found, step, start.grid.shape) * seen_axes(spacing)
+        values = _upsampled(found, step, start.grid.shape) * observable_axes(spacing)
     return DisplacementField(start.grid, values)
 
 
-def _spread(values: FloatArray, step: IntArray, shape: tuple[int, int, int]) -> FloatArray:
+def _upsampled(values: FloatArray, step: IntArray, shape: tuple[int, int, int]) -> FloatArray:
     """Displacements on every step-th voxel, interpolated to all."""
     if (step == 1).all():
         return np.ascontiguousarray(values)
     at = np.indices(shape) / step.reshape(3, 1, 1, 1)
-    spread = [ndimage.map_coordinates(values[..., a], at, order=1, mode="nearest") for a in range(3)]
-    return np.stack(spread, axis=-1)
+    fine = [ndimage.map_coordinates(values[..., a], at, order=1, mode="nearest") for a in range(3)]
+    return np.stack(fine, axis=-1)
 
 
-def _scaled(grey: FloatArray, counts: BoolArray) -> FloatArray:
-    inside = grey[counts]
+def _scaled(grey: FloatArray, mask: BoolArray) -> FloatArray:
+    inside = grey[mask]
     if not inside.std() > 0.0:
         raise InvalidInputError("an image has no contrast around the organ; is it the right 4-D image?")
     return np.asarray((grey - inside.mean()) / inside.std())

@@ -1,7 +1,7 @@
 """Free-form deformation: a displacement that is a tensor-product cubic B-spline on a coarse lattice.
 
 On the voxels everything is separable: value and adjoint are three sparse products, one along each axis.
-Sparse rows add up in one order, so nothing depends on the number of threads.
+Sparse rows are summed in one order, so the result does not depend on the number of threads.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Lattice:
 
     @classmethod
     def over(cls, grid: Grid, pitch_mm: float) -> "Lattice":
-        """Knots about every `pitch_mm`, but along no axis closer than the voxels."""
+        """Knots about every `pitch_mm`, but never closer than the voxels along any axis."""
         extent_mm = np.maximum(np.array(grid.shape) - 1, 1) * grid.spacing_mm
         count = np.maximum(np.rint(extent_mm / np.maximum(pitch_mm, grid.spacing_mm)), 1).astype(np.int64)
         pitch = extent_mm / count
@@ -144,7 +144,7 @@ class FreeForm:
         return self.lattice.on_voxels(self.coefficients)
 
     def move(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n, 3) points to where they go; outside the image the displacement of its border holds."""
+        """(n, 3) displaced points; outside the image the displacement at its border is used."""
         grid, lattice = self.lattice.grid, self.lattice
         knots = grid.to_index(xyz_mm) * grid.spacing_mm / lattice.pitch_mm
         knots = np.clip(knots, 0.0, np.array(lattice.cells, dtype=np.float64))
@@ -158,7 +158,7 @@ class FreeForm:
 
 
 def volume_ratio(moved_mm: FloatArray, spacing_mm: FloatArray, where: BoolArray) -> FloatArray:
-    """(n,) determinant of ∂x/∂X at chosen voxels, from differences of neighbouring voxels.
+    """(n,) Jacobian determinant of ∂x/∂X at chosen voxels, from central differences.
 
     Args:
         moved_mm: (nx, ny, nz, 3) displacement along the grid's axes.

@@ -1,34 +1,37 @@
-"""Carry one image onto another: Gauss–Newton for the free-form deformation between two phases."""
+"""Non-rigid registration of two phases: Gauss–Newton for the free-form deformation between them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
 
 from dvf_ig.core import AnyArray, BoolArray, FloatArray, InvalidInputError, read_only_arrays
+from dvf_ig.preop.conjugate_gradients import conjugate_gradients
 
 from .free_form import Bending, FreeForm, Lattice, volume_ratio
 
-FEWEST_VOXELS = 100
-LEAST_VOLUME_RATIO = 0.02
-STIFFENINGS, STIFFENING = 4, 3.0
+MIN_VOXELS = 100
+MIN_VOLUME_RATIO = 0.02
+"""A deformation that compresses a voxel below this share of its volume is sought again, stiffer."""
+STIFFER_ATTEMPTS, STIFFER_FACTOR = 4, 3.0
+INNER_TOLERANCE = 1e-2
+"""Share of the first residual that ends the conjugate gradients within a Gauss–Newton step."""
 
 SLICE_RATIO = 2.0
-"""Voxels this much longer than wide are slices: what lies between them is unknown, and its motion too."""
+"""Voxels this many times longer than wide form a stack of slices: between them motion cannot be observed."""
 
 
 @dataclass(frozen=True, slots=True)
 class FreeFormOptions:
-    """How a free-form deformation is fitted; grey levels count in units of the image's own spread.
+    """How a free-form deformation is fitted; grey levels are in units of the image's own standard deviation.
 
     Attributes:
         pitch_mm: knot pitch.
         stiffness_mm2: weight of the bending energy against the squared residual, both integrated over mm³.
         blurs_mm: standard deviation of the Gaussian on both images, coarse to fine.
-        steps: most Gauss–Newton steps at each blur.
-        inner_steps: most conjugate-gradient steps in each.
-        tolerance: a level ends where a step lowers the cost by less than this share.
+        steps: largest number of Gauss–Newton steps at each blur.
+        inner_steps: largest number of conjugate-gradient steps in each.
+        tolerance: a level ends when a step lowers the cost by less than this share.
     """
 
     pitch_mm: float = 10.0
@@ -44,20 +47,23 @@ class FreeFormOptions:
         if not self.stiffness_mm2 > 0.0:
             raise InvalidInputError(f"stiffness is {self.stiffness_mm2:g} mm²; it must be positive")
         if not self.blurs_mm or min(self.blurs_mm) < 0.0 or min(self.steps, self.inner_steps) < 1:
-            raise InvalidInputError("needed at least one blur of 0 mm or more, and at least one step")
+            raise InvalidInputError(
+                "blurs or steps are missing; needed at least one blur of 0 mm or more and one step"
+            )
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
-    """Both images at one blur, on the voxels that count.
+    """Both images at one level of the coarse-to-fine pyramid, on the voxels that are compared.
 
     Attributes:
-        lattice: control points, on every few voxels.
-        where: index arrays of the n voxels that count, in the lattice's grid.
+        lattice: control points, evaluated on every few voxels.
+        where: index arrays of the n voxels compared, in the lattice's grid.
         index: (3, n) where they lie, in voxels of the moving image.
-        fixed: (n,) grey levels, mean 0 and spread 1.
-        moving, slopes: grey levels of the other image and their change per mm along each axis.
+        fixed: (n,) grey levels, mean 0 and standard deviation 1.
+        moving, gradient: grey levels of the moving image and their derivative per mm along each axis.
+        spacing_mm: (3,) voxel pitch of the moving image.
         voxel_mm3: volume that each of the voxels stands for.
     """
 
@@ -66,7 +72,7 @@ class _Level:
     index: FloatArray
     fixed: FloatArray
     moving: FloatArray
-    slopes: tuple[FloatArray, ...]
+    gradient: tuple[FloatArray, ...]
     spacing_mm: FloatArray
     voxel_mm3: float
 
@@ -74,41 +80,42 @@ class _Level:
 def match_images(
     fixed: AnyArray,
     moving: AnyArray,
-    counts: BoolArray,
+    mask: BoolArray,
     start: FreeForm,
     options: FreeFormOptions = FreeFormOptions(),
 ) -> FreeForm:
-    """Deformation x ↦ x + u(x) for which moving(x + u(x)) looks like fixed(x).
+    """Deformation x ↦ x + u(x) that makes moving(x + u(x)) similar to fixed(x).
 
     Minimises the mean squared residual left by the best gain and offset (which is one minus the squared
-    correlation) plus the bending energy. Where the result squeezes space to nothing it is found again from
-    the start, three times as stiff, up to four times; what still folds then is for the caller to judge.
+    correlation) plus the bending energy. Where the result compresses a voxel to almost nothing, the search is
+    repeated from the start, three times as stiff, up to four times; the caller judges any folding that is
+    left.
 
     Args:
         fixed, moving: (nx, ny, nz) grey levels on the grid of the start's lattice.
-        counts: (nx, ny, nz) voxels of the fixed image that are compared.
-        start: where to begin; near enough that the finest structure overlaps at the coarsest blur.
+        mask: (nx, ny, nz) voxels of the fixed image that are compared.
+        start: initial deformation; near enough that the finest structure overlaps at the coarsest blur.
     Raises:
         InvalidInputError: fewer than 100 voxels to compare, or images without any contrast there.
     Source: Rueckert 1999 (free-form deformation), solved by Gauss–Newton with conjugate gradients.
     """
     bending = Bending.of(start.lattice)
-    levels = [_level(fixed, moving, counts, start.lattice, blur_mm) for blur_mm in options.blurs_mm]
-    for attempt in range(STIFFENINGS + 1):
-        stiffer = replace(options, stiffness_mm2=options.stiffness_mm2 * STIFFENING**attempt)
+    levels = [_level(fixed, moving, mask, start.lattice, blur_mm) for blur_mm in options.blurs_mm]
+    for attempt in range(STIFFER_ATTEMPTS + 1):
+        stiffer = replace(options, stiffness_mm2=options.stiffness_mm2 * STIFFER_FACTOR**attempt)
         coefficients = start.coefficients
         for level in levels:
-            coefficients = _descend(level, bending, coefficients, stiffer)
+            coefficients = _minimise(level, bending, coefficients, stiffer)
         found = FreeForm(start.lattice, coefficients)
-        if volume_ratio(found.on_voxels(), found.grid.spacing_mm, counts).min() > LEAST_VOLUME_RATIO:
+        if volume_ratio(found.on_voxels(), found.grid.spacing_mm, mask).min() > MIN_VOLUME_RATIO:
             break
     return found
 
 
-def seen_axes(spacing_mm: FloatArray) -> BoolArray:
-    """(3,) False along the normal of a stack of slices: motion is sought within slices only.
+def observable_axes(spacing_mm: FloatArray) -> BoolArray:
+    """(3,) False along the normal of a stack of slices: motion is estimated within slices only.
 
-    Between distant slices any displacement can be fitted to the interpolated grey levels; it folds.
+    Between distant slices any displacement fits the interpolated grey levels, and the result folds.
     """
     return np.asarray(spacing_mm <= SLICE_RATIO * spacing_mm.min())
 
@@ -119,13 +126,13 @@ def blurred(values: AnyArray, spacing_mm: FloatArray, blur_mm: float) -> FloatAr
     return np.asarray(ndimage.gaussian_filter(values.astype(np.float64), sigma, mode="nearest"))
 
 
-def _level(fixed: AnyArray, moving: AnyArray, counts: BoolArray, whole: Lattice, blur_mm: float) -> _Level:
+def _level(fixed: AnyArray, moving: AnyArray, mask: BoolArray, whole: Lattice, blur_mm: float) -> _Level:
     spacing = whole.grid.spacing_mm
     sx, sy, sz = np.maximum(np.rint(blur_mm / spacing), 1).astype(int).tolist()
-    where = np.nonzero(counts[::sx, ::sy, ::sz])
-    if len(where[0]) < FEWEST_VOXELS:
+    where = np.nonzero(mask[::sx, ::sy, ::sz])
+    if len(where[0]) < MIN_VOXELS:
         raise InvalidInputError(
-            f"{len(where[0])} voxels to compare at a blur of {blur_mm:g} mm; needed {FEWEST_VOXELS}: "
+            f"{len(where[0])} voxels to compare at a blur of {blur_mm:g} mm; needed at least {MIN_VOXELS}: "
             "is the labelled organ inside the image?"
         )
     grey = blurred(fixed, spacing, blur_mm)[::sx, ::sy, ::sz][where]
@@ -133,9 +140,9 @@ def _level(fixed: AnyArray, moving: AnyArray, counts: BoolArray, whole: Lattice,
     if not grey.std() > 0.0 or not other.std() > 0.0:
         raise InvalidInputError("an image has no contrast around the organ; is it the right 4-D image?")
     lattice = whole.thinned((sx, sy, sz))
-    seen = seen_axes(spacing) & (np.array(other.shape) > 1)
-    slopes = tuple(
-        np.gradient(other, step, axis=axis) if seen[axis] else np.zeros_like(other)
+    observable = observable_axes(spacing) & (np.array(other.shape) > 1)
+    gradient = tuple(
+        np.gradient(other, step, axis=axis) if observable[axis] else np.zeros_like(other)
         for axis, step in enumerate(spacing.tolist())
     )
     return _Level(
@@ -144,26 +151,27 @@ def _level(fixed: AnyArray, moving: AnyArray, counts: BoolArray, whole: Lattice,
         np.stack(where).astype(np.float64) * np.array([[sx], [sy], [sz]]),
         (grey - grey.mean()) / grey.std(),
         other,
-        slopes,
+        gradient,
         spacing,
         float(np.prod(lattice.grid.spacing_mm)),
     )
 
 
-def _descend(level: _Level, bending: Bending, start: FloatArray, options: FreeFormOptions) -> FloatArray:
+def _minimise(level: _Level, bending: Bending, start: FloatArray, options: FreeFormOptions) -> FloatArray:
+    """Coefficients of the lowest cost that Gauss–Newton steps from `start` reach."""
     best, lowest = start, np.inf
     trial = start
     for _ in range(options.steps):
         residual, slope = _residual(level, trial)
-        stiff = options.stiffness_mm2 * bending.half_gradient(trial)
-        cost = float(level.voxel_mm3 * (residual * residual).sum() + (trial * stiff).sum())
+        bend = options.stiffness_mm2 * bending.half_gradient(trial)
+        cost = float(level.voxel_mm3 * (residual * residual).sum() + (trial * bend).sum())
         if cost >= lowest:
             break
-        settled = cost > lowest * (1.0 - options.tolerance)
+        converged = cost > lowest * (1.0 - options.tolerance)
         best, lowest = trial, cost
-        if settled:
+        if converged:
             break
-        trial = trial + _step(level, bending, residual, slope, stiff, options)
+        trial = trial + _step(level, bending, residual, slope, bend, options)
     return best
 
 
@@ -172,7 +180,9 @@ def _residual(level: _Level, coefficients: FloatArray) -> tuple[FloatArray, Floa
     moved_mm = level.lattice.on_voxels(coefficients)[level.where]
     at = level.index + (moved_mm / level.spacing_mm).T
     grey = ndimage.map_coordinates(level.moving, at, order=1, mode="nearest")
-    slope = np.stack([ndimage.map_coordinates(s, at, order=1, mode="nearest") for s in level.slopes], axis=1)
+    slope = np.stack(
+        [ndimage.map_coordinates(s, at, order=1, mode="nearest") for s in level.gradient], axis=1
+    )
     centered = grey - grey.mean()
     power = float((centered * centered).sum())
     gain = float((centered * level.fixed).sum()) / power if power > 0.0 else 0.0
@@ -184,55 +194,29 @@ def _step(
     bending: Bending,
     residual: FloatArray,
     slope: FloatArray,
-    stiff: FloatArray,
+    bend: FloatArray,
     options: FreeFormOptions,
 ) -> FloatArray:
-    """Solve (JᵀJ + λH) δ = −Jᵀr − λHc, J = slope · B."""
-    spread = np.zeros((*level.lattice.grid.shape, 3))
+    """Gauss–Newton step δ: (JᵀJ + λH) δ = −Jᵀr − λHc, J = slope · B; `bend` is λHc."""
+    on_grid = np.zeros((*level.lattice.grid.shape, 3))
 
-    def gathered(weights: FloatArray) -> FloatArray:
-        spread[level.where] = level.voxel_mm3 * weights
-        return spread
+    def scattered(weights: FloatArray) -> FloatArray:
+        on_grid[level.where] = level.voxel_mm3 * weights
+        return on_grid
 
     def normal(step: FloatArray) -> FloatArray:
         along = (slope * level.lattice.on_voxels(step)[level.where]).sum(axis=1)
-        data = level.lattice.adjoint(gathered(slope * along[:, None]))
+        data = level.lattice.adjoint(scattered(slope * along[:, None]))
         return data + options.stiffness_mm2 * bending.half_gradient(step)
 
-    right = -level.lattice.adjoint(gathered(slope * residual[:, None])) - stiff
-    diagonal = level.lattice.adjoint_of_squares(gathered(slope * slope))
+    right = -level.lattice.adjoint(scattered(slope * residual[:, None])) - bend
+    diagonal = level.lattice.adjoint_of_squares(scattered(slope * slope))
     diagonal = diagonal + options.stiffness_mm2 * bending.diagonal()
-    return conjugate_gradient(normal, right, diagonal, options.inner_steps)
-
-
-def conjugate_gradient(
-    normal: Callable[[FloatArray], FloatArray],
-    right: FloatArray,
-    diagonal: FloatArray,
-    steps: int,
-    *,
-    tolerance: float = 1e-2,
-) -> FloatArray:
-    """Solve Ax = b, Jacobi-preconditioned; sums in numpy's own order, which a threaded BLAS would not keep.
-
-    Args:
-        normal: x ↦ Ax, symmetric and positive definite.
-        right, diagonal: b, and the diagonal of A.
-        steps: most iterations.
-        tolerance: share of the first residual, in the preconditioner's norm, that ends them.
-    """
-    solution, rest = np.zeros_like(right), right
-    scaled = rest / diagonal
-    along, power = scaled, float((rest * scaled).sum())
-    enough = tolerance**2 * power
-    for _ in range(steps):
-        if power <= enough:
-            break
-        image = normal(along)
-        length = power / float((along * image).sum())
-        solution = solution + length * along
-        rest = rest - length * image
-        scaled = rest / diagonal
-        last, power = power, float((rest * scaled).sum())
-        along = scaled + (power / last) * along
-    return solution
+    solution = conjugate_gradients(
+        normal,
+        right,
+        lambda rest: np.asarray(rest / diagonal),
+        tolerance=INNER_TOLERANCE,
+        max_iterations=options.inner_steps,
+    )
+    return solution.x

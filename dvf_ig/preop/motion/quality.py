@@ -1,4 +1,4 @@
-"""What a motion is worth: likeness, folding, closing of the cycle, overlap with labels."""
+"""Quality of an estimated motion: similarity, folding, closure error of the cycle, overlap with labels."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from dvf_ig.core import AnyArray, BoolArray, FloatArray, InvalidInputError, Volu
 
 from .cycle import CycleMotion
 from .free_form import volume_ratio
-from .image_match import seen_axes
+from .image_match import observable_axes
 
 
 @read_only_arrays
@@ -18,16 +18,17 @@ class MotionQuality:
     """Evidence for a motion, phase by phase.
 
     Attributes:
-        correlation_before, correlation: (n,) of grey levels around the organ with end-diastole, as they lie
-            and after the motion.
-        residual: (n,) RMS of what is left, as a share of the spread of grey levels.
-        min_jacobian: (n,) smallest local volume ratio around the organ; at or below 0 space folds.
-        folded_share: (n,) share of voxels where it does.
-        dice_before, dice: (n,) overlap of the organ with labels of that phase, if there are any.
+        correlation_before, correlation: (n,) of grey levels around the organ with end-diastole, before and
+            after the motion is applied.
+        residual: (n,) RMS residual, as a share of the standard deviation of the grey levels.
+        min_jacobian: (n,) smallest Jacobian determinant around the organ; at or below 0 the motion folds.
+        folded_share: (n,) share of voxels where it folds.
+        dice_before, dice: (n,) overlap of the organ with the labels of that phase; None without labels.
         mean_motion_mm, max_motion_mm: (n,) length of the displacement within the organ.
-        meeting_phase: where both chains meet.
-        closing_mean_mm, closing_p95_mm: distance, over the organ, between what both chains say there.
-        slice_pitch_mm: distance of slices where voxels are long in one direction, else None.
+        meeting_phase: the phase at which both chains of registrations meet.
+        closure_mean_mm, closure_p95_mm: distance, over the organ, between the displacements of both chains
+            there.
+        slice_pitch_mm: distance between slices where the image is a stack of distant ones, else None.
     """
 
     correlation_before: FloatArray
@@ -40,8 +41,8 @@ class MotionQuality:
     mean_motion_mm: FloatArray
     max_motion_mm: FloatArray
     meeting_phase: int
-    closing_mean_mm: float
-    closing_p95_mm: float
+    closure_mean_mm: float
+    closure_p95_mm: float
     slice_pitch_mm: float | None
 
     @property
@@ -52,7 +53,7 @@ class MotionQuality:
 def assess_motion(
     motion: CycleMotion, image: VolumeSeries, organ: BoolArray, truth: BoolArray | None = None
 ) -> MotionQuality:
-    """Judge a motion on the image it was found in.
+    """Assess a motion on the image from which it was estimated.
 
     Args:
         organ: (nx, ny, nz) organ at end-diastole.
@@ -70,8 +71,8 @@ def assess_motion(
         for phase in range(len(motion.deformations))
     ]
     table = np.array(rows).T
-    closing = motion.deformations[motion.meeting_phase].on_voxels() - motion.meeting.on_voxels()
-    apart = np.linalg.norm(closing[inside], axis=-1)
+    difference = motion.deformations[motion.meeting_phase].on_voxels() - motion.meeting.on_voxels()
+    apart = np.linalg.norm(difference[inside], axis=-1)
     labelled = truth is not None
     return MotionQuality(
         table[0],
@@ -95,21 +96,21 @@ def _phase_row(
 ) -> tuple[float, ...]:
     """One phase's entries of MotionQuality, from correlation_before to max_motion_mm; NaN without truth."""
     spacing = motion.grid.spacing_mm
-    reference = motion.cropped(image.values[motion.ed_phase])[motion.counts].astype(np.float64)
+    reference = motion.cropped(image.values[motion.ed_phase])[motion.mask].astype(np.float64)
     grey = motion.cropped(image.values[phase]).astype(np.float64)
     moved = motion.deformations[phase].on_voxels()
     at = np.indices(motion.grid.shape) + np.moveaxis(moved / spacing, -1, 0)
-    carried = ndimage.map_coordinates(grey, at[:, motion.counts], order=1, mode="nearest")
-    after = _correlation(reference, carried)
-    ratio = volume_ratio(moved, spacing, motion.counts)
+    moved_grey = ndimage.map_coordinates(grey, at[:, motion.mask], order=1, mode="nearest")
+    after = _correlation(reference, moved_grey)
+    ratio = volume_ratio(moved, spacing, motion.mask)
     overlap = (np.nan, np.nan)
     if truth is not None:
-        seen = np.asarray(motion.cropped(truth))
-        there = ndimage.map_coordinates(seen.astype(np.uint8), at, order=0) > 0
-        overlap = (dice(inside, seen), dice(inside, there))
+        labelled = np.asarray(motion.cropped(truth))
+        there = ndimage.map_coordinates(labelled.astype(np.uint8), at, order=0) > 0
+        overlap = (dice(inside, labelled), dice(inside, there))
     length = np.linalg.norm(moved[inside], axis=-1)
     return (
-        _correlation(reference, grey[motion.counts]),
+        _correlation(reference, grey[motion.mask]),
         after,
         max(0.0, 1.0 - after * after) ** 0.5,
         float(ratio.min()),
@@ -121,7 +122,7 @@ def _phase_row(
 
 
 def dice(a: BoolArray, b: BoolArray) -> float:
-    """2|A∩B| / (|A| + |B|)."""
+    """Dice coefficient 2|A∩B| / (|A| + |B|); 1 where both are empty."""
     total = int(np.count_nonzero(a)) + int(np.count_nonzero(b))
     return 2.0 * int(np.count_nonzero(a & b)) / total if total else 1.0
 
@@ -134,4 +135,4 @@ def _correlation(a: AnyArray, b: AnyArray) -> float:
 
 def _slice_pitch_mm(image: VolumeSeries) -> float | None:
     spacing = image.grid.spacing_mm
-    return None if seen_axes(spacing).all() else float(spacing.max())
+    return None if observable_axes(spacing).all() else float(spacing.max())

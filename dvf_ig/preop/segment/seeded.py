@@ -1,8 +1,8 @@
-"""Help with segmentation: from a few named points to labels of the heart at end-diastole.
+"""Semi-automatic segmentation: from a few named seed points to labels of the heart at end-diastole.
 
-A watershed of the grey-level gradient grows from the seeds; where it drew the organ's outline, a random
-walker draws it again. The watershed alone follows single voxels of noise, the walker alone leaks where walls
-are thin and takes minutes.
+A watershed of the grey-level gradient grows from the seeds; in a band about the organ's outline that it
+found, a random walker refines the outline. The watershed alone follows single voxels of noise, the random
+walker alone leaks where walls are thin and takes minutes.
 """
 
 from dataclasses import dataclass
@@ -14,18 +14,22 @@ from scipy.sparse import csr_array
 
 from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Points, Volume
 from dvf_ig.core.frames import require_same_frame
-from dvf_ig.preop.motion.image_match import blurred, conjugate_gradient
+from dvf_ig.preop.conjugate_gradients import conjugate_gradients
+from dvf_ig.preop.motion.image_match import blurred
+
+from .components import largest_component
 
 BACKGROUND, WALL, CAVITY = 0, 1, 2
-BACKGROUND_MARK, HEART_MARK, CAVITY_MARK = 1, 2, 3
-LEAST_WEIGHT = 1e-3
-WALK_STEPS = 400
+BACKGROUND_MARKER, HEART_MARKER, CAVITY_MARKER = 1, 2, 3
+MIN_WEIGHT = 1e-3
+"""Smallest weight of a random walker's step, as a share of the largest."""
+WALKER_TOLERANCE, WALKER_ITERATIONS = 1e-4, 400
 LABEL_NAMES = ((WALL, "wall"), (CAVITY, "cavity"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seeds:
-    """Points that somebody set in the image.
+    """Seed points set by the user in the image.
 
     Attributes:
         heart: in the muscle.
@@ -47,13 +51,13 @@ class Seeds:
 
 @dataclass(frozen=True, slots=True)
 class SegmentOptions:
-    """How seeds spread.
+    """How the segmentation grows from its seeds.
 
     Attributes:
         seed_radius_mm: a seed is a ball of this radius.
-        beyond_mm: image kept beyond the outermost seed; what lies further out is background.
+        beyond_mm: image kept beyond the outermost seed; everything further out is background.
         edge_mm: standard deviation of the Gaussian in the gradient that the watershed floods.
-        band_mm: how far on either side of the watershed's outline the random walker decides.
+        band_mm: half-width of the band about the watershed's outline in which the random walker decides.
         beta: how strongly an edge in grey level stops the walker (Grady 2006).
         blur_mm: standard deviation of the Gaussian on the walker's image.
         smooth_mm: standard deviation of the Gaussian that rounds the result.
@@ -77,10 +81,10 @@ class SegmentOptions:
 def segment_from_seeds(image: Volume, seeds: Seeds, options: SegmentOptions = SegmentOptions()) -> Volume:
     """Labels 0 background, 1 wall, 2 cavity, grown from seeds.
 
-    The result is a start: look at it, correct it by hand, and give it back as a label image.
+    The result is a first segmentation: inspect it, correct it by hand, and pass it on as a label image.
 
     Raises:
-        InvalidInputError: a seed outside the image, or seeds of two names in one place.
+        InvalidInputError: a seed outside the image, or seeds of different names that overlap.
         FrameMismatchError: seeds in another frame than the image.
     Source: Meyer 1994 (watershed from markers), Grady 2006 (random walker).
     """
@@ -88,55 +92,56 @@ def segment_from_seeds(image: Volume, seeds: Seeds, options: SegmentOptions = Se
 
     require_same_frame(image.grid.frame, seeds.heart.frame, "seeds")
     spacing = image.grid.spacing_mm
-    marks = _marks(image.grid, seeds, options.seed_radius_mm)
-    box = _box(marks, image.grid, options.beyond_mm)
+    markers = _markers(image.grid, seeds, options.seed_radius_mm)
+    box = _box(markers, image.grid, options.beyond_mm)
     edge = ndimage.gaussian_gradient_magnitude(
         image.values.astype(np.float64), np.minimum(options.edge_mm / spacing, 1.0)
     )
-    basins = np.asarray(watershed(edge[box], marks[box]))
+    basins = np.asarray(watershed(edge[box], markers[box]))
     grey = blurred(image.values, spacing, options.blur_mm)[box]
-    organ = _redrawn(grey, basins, marks[box], spacing, options)
-    organ = solid_piece(blurred(organ, spacing, options.smooth_mm) >= 0.5)
+    organ = _refined_outline(grey, basins, markers[box], spacing, options)
+    organ = largest_component(blurred(organ, spacing, options.smooth_mm) >= 0.5)
     labels = np.zeros(image.grid.shape, dtype=np.uint8)
-    labels[box] = np.where(organ & (basins == CAVITY_MARK), CAVITY, np.where(organ, WALL, BACKGROUND))
+    labels[box] = np.where(organ & (basins == CAVITY_MARKER), CAVITY, np.where(organ, WALL, BACKGROUND))
     return Volume(image.grid, labels)
 
 
-def _redrawn(
+def _refined_outline(
     grey: FloatArray,
     basins: NDArray[np.int32],
-    marks: NDArray[np.int32],
+    markers: NDArray[np.int32],
     spacing_mm: FloatArray,
     options: SegmentOptions,
 ) -> BoolArray:
-    """The organ with its outline drawn by a random walker within a band about the watershed's."""
-    outside = basins == BACKGROUND_MARK
+    """The organ; within a band about the watershed's outline the random walker decides."""
+    outside = basins == BACKGROUND_MARKER
     inwards_mm, outwards_mm = (
         ndimage.distance_transform_edt(part, sampling=spacing_mm) for part in (~outside, outside)
     )
-    known = np.where(outside, BACKGROUND_MARK, HEART_MARK)
-    known[np.maximum(inwards_mm, outwards_mm) < options.band_mm] = 0
-    known = np.where(marks > 0, np.minimum(marks, HEART_MARK), known)
-    if not ((known == 0).any() and (known == BACKGROUND_MARK).any() and (known == HEART_MARK).any()):
+    fixed = np.where(outside, BACKGROUND_MARKER, HEART_MARKER)
+    fixed[np.maximum(inwards_mm, outwards_mm) < options.band_mm] = 0
+    fixed = np.where(markers > 0, np.minimum(markers, HEART_MARKER), fixed)
+    if not ((fixed == 0).any() and (fixed == BACKGROUND_MARKER).any() and (fixed == HEART_MARKER).any()):
         return np.asarray(~outside)
-    return walked_share(grey, known, spacing_mm, options.beta) >= 0.5
+    return random_walker_probability(grey, fixed, spacing_mm, options.beta) >= 0.5
 
 
-def walked_share(
-    grey: FloatArray, known: NDArray[np.int32], spacing_mm: FloatArray, beta: float
+def random_walker_probability(
+    grey: FloatArray, labels: NDArray[np.int32], spacing_mm: FloatArray, beta: float
 ) -> FloatArray:
-    """(nx, ny, nz) chance that a random walker from a voxel meets the heart before the background.
+    """(nx, ny, nz) probability that a random walker from a voxel reaches the heart before the background.
 
-    Steps go to the six neighbours with weights exp(−β (Δgrey/σ)²)/Δx², σ the spread of the grey levels. The
-    weights have a floor: without it a voxel behind edges on all sides is cut off and its chance undefined.
+    Steps go to the six neighbours with weights exp(−β (Δgrey/σ)²)/Δx², σ the standard deviation of the grey
+    levels. The weights have a lower bound: without it a voxel behind edges on all sides is isolated and its
+    probability undefined.
 
     Args:
-        known: BACKGROUND_MARK, HEART_MARK, or 0 where it is asked for.
+        labels: BACKGROUND_MARKER, HEART_MARKER, or 0 where the probability is wanted.
     Source: Grady 2006, eqs 2 and 10.
     """
-    share = (known == HEART_MARK).astype(np.float64)
-    number = np.full(known.shape, -1, dtype=np.int64)
-    number[known == 0] = np.arange(np.count_nonzero(known == 0))
+    probability = (labels == HEART_MARKER).astype(np.float64)
+    number = np.full(labels.shape, -1, dtype=np.int64)
+    number[labels == 0] = np.arange(np.count_nonzero(labels == 0))
     count = int(number.max()) + 1
     diagonal, right = np.zeros(count), np.zeros(count)
     rows, columns, weights = [], [], []
@@ -145,12 +150,12 @@ def walked_share(
         low, high = ([slice(None)] * 3 for _ in range(2))
         low[axis], high[axis] = slice(None, -1), slice(1, None)
         change = grey[tuple(high)] - grey[tuple(low)]
-        weight = ((1.0 - LEAST_WEIGHT) * np.exp(-scale * change**2) + LEAST_WEIGHT) / step_mm**2
+        weight = ((1.0 - MIN_WEIGHT) * np.exp(-scale * change**2) + MIN_WEIGHT) / step_mm**2
         for here, there in ((tuple(low), tuple(high)), (tuple(high), tuple(low))):
-            asked = number[here] >= 0
-            i, j, w = number[here][asked], number[there][asked], weight[asked]
+            unknown = number[here] >= 0
+            i, j, w = number[here][unknown], number[there][unknown], weight[unknown]
             diagonal += np.bincount(i, weights=w, minlength=count)
-            right += np.bincount(i, weights=w * share[there][asked], minlength=count)
+            right += np.bincount(i, weights=w * probability[there][unknown], minlength=count)
             inner = j >= 0
             rows.append(i[inner])
             columns.append(j[inner])
@@ -158,24 +163,20 @@ def walked_share(
     links = csr_array(
         (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), shape=(count, count)
     )
-    solved = conjugate_gradient(
-        lambda x: np.asarray(diagonal * x - links @ x), right, diagonal, WALK_STEPS, tolerance=1e-4
+    solution = conjugate_gradients(
+        lambda x: np.asarray(diagonal * x - links @ x),
+        right,
+        lambda rest: np.asarray(rest / diagonal),
+        tolerance=WALKER_TOLERANCE,
+        max_iterations=WALKER_ITERATIONS,
     )
-    share[known == 0] = solved
-    return np.asarray(share)
+    probability[labels == 0] = solution.x
+    return np.asarray(probability)
 
 
-def solid_piece(mask: BoolArray) -> BoolArray:
-    """The largest connected piece of a mask, with what it encloses."""
-    pieces, count = ndimage.label(mask)
-    if count > 1:
-        mask = np.asarray(pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:])))
-    return np.asarray(ndimage.binary_fill_holes(mask))
-
-
-def _marks(grid: Grid, seeds: Seeds, radius_mm: float) -> NDArray[np.int32]:
+def _markers(grid: Grid, seeds: Seeds, radius_mm: float) -> NDArray[np.int32]:
     """(nx, ny, nz) 0 unknown, 1 background, 2 heart, 3 cavity."""
-    marks = np.zeros(grid.shape, dtype=np.int32)
+    markers = np.zeros(grid.shape, dtype=np.int32)
     for value, (name, points) in enumerate(
         (("background", seeds.background), ("heart", seeds.heart), ("cavity", seeds.cavity)), start=1
     ):
@@ -187,13 +188,13 @@ def _marks(grid: Grid, seeds: Seeds, radius_mm: float) -> NDArray[np.int32]:
         ball = _ball(grid, radius_mm)
         at = (center[:, None] + ball).reshape(-1, 3)
         at = at[((at >= 0) & (at < grid.shape)).all(axis=1)]
-        held = marks[tuple(at.T)]
-        if ((held > 0) & (held != value)).any():
+        present = markers[tuple(at.T)]
+        if ((present > 0) & (present != value)).any():
             raise InvalidInputError(
                 f"a seed named {name} lies within {2 * radius_mm:g} mm of one of another name; move one"
             )
-        marks[tuple(at.T)] = value
-    return marks
+        markers[tuple(at.T)] = value
+    return markers
 
 
 def _ball(grid: Grid, radius_mm: float) -> IntArray:
@@ -204,8 +205,9 @@ def _ball(grid: Grid, radius_mm: float) -> IntArray:
     return np.asarray(offsets[np.linalg.norm(offsets * grid.spacing_mm, axis=1) <= radius_mm])
 
 
-def _box(marks: NDArray[np.int32], grid: Grid, beyond_mm: float) -> tuple[slice, slice, slice]:
-    found = ndimage.find_objects((marks > 0).view(np.int8))[0]
+def _box(markers: NDArray[np.int32], grid: Grid, beyond_mm: float) -> tuple[slice, slice, slice]:
+    """Bounding box of the markers, widened by `beyond_mm` within the image."""
+    found = ndimage.find_objects((markers > 0).view(np.int8))[0]
     beyond = np.ceil(beyond_mm / grid.spacing_mm).astype(int)
     x, y, z = (
         slice(max(part.start - int(b), 0), min(part.stop + int(b), n))

@@ -1,4 +1,4 @@
-"""One phase's spline as a function of place, through the kernel that the servo loop uses."""
+"""Signed distance of one phase as a function of position, through the kernel that the servo loop uses."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class SplineField:
     Attributes:
         coefficients: (n, cx, cy, cz) of all phases, kept as float32.
         origin_mm: (3,); knot_spacing_mm: pitch (see DvfModel).
-        phase: which of them.
+        phase: index of the phase.
     """
 
     coefficients: FloatArray | NDArray[np.float32]
@@ -48,15 +48,15 @@ class SplineField:
             gradient,
             status,
         )
-        lost = int(np.count_nonzero(status != code.OK))
-        if lost:
+        outside = int(np.count_nonzero(status != code.OK))
+        if outside:
             raise InvalidInputError(
-                f"phase {self.phase}: {lost} of {n} points lie outside the model's box; "
+                f"phase {self.phase}: {outside} of {n} points lie outside the model's box; "
                 "build it with a wider margin"
             )
         return distance, gradient
 
     def off_surface_mm(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n,) distance |d|/|∇d| from points near the zero level to it, to first order."""
+        """(n,) distance |d|/|∇d| from points to the zero level nearby, to first order."""
         distance, gradient = self.at(xyz_mm)
         return np.asarray(np.abs(distance) / np.maximum(np.linalg.norm(gradient, axis=1), 1e-9))

@@ -3,9 +3,9 @@
 The paper trains by gradient descent (eq. 3) on the same quadratic. On a full grid its minimum separates by
 axis (`fit_coefficients`): one banded Cholesky factor per axis, shared by all phases, gives it directly.
 Weights that emphasise the surface do not separate; the separable solution is then the start and the
-preconditioner of conjugate gradients (`fit_weighted`). Uniform cubic splines with one pitch, as the kernels
-evaluate them; other degrees, other pitches and the paper's way of training are in `spline_network` and
-`trainers`.
+preconditioner of conjugate gradients (`fit_weighted`). The splines are uniform and cubic with one knot pitch,
+as the kernels evaluate them. Other degrees and pitches (eq. 1) and the paper's gradient descent (eq. 3) are
+in `dvf_ig.study.training`, which compares the three ways to the minimum.
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse import csr_array
 
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
+from dvf_ig.preop.conjugate_gradients import conjugate_gradients
 
 SAMPLES_PER_KNOT = 2
 
@@ -22,7 +23,7 @@ SIGMA_KNOTS = 0.3
 """Width of the band that `surface_weights` emphasises, in knots; tuned on two phases of phantom 101."""
 
 FAR_WEIGHT = 0.01
-"""Weight far from the surface: enough to hold the field there, and what bounds the iterations."""
+"""Weight far from the surface: it keeps the field defined there and bounds the number of iterations."""
 
 TOLERANCE = 0.05
 MAX_ITERATIONS = 40
@@ -77,7 +78,7 @@ def fit_coefficients(samples: FloatArray, solvers: AxisSolvers) -> FloatArray:
 
 
 def surface_weights(distance_mm: FloatArray, knot_spacing_mm: float) -> FloatArray:
-    """max(exp(−d²/2σ²), 0.01), σ = 0.3 knots: a spline that cannot be right everywhere is right here.
+    """max(exp(−d²/2σ²), 0.01), σ = 0.3 knots: what cannot be fitted everywhere is fitted here.
 
     What pulls an unweighted fit off the surface are the creases of the distance map: its medial axis, and the
     grooves of the surface, where that axis touches it.
@@ -102,22 +103,15 @@ def fit_weighted(samples: FloatArray, weights: FloatArray, solvers: AxisSolvers)
             f"weights of shape {weights.shape} for samples of shape {samples.shape}; needed the same shape, "
             "every weight positive and finite"
         )
-    coefficients = fit_coefficients(samples, solvers)
-    residual = _normal_sum(weights * (samples - grid_values(coefficients, solvers)), solvers)
-    conditioned = _preconditioned(residual, solvers)
-    direction = conditioned
-    norm = start = float(np.vdot(residual, conditioned))
-    for _ in range(MAX_ITERATIONS):
-        if norm <= TOLERANCE**2 * start:
-            break
-        image = _normal_sum(weights * grid_values(direction, solvers), solvers)
-        step = norm / float(np.vdot(direction, image))
-        coefficients = coefficients + step * direction
-        residual = residual - step * image
-        conditioned = _preconditioned(residual, solvers)
-        previous, norm = norm, float(np.vdot(residual, conditioned))
-        direction = conditioned + (norm / previous) * direction
-    return coefficients
+    unweighted = fit_coefficients(samples, solvers)
+    change = conjugate_gradients(
+        lambda c: _adjoint(weights * grid_values(c, solvers), solvers),
+        _adjoint(weights * (samples - grid_values(unweighted, solvers)), solvers),
+        lambda r: _preconditioned(r, solvers),
+        tolerance=TOLERANCE,
+        max_iterations=MAX_ITERATIONS,
+    )
+    return np.asarray(unweighted + change.x)
 
 
 def grid_values(coefficients: FloatArray, solvers: AxisSolvers) -> FloatArray:
@@ -127,7 +121,7 @@ def grid_values(coefficients: FloatArray, solvers: AxisSolvers) -> FloatArray:
     return coefficients
 
 
-def _normal_sum(samples: FloatArray, solvers: AxisSolvers) -> FloatArray:
+def _adjoint(samples: FloatArray, solvers: AxisSolvers) -> FloatArray:
     """Aᵀ r."""
     for solver in solvers:
         samples = _next_axis(solver.transposed @ _flat(samples), samples)
@@ -147,5 +141,5 @@ def _flat(array: FloatArray) -> FloatArray:
 
 
 def _next_axis(flat: FloatArray, before: FloatArray) -> FloatArray:
-    """The worked-on first axis moved to the end: after three turns every axis is back in its place."""
+    """The first axis, just processed, moved to the end: three such steps restore the order."""
     return np.ascontiguousarray(np.moveaxis(flat.reshape(-1, *before.shape[1:]), 0, -1))

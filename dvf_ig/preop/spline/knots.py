@@ -1,4 +1,4 @@
-"""The coarsest knots that reach a wanted accuracy, found on one phase."""
+"""Choice of the knot pitch: the coarsest that reaches a wanted accuracy on the most contracted phase."""
 
 import logging
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from .phase_fit import axis_solvers, fit_phase, sample_grid
 
 log = logging.getLogger(__name__)
 
-LADDER_MM = (6.0, 5.0, 4.5, 4.0, 3.6, 3.2, 2.9, 2.6, 2.3, 2.0, 1.8, 1.6)
+PITCHES_MM = (6.0, 5.0, 4.5, 4.0, 3.6, 3.2, 2.9, 2.6, 2.3, 2.0, 1.8, 1.6)
 """Pitches tried, coarsest first, in steps of about a tenth."""
 
 P99_SHARE = 4.0
@@ -24,7 +24,7 @@ P99_SHARE = 4.0
 
 @dataclass(frozen=True, slots=True)
 class KnotTrial:
-    """One pitch on the pilot phase: area-weighted surface error, without caps and their rim."""
+    """One pitch tried on that phase: area-weighted surface error, without caps and their rim."""
 
     knot_spacing_mm: float
     mean_mm: float
@@ -33,10 +33,10 @@ class KnotTrial:
 
 @dataclass(frozen=True, slots=True)
 class KnotChoice:
-    """The chosen pitch, the phase it was chosen on, and all that was tried, coarsest first."""
+    """The chosen pitch, the phase on which it was chosen, and every pitch tried, coarsest first."""
 
     knot_spacing_mm: float
-    pilot_phase: int
+    phase: int
     tried: tuple[KnotTrial, ...]
 
 
@@ -48,30 +48,30 @@ def choose_knot_spacing(
     margin_mm: float,
     band_mm: float,
 ) -> KnotChoice:
-    """Coarsest pitch of the ladder with mean surface error <= accuracy and p99 <= 4 × accuracy on the pilot.
+    """Coarsest pitch with mean error <= accuracy and p99 <= 4 × accuracy on the most contracted phase.
 
-    The pilot is the phase that encloses the least: a contracted heart is the most curved one.
+    Of all phases the one that encloses the smallest volume is the most curved.
 
     Args:
         reference: closed surfaces, one a phase; caps: their unmeasured triangles.
         accuracy_mm: wanted mean surface error.
         margin_mm, band_mm: of the model.
     Raises:
-        InvalidInputError: the finest pitch does not reach it.
+        InvalidInputError: the finest pitch does not reach the accuracy.
     """
-    pilot = int(np.argmin([mesh.volume_mm3() for mesh in reference]))
+    phase = int(np.argmin([mesh.volume_mm3() for mesh in reference]))
     tried: list[KnotTrial] = []
-    for pitch_mm in LADDER_MM:
-        grid = sample_grid(reference, reference[pilot].frame, pitch_mm, margin_mm)
-        tried.append(_trial(reference[pilot], caps[pilot], grid, pitch_mm, band_mm))
+    for pitch_mm in PITCHES_MM:
+        grid = sample_grid(reference, reference[phase].frame, pitch_mm, margin_mm)
+        tried.append(_trial(reference[phase], caps[phase], grid, pitch_mm, band_mm))
         log.info("knots every %g mm: mean %.4f, p99 %.4f mm", pitch_mm, tried[-1].mean_mm, tried[-1].p99_mm)
         if tried[-1].mean_mm <= accuracy_mm and tried[-1].p99_mm <= P99_SHARE * accuracy_mm:
-            return KnotChoice(pitch_mm, pilot, tuple(tried))
+            return KnotChoice(pitch_mm, phase, tuple(tried))
     last = tried[-1]
     raise InvalidInputError(
         f"an accuracy of {accuracy_mm:g} mm is out of reach: knots every {last.knot_spacing_mm:g} mm leave "
-        f"{last.mean_mm:.3f} mm mean and {last.p99_mm:.3f} mm p99 on phase {pilot}; ask for less, smooth the "
-        "surface, or give --knot-mm"
+        f"{last.mean_mm:.3f} mm mean and {last.p99_mm:.3f} mm p99 on phase {phase}; allow a larger error, "
+        "smooth the surface, or give --knot-mm"
     )
 
 
@@ -92,7 +92,7 @@ def _quadrature(mesh: Mesh, caps: BoolArray) -> tuple[FloatArray, FloatArray]:
     weights = inner / inner.sum(axis=1, keepdims=True)
     points = np.einsum("qk,tkx->qtx", weights, mesh.vertices_mm[measured]).reshape(-1, 3)
     area = np.repeat(0.25 * triangle_areas_mm2(mesh.vertices_mm, measured), len(inner))
-    judged = away_from_caps(mesh, caps, points)
-    if not judged.any():
+    kept = away_from_caps(mesh, caps, points)
+    if not kept.any():
         raise InvalidInputError(f"all of the surface lies within {CAP_RIM_MM} mm of a cap; give --knot-mm")
-    return np.ascontiguousarray(points[judged]), area[judged]
+    return np.ascontiguousarray(points[kept]), area[kept]

@@ -1,4 +1,4 @@
-"""One phase of a model: the box and its samples, their distances, the spline that fits them best."""
+"""Spline fit of one phase (Ren 2008, eqs 1 and 2): sample grid, signed distances, weighted least squares."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from dvf_ig.preop.distance.signed import LEVELS, signed_distance_mm
 
 from .fit import SAMPLES_PER_KNOT, AxisSolver, AxisSolvers, fit_weighted, surface_weights
 
-CELLS_IN_STEP = (1 << LEVELS) // SAMPLES_PER_KNOT
+CELL_MULTIPLE = (1 << LEVELS) // SAMPLES_PER_KNOT
 """The number of knot cells along an axis is a multiple of this, as the sampling asks."""
 
 
@@ -17,8 +17,8 @@ def sample_grid(reference: Sequence[Mesh], frame: str, knot_spacing_mm: float, m
     """Samples at half the knot pitch over everything the surfaces sweep, plus the margin."""
     lower = np.min([mesh.vertices_mm.min(axis=0) for mesh in reference], axis=0) - margin_mm
     upper = np.max([mesh.vertices_mm.max(axis=0) for mesh in reference], axis=0) + margin_mm
-    steps = np.ceil((upper - lower) / (CELLS_IN_STEP * knot_spacing_mm)).astype(int)
-    cells = CELLS_IN_STEP * steps
+    steps = np.ceil((upper - lower) / (CELL_MULTIPLE * knot_spacing_mm)).astype(int)
+    cells = CELL_MULTIPLE * steps
     origin = 0.5 * (lower + upper) - 0.5 * cells * knot_spacing_mm
     shape = tuple(int(n) * SAMPLES_PER_KNOT + 1 for n in cells)
     return Grid.axis_aligned(
@@ -33,7 +33,7 @@ def axis_solvers(grid: Grid) -> AxisSolvers:
 
 
 def fit_phase(mesh: Mesh, grid: Grid, solvers: AxisSolvers, band_mm: float) -> FloatArray:
-    """(cx, cy, cz) coefficients in mm of the spline nearest to the signed distance, surface first."""
+    """(cx, cy, cz) coefficients in mm of the spline fitted to the signed distance, best at the surface."""
     samples = signed_distance_mm(mesh, grid, band_mm)
     knot_spacing_mm = SAMPLES_PER_KNOT * float(grid.spacing_mm[0])
     return fit_weighted(samples, surface_weights(samples, knot_spacing_mm), solvers)

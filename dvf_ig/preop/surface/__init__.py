@@ -1,1 +1,1 @@
-"""Closed surfaces: from labels, repaired, with normals."""
+"""Closed surfaces: extracted from labels, repaired, with normals."""

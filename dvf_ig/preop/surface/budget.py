@@ -1,4 +1,4 @@
-"""How exact a surface taken from a mask can be: measured on a ball of its volume, in the same voxels."""
+"""Error budget of a surface extracted from a mask: measured on a ball of the same volume and voxels."""
 
 from dataclasses import dataclass
 
@@ -9,30 +9,30 @@ from dvf_ig.core import FloatArray, Grid, InvalidInputError
 from .from_labels import FINEST_VOXEL_MM, SMOOTHING_VOXELS, surface_of_mask
 
 _OFFSETS = np.array([[0.0, 0.0, 0.0], [0.5, 0.25, 0.0], [0.25, 0.5, 0.75], [0.75, 0.0, 0.5]])
-"""Where the ball's centre lies between voxels, in voxels."""
+"""Positions of the ball's centre relative to the voxels, in voxels."""
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceBudget:
-    """Errors of segmentation that no later step can undo, for a perfect mask.
+    """Errors that the way from mask to surface causes even for a perfect mask.
 
     Attributes:
         radius_mm: of the ball.
-        voxel_mm: SD of the surface about the ball: voxels and triangles.
-        shrinkage_mm: how far the Gaussian alone would pull the surface in: σ²/R.
-        left_mm: mean offset that remains once that is compensated; positive outwards.
-        chord_mm: how far the middle of a triangle's edge lies below the ball.
+        voxel_mm: standard deviation of the surface about the ball, from voxels and triangles.
+        shrinkage_mm: shrinkage that the Gaussian alone would cause: σ²/R.
+        residual_offset_mm: mean offset that remains once the shrinkage is compensated; positive outwards.
+        chord_mm: depth of the middle of a triangle's edge below the ball.
     """
 
     radius_mm: float
     voxel_mm: float
     shrinkage_mm: float
-    left_mm: float
+    residual_offset_mm: float
     chord_mm: float
 
 
 def surface_budget(spacing_mm: FloatArray, volume_mm3: float) -> SurfaceBudget:
-    """Measure the way from mask to surface on a ball.
+    """Measure the errors of the way from mask to surface on a ball.
 
     Args:
         spacing_mm: (3,) voxel pitch.

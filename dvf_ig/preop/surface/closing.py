@@ -1,4 +1,4 @@
-"""From a surface with openings and split seams to a closed one."""
+"""Closing a surface: vertices welded along split seams, openings capped, orientation made outward."""
 
 import logging
 
@@ -10,27 +10,27 @@ from scipy.spatial import cKDTree
 from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError, SurfaceSeries
 from dvf_ig.core.mesh import enclosed_volume_mm3
 
-from .topology import boundary_loops, consistently_oriented, count_edges, pieces
+from .topology import boundary_loops, connected_components_of, consistently_oriented, count_edges
 
 log = logging.getLogger(__name__)
 
 WELD_MM = 1e-6
 MAX_CAP_SHARE = 0.5
-"""Caps beyond this share of the measured area mean that the surface is a sheet, not a shell with holes."""
+"""Caps beyond this share of the measured area mean an open sheet, not a shell with holes."""
 
 
 def close_surface(series: SurfaceSeries) -> SurfaceSeries:
     """Weld, orient, cap and turn outwards.
 
     Vertices that coincide within 1e-6 mm in every phase become one; each opening gets a fan of triangles to
-    its centroid (one vertex more, flagged in `caps`); each piece encloses a positive volume.
+    its centroid (one vertex more, flagged in `caps`); each connected component encloses a positive volume.
 
     Raises:
-        InvalidInputError: one-sided, crowded or touching edges, caps larger than half of what was measured,
-            or a surface that is still not closed; the message counts them.
+        InvalidInputError: a one-sided surface, non-manifold edges, openings that touch, caps larger than half
+            of the measured area, or a surface that is still not closed; the message counts the edges.
     """
     vertices, triangles, caps = _welded(series)
-    if not count_edges(triangles).crowded_edges:
+    if not count_edges(triangles).non_manifold_edges:
         triangles = consistently_oriented(triangles, series.name)
         vertices, triangles, caps = _capped(vertices, triangles, caps, series.name)
     census = count_edges(triangles)
@@ -65,7 +65,7 @@ def _welded(series: SurfaceSeries) -> tuple[FloatArray, IntArray, BoolArray]:
 def _capped(
     vertices: FloatArray, triangles: IntArray, caps: BoolArray, name: str
 ) -> tuple[FloatArray, IntArray, BoolArray]:
-    """A fan to the centroid of each opening."""
+    """A fan of triangles from each opening to its centroid."""
     fans: list[IntArray] = []
     centroids: list[FloatArray] = []
     count = vertices.shape[1]
@@ -85,6 +85,7 @@ def _capped(
 
 
 def _refuse_sheet(vertices: FloatArray, triangles: IntArray, caps: BoolArray, name: str) -> None:
+    """Raise InvalidInputError where the caps are too large for a shell with holes."""
     if not caps.any():
         return
     area = triangle_areas_mm2(vertices[0], triangles)
@@ -97,13 +98,13 @@ def _refuse_sheet(vertices: FloatArray, triangles: IntArray, caps: BoolArray, na
 
 
 def _outward(vertices: FloatArray, triangles: IntArray) -> IntArray:
-    """Each piece turned so that the volume it encloses, summed over the cycle, is positive."""
-    piece = pieces(triangles)
+    """Each component flipped where needed so that its enclosed volume, summed over the cycle, is positive."""
+    component = connected_components_of(triangles)
     out = triangles.copy()
-    for number in range(int(piece.max()) + 1):
-        mine = piece == number
-        if sum(enclosed_volume_mm3(v, triangles[mine]) for v in vertices) < 0.0:
-            out[mine] = out[mine][:, ::-1]
+    for number in range(int(component.max()) + 1):
+        inside = component == number
+        if sum(enclosed_volume_mm3(v, triangles[inside]) for v in vertices) < 0.0:
+            out[inside] = out[inside][:, ::-1]
     return out
 
 

@@ -1,4 +1,4 @@
-"""From a 4-D label image to closed surfaces: smoothed mask, marching cubes, no shrinkage to first order."""
+"""Closed surfaces from a 4-D label image: smoothed mask, marching cubes, compensated shrinkage."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,12 +18,13 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.core.mesh import enclosed_volume_mm3
+from dvf_ig.preop.segment.components import largest_component
 
 SMOOTHING_VOXELS = 1.0
 """Standard deviation of the Gaussian, in voxels of the geometric-mean size."""
 
 FINEST_VOXEL_MM = 1.25
-"""Finer voxels are averaged in blocks of at most this size first: a spline with 3 mm knots sees no more."""
+"""Finer voxels are averaged in blocks of at most this size: a spline with 3 mm knots resolves no more."""
 
 PADDING = 4
 """Voxels of background around the organ."""
@@ -38,13 +39,13 @@ def surfaces_from_labels(
 ) -> tuple[Mesh, ...]:
     """Outer surface of the union of some labels, one mesh a phase, in mm, outward orientation.
 
-    Of several separate pieces the largest is kept, and what it encloses is filled. Where the organ leaves the
-    image, the surface is closed along the border (see border_caps).
+    The largest connected component is kept and its holes are filled. Where the organ leaves the image, the
+    surface is closed along the border (see border_caps).
 
     Args:
         labels: 4-D label image.
         organ_labels: values that belong to the organ.
-        smoothing_voxels: width of the smoothing.
+        smoothing_voxels: standard deviation of the Gaussian, in voxels.
         threads: phases at a time; has no influence on the result.
     Raises:
         InvalidInputError: no organ labels, or a phase without any voxel of them.
@@ -68,7 +69,7 @@ def surface_of_mask(mask: BoolArray, grid: Grid, *, smoothing_voxels: float = SM
 
 
 def border_caps(mesh: Mesh, grid: Grid) -> BoolArray:
-    """(t,) True for triangles within one voxel of the image border: there the surface was cut, not seen."""
+    """(t,) True for triangles within one voxel of the image border: there the surface was cut, not imaged."""
     index = grid.to_index(mesh.vertices_mm[mesh.triangles].mean(axis=1))
     return np.asarray(((index < 1.0) | (index > np.array(grid.shape) - 2.0)).any(axis=1))
 
@@ -83,7 +84,7 @@ class _Crop:
 
 
 def _organ_mask(labels: VolumeSeries, phase: int, organ_labels: Sequence[int]) -> _Crop:
-    """Largest piece of the organ, filled."""
+    """Largest connected component of the organ, holes filled, cropped."""
     values = labels.values[phase]
     everywhere = np.isin(values, organ_labels)
     box = ndimage.find_objects(everywhere.view(np.int8))
@@ -93,10 +94,7 @@ def _organ_mask(labels: VolumeSeries, phase: int, organ_labels: Sequence[int]) -
             f"values present are {np.unique(values).tolist()[:20]}"
         )
     mask = everywhere[box[0]]
-    pieces, count = ndimage.label(mask)
-    if count > 1:
-        mask = pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
-    return _Crop(ndimage.binary_fill_holes(mask), np.array([part.start for part in box[0]]))
+    return _Crop(largest_component(mask), np.array([part.start for part in box[0]]))
 
 
 def _surface(organ: _Crop, grid: Grid, smoothing_voxels: float) -> Mesh:
@@ -107,7 +105,7 @@ def _surface(organ: _Crop, grid: Grid, smoothing_voxels: float) -> Mesh:
     solid = np.pad(organ.mask, [(int(p), int(p)) for p in padding])
     spacing_mm = grid.spacing_mm * block
     mean_mm = float(np.prod(spacing_mm)) ** (1.0 / 3.0)
-    field = _unshrunk(_block_means(solid, block), smoothing_voxels * mean_mm / spacing_mm)
+    field = _shrinkage_compensated(_block_means(solid, block), smoothing_voxels * mean_mm / spacing_mm)
     vertices, triangles, _, _ = marching_cubes(field, 0.5, allow_degenerate=False)
     center_of_block = 0.5 * (block - 1)
     index = organ.start - padding + vertices.astype(np.float64) * block + center_of_block
@@ -127,12 +125,12 @@ def _block_means(mask: BoolArray, block: IntArray) -> FloatArray:
     return np.asarray(whole.reshape(nx // bx, bx, ny // by, by, nz // bz, bz).mean(axis=(1, 3, 5)))
 
 
-def _unshrunk(solid: FloatArray, sigma_voxels: FloatArray) -> FloatArray:
+def _shrinkage_compensated(solid: FloatArray, sigma_voxels: FloatArray) -> FloatArray:
     """2 G_σ − G_2σ applied to the organ's share of each voxel; its half level does not shrink with curvature.
 
     A kernel k moves the half level of a sphere of radius R inwards by ∫ρ² k(ρ, 0)/2R over the tangent plane,
     divided by the slope of the blurred edge. A Gaussian alone gives σ²/R; σ² G_σ(0) is proportional to σ, so
-    that twice the narrow one cancels one twice as wide.
+    that twice the narrow Gaussian cancels the one of double width.
     """
     return np.asarray(
         2.0 * ndimage.gaussian_filter(solid, sigma_voxels, mode="constant")

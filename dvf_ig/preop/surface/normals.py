@@ -1,4 +1,4 @@
-"""Normals of a triangle surface: of its facets, and of the smooth surface that the facets approximate."""
+"""Normals of a triangle surface: of its facets, and of the smooth surface that they approximate."""
 
 import numpy as np
 
@@ -38,7 +38,7 @@ def smooth_normals(mesh: Mesh, of_vertices: FloatArray, nearest: Nearest) -> Flo
 
 
 def angle_deg(one: FloatArray, other: FloatArray) -> FloatArray:
-    """(n,) angle between vectors; accurate for small ones, 0 where either is null."""
+    """(n,) angle between vectors; accurate for small angles, 0 where either vector is zero."""
     across = np.linalg.norm(np.cross(one, other), axis=1)
     return np.asarray(np.degrees(np.arctan2(across, np.einsum("nx,nx->n", one, other))))
 

@@ -1,4 +1,4 @@
-"""Label maps from surfaces, for registration where no image but only surfaces exist."""
+"""Label images from closed surfaces, for registration of surface-only models."""
 
 from collections.abc import Callable, Mapping
 

@@ -1,4 +1,4 @@
-"""Edges of a triangle surface: whether it is closed, where it is open, and one orientation for all of it."""
+"""Topology of a triangle surface: closed or open edges, boundary loops, consistent orientation."""
 
 from dataclasses import dataclass
 
@@ -11,21 +11,27 @@ from dvf_ig.core import BoolArray, IntArray, InvalidInputError
 
 @dataclass(frozen=True, slots=True)
 class EdgeCensus:
-    """How many edges belong to one triangle, to more than two, or run the same way in both of their two."""
+    """Numbers of edges that are wrong in a closed surface.
+
+    Attributes:
+        open_edges: edges of one triangle only.
+        non_manifold_edges: edges of more than two triangles.
+        inconsistent_edges: edges that run the same way in both of their triangles.
+    """
 
     open_edges: int
-    crowded_edges: int
-    clashing_edges: int
+    non_manifold_edges: int
+    inconsistent_edges: int
 
     def __str__(self) -> str:
         return (
-            f"{self.open_edges} open edges, {self.crowded_edges} edges with more than two triangles, "
-            f"{self.clashing_edges} edges with clashing orientation"
+            f"{self.open_edges} open edges, {self.non_manifold_edges} edges with more than two triangles, "
+            f"{self.inconsistent_edges} edges with inconsistent orientation"
         )
 
     @property
     def closed(self) -> bool:
-        return self.open_edges == self.crowded_edges == self.clashing_edges == 0
+        return self.open_edges == self.non_manifold_edges == self.inconsistent_edges == 0
 
 
 def directed_edges(triangles: IntArray) -> IntArray:
@@ -44,8 +50,8 @@ def count_edges(triangles: IntArray) -> EdgeCensus:
     )
 
 
-def pieces(triangles: IntArray) -> IntArray:
-    """(t,) number of the connected piece (sharing vertices) that each triangle belongs to."""
+def connected_components_of(triangles: IntArray) -> IntArray:
+    """(t,) index of the connected component (sharing vertices) that each triangle belongs to."""
     vertices = int(triangles.max()) + 1
     edges = directed_edges(triangles)
     graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(vertices, vertices))
@@ -53,7 +59,7 @@ def pieces(triangles: IntArray) -> IntArray:
 
 
 def consistently_oriented(triangles: IntArray, name: str) -> IntArray:
-    """The same triangles, turned where needed so that shared edges run in opposite directions.
+    """The same triangles, flipped where needed so that shared edges run in opposite directions.
 
     Raises:
         InvalidInputError: the surface is one-sided, or an edge has more than two triangles.
@@ -69,28 +75,28 @@ def consistently_oriented(triangles: IntArray, name: str) -> IntArray:
     weight = np.where(same_way, 2, 1)
     one_way = csr_array((weight, (owner[first], owner[second])), shape=(count, count))
     graph = csr_array(one_way + one_way.T)
-    turned = _spread_turns(graph, count)
-    if (same_way == (turned[owner[first]] == turned[owner[second]])).any():
+    flipped = _propagated_flips(graph, count)
+    if (same_way == (flipped[owner[first]] == flipped[owner[second]])).any():
         raise InvalidInputError(
             f"surface {name} cannot be oriented: it is one-sided, or more than two triangles share an edge; "
             "repair the mesh"
         )
     out = triangles.copy()
-    out[turned] = out[turned][:, ::-1]
+    out[flipped] = out[flipped][:, ::-1]
     return out
 
 
-def _spread_turns(graph: csr_array, count: int) -> BoolArray:
-    """Which triangles to turn, spreading from the first triangle of each piece; weight 2 asks for a turn."""
-    turned = np.zeros(count, dtype=np.bool_)
+def _propagated_flips(graph: csr_array, count: int) -> BoolArray:
+    """(t,) triangles to flip, breadth first from each component's first triangle; weight 2 is a flip."""
+    flipped = np.zeros(count, dtype=np.bool_)
     _, label = connected_components(graph, directed=False)
     _, roots = np.unique(label, return_index=True)
     for root in roots:
         order, parent = breadth_first_order(graph, root, directed=False)
         asks = np.asarray(graph[parent[order[1:]], order[1:]]).ravel() == 2
-        for triangle, turn in zip(order[1:], asks, strict=True):
-            turned[triangle] = turned[parent[triangle]] ^ turn
-    return turned
+        for triangle, flip in zip(order[1:], asks, strict=True):
+            flipped[triangle] = flipped[parent[triangle]] ^ flip
+    return flipped
 
 
 def boundary_loops(triangles: IntArray, name: str) -> list[IntArray]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from data_synth.phantoms.nwire import NWireSpec, fcal_phantom, nwire_images
-from data_synth.scenario.ground_truth import plant
+from data_synth.scenario.ground_truth import draw_ground_truth
 from data_synth.scenario.presets import Preset
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import (
@@ -54,7 +54,7 @@ def still(images: NDArray[np.uint8], **fields: object) -> TrackedSequence:
 @pytest.fixture(scope="module")
 def synthetic() -> tuple[NWireRecording, TrackedSequence]:
     """Twenty simulated images with their exact wires."""
-    planted = plant(np.zeros(3), SectorProbe().plane_from_image, 150.0, np.random.default_rng(1))
+    planted = draw_ground_truth(np.zeros(3), SectorProbe().plane_from_image, 150.0, np.random.default_rng(1))
     spec = NWireSpec(frames=20, point_noise_mm=0.0, failed_share=0.0)
     rng = np.random.default_rng(2)
     return nwire_images(planted.probe_from_image, SectorProbe(), Preset().nwire_tracker, spec, rng)

@@ -54,7 +54,7 @@ def test_the_budget_of_a_surface(spacing, worst_sd):
     assert budget.radius_mm == pytest.approx(30.0)
     assert 0.0 < budget.voxel_mm < worst_sd
     assert budget.shrinkage_mm == pytest.approx(spacing[0] ** 2 / 30.0)
-    assert abs(budget.left_mm) < 0.35 * budget.shrinkage_mm
+    assert abs(budget.residual_offset_mm) < 0.35 * budget.shrinkage_mm
     assert budget.chord_mm < 0.03
 
 

@@ -69,7 +69,7 @@ def test_vertices_that_meet_in_one_phase_only_stay_apart(sphere_of):
     assert closed.vertices_mm.shape[1] == 2 * len(vertices)
 
 
-def test_clashing_and_inward_triangles_are_turned(sphere_of):
+def test_inconsistent_and_inward_triangles_are_flipped(sphere_of):
     vertices, triangles = sphere_of(20.0, 2)
     mixed = triangles.copy()
     mixed[::3] = mixed[::3][:, ::-1]

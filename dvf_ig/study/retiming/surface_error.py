@@ -9,7 +9,7 @@ from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
 from data_synth.heart.clock import two_segment_phase
 from data_synth.heart.motion import MotionPreset
 from dvf_ig.cardiac import SYSTOLE_SLOPE_S_PER_BPM, RetimeMode, retime
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, read_only_arrays
 
 RATES_BPM = (45.0, 60.0, 75.0, 90.0, 105.0, 120.0)
 PHASES = 80
@@ -24,7 +24,7 @@ TRUE_SLOPES_S_PER_BPM = (0.0013, SYSTOLE_SLOPE_S_PER_BPM, 0.0027)
 
 @dataclass(frozen=True, slots=True)
 class RetimingRow:
-    """Distance between the surface shown and the true one, over a beat and over epicardial points.
+    """Distance between the surface shown and the true one, over a beat and epicardial points of all hearts.
 
     Attributes:
         rate_bpm: steady heart rate.
@@ -43,52 +43,78 @@ class RetimingRow:
     systole_p95_mm: float
 
 
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class _Heart:
+    """A heart with its epicardium (PHASES, points, 3) at equal steps of the cycle."""
+
+    anatomy: PhantomAnatomy
+    surface_mm: FloatArray
+
+    def surface_at(self, phase: FloatArray) -> FloatArray:
+        """(n, points, 3) surface at phases, linear between tabulated ones (cyclic)."""
+        position = (phase % 1.0) * PHASES
+        first = position.astype(np.int64) % PHASES
+        weight = (position - np.floor(position))[:, None, None]
+        after = (first + 1) % PHASES
+        return np.asarray((1 - weight) * self.surface_mm[first] + weight * self.surface_mm[after])
+
+
 def compare_retiming(
     rates_bpm: Sequence[float],
     *,
     motion: MotionPreset = "physiological",
     true_slopes_s_per_bpm: Sequence[float] = TRUE_SLOPES_S_PER_BPM,
-    seed: int = 1,
+    seeds: Sequence[int] = (1,),
 ) -> tuple[RetimingRow, ...]:
     """Surface error of each method at steady rates.
 
-    The two-segment method assumes the law by which this heart beats, with k = 2 ms per beat/min: where the
+    The two-segment method assumes the law by which these hearts beat, with k = 2 ms per beat/min: where the
     true slope is the same it must be exact, and only the other slopes say what it is worth.
 
     Args:
         rates_bpm: heart rates, 25 to 220 per minute.
         motion: how far the phantom's heart moves.
         true_slopes_s_per_bpm: true k, each looked at.
-        seed: draws the heart.
+        seeds: one a heart, at least one.
     Raises:
         InvalidInputError: a rate out of range.
     """
     bad = [rate for rate in rates_bpm if not 25.0 <= rate <= 220.0]
     if bad or not rates_bpm:
         raise InvalidInputError(f"heart rates are {list(rates_bpm)}; needed 25 to 220 per minute")
-    anatomy = phantom_anatomy(motion=motion, mismatch_mm=0.0, seed=seed)
-    surface = _tabulated(anatomy)
+    hearts = [_heart(motion, seed) for seed in seeds]
     return tuple(
-        row
+        _row(hearts, rate, slope, method)
         for slope in true_slopes_s_per_bpm
         for rate in rates_bpm
-        for row in _rows_at(anatomy, surface, rate, slope)
+        for method in METHODS
     )
 
 
-def _rows_at(anatomy: PhantomAnatomy, surface: FloatArray, rate: float, slope: float) -> list[RetimingRow]:
+def _row(hearts: Sequence[_Heart], rate_bpm: float, slope_s_per_bpm: float, method: str) -> RetimingRow:
+    errors = [_errors(heart, 60.0 / rate_bpm, slope_s_per_bpm, method) for heart in hearts]
+    every = np.concatenate([error_mm.ravel() for error_mm, _ in errors])
+    systolic = np.concatenate([error_mm[systole].ravel() for error_mm, systole in errors])
+    return RetimingRow(
+        rate_bpm=rate_bpm,
+        true_slope_s_per_bpm=slope_s_per_bpm,
+        method=method,
+        mean_mm=float(every.mean()),
+        p95_mm=float(np.percentile(every, 95)),
+        max_mm=float(every.max()),
+        systole_p95_mm=float(np.percentile(systolic, 95)),
+    )
+
+
+def _errors(heart: _Heart, rr_s: float, slope_s_per_bpm: float, method: str) -> tuple[FloatArray, BoolArray]:
+    """(MOMENTS, points) distance over a beat of length `rr_s`, and which of its moments are true systole."""
+    anatomy = heart.anatomy
     phi = (np.arange(MOMENTS) + 0.5) / MOMENTS
-    rr_s = 60.0 / rate
-    truth = two_segment_phase(phi, np.full(MOMENTS, rr_s), anatomy.rr_s, anatomy.es_fraction, slope)
-    true_surface, systole = _at(surface, truth), truth < anatomy.es_fraction
-    rows = []
-    for method in METHODS:
-        apart = np.linalg.norm(_at(surface, _shown(method, phi, rr_s, anatomy)) - true_surface, axis=2)
-        mean, p95, worst = float(apart.mean()), float(np.percentile(apart, 95)), float(apart.max())
-        rows.append(
-            RetimingRow(rate, slope, method, mean, p95, worst, float(np.percentile(apart[systole], 95)))
-        )
-    return rows
+    truth = two_segment_phase(phi, np.full(MOMENTS, rr_s), anatomy.rr_s, anatomy.es_fraction, slope_s_per_bpm)
+    shown = _shown(method, phi, rr_s, anatomy)
+    error_mm = np.linalg.norm(heart.surface_at(shown) - heart.surface_at(truth), axis=2)
+    return error_mm, truth < anatomy.es_fraction
 
 
 def _shown(method: str, phi: FloatArray, rr_s: float, anatomy: PhantomAnatomy) -> FloatArray:
@@ -100,16 +126,8 @@ def _shown(method: str, phi: FloatArray, rr_s: float, anatomy: PhantomAnatomy) -
     return retime(phi, rr_s, anatomy.rr_s, anatomy.es_fraction, mode)
 
 
-def _tabulated(anatomy: PhantomAnatomy) -> FloatArray:
-    """(PHASES, POINTS, 3) epicardial points spread over the heart, at equal steps of the cycle."""
+def _heart(motion: MotionPreset, seed: int) -> _Heart:
+    anatomy = phantom_anatomy(motion=motion, mismatch_mm=0.0, seed=seed)
     stride = max(1, len(anatomy.ed_vertices_mm) // POINTS)
     points = anatomy.ed_vertices_mm[::stride]
-    return np.stack([anatomy.deformed(points, k / PHASES) for k in range(PHASES)])
-
-
-def _at(surface: FloatArray, phase: FloatArray) -> FloatArray:
-    """(n, points, 3) surface at phases, linear between tabulated ones (cyclic)."""
-    position = (phase % 1.0) * PHASES
-    first = position.astype(np.int64) % PHASES
-    weight = (position - np.floor(position))[:, None, None]
-    return np.asarray((1 - weight) * surface[first] + weight * surface[(first + 1) % PHASES])
+    return _Heart(anatomy, np.stack([anatomy.deformed(points, k / PHASES) for k in range(PHASES)]))

@@ -1,4 +1,4 @@
-"""`dvf-ig study tracking`: a tool held to the beating surface by a guidance fixture alone."""
+"""`dvf-ig study tracking`: a stylus held to the beating surface by a guidance fixture alone."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, progress, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, progress, wrote
+
+from .options import FirstSeedOption, SeedsOption
 
 if TYPE_CHECKING:
     from dvf_ig.guidance import SimulatedDevice
-    from dvf_ig.study.stylus.study import Follower, Track
+    from dvf_ig.study.stylus.holding import HeldStylus, StylusRun
 
 
 class MotionName(StrEnum):
@@ -38,54 +40,60 @@ def tracking(
     phases: Annotated[int, typer.Option("--phases", min=2, help="Volumes of the model in a cycle.")] = 20,
     places: Annotated[int, typer.Option("--places", min=1, help="Places on the surface.")] = 6,
     device: Annotated[DeviceName, typer.Option("--device", help="What is simulated.")] = DeviceName.both,
-    seed: SeedOption = 1,
+    seeds: SeedsOption = 1,
+    seed: FirstSeedOption = 1,
     as_json: JsonFlag = False,
 ) -> None:
-    """Distance of the tool to the true surface, for each device and blend, with and without feed-forward."""
+    """Distance of a held stylus to the true surface, by device and blend, with and without feed-forward."""
     with command():
         from dvf_ig.guidance import DEVICES
         from dvf_ig.guidance.blend import BLEND_CODES
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
         from dvf_ig.report.study.stylus import picture_png
-        from dvf_ig.study.stylus.study import beating_surface, follow, followers
+        from dvf_ig.study.progress import part_of
+        from dvf_ig.study.stylus.holding import beating_surface, held_styli, hold_stylus, pool_hearts
 
         devices = list(DEVICES.values()) if device is DeviceName.both else [DEVICES[device.value]]
-        tried = followers(devices, list(BLEND_CODES))
+        tried = held_styli(devices, list(BLEND_CODES))
         with output_folder(out), progress("tracking") as report:
-            surface = beating_surface(
-                motion.value,
-                phases=phases,
-                cycle_s=cycle_s,
-                places=places,
-                seed=seed,
-                progress=lambda f: report(0.3 * f),
-            )
-            tracks = []
-            for follower in tried:
-                tracks.append(follow(surface, follower, cycles=cycles))
-                report(0.3 + 0.7 * len(tracks) / len(tried))
+            hearts = [
+                beating_surface(
+                    motion.value,
+                    phases=phases,
+                    cycle_s=cycle_s,
+                    places=places,
+                    seed=seed + k,
+                    progress=part_of(lambda share: report(0.3 * share), k, seeds),
+                )
+                for k in range(seeds)
+            ]
+            runs = []
+            for stylus in tried:
+                runs.append(pool_hearts([hold_stylus(heart, stylus, cycles=cycles) for heart in hearts]))
+                report(0.3 + 0.7 * len(runs) / len(tried))
             result = {
                 "motion": motion.value,
                 "cycles": cycles,
                 "cycle_s": cycle_s,
                 "phases": phases,
                 "seed": seed,
-                "excursion_mm": surface.excursion_mm.tolist(),
-                "rows": [_entry(track) for track in tracks],
+                "seeds": seeds,
+                "excursion_mm": [mm for heart in hearts for mm in heart.excursion_mm.tolist()],
+                "rows": [_entry(run) for run in runs],
             }
             write_json(out / "tracking.json", result)
-            write_bytes(out / "tracking.png", picture_png(surface, tracks))
-        emit(result, _rows(tracks), as_json=as_json)
+            write_bytes(out / "tracking.png", picture_png(hearts[0], runs))
+        emit(result, _rows(runs), as_json=as_json)
         for each in devices:
             typer.echo(_describe(each), err=True)
         for name in ("tracking.json", "tracking.png"):
             wrote(out / name)
 
 
-def _entry(track: "Track") -> dict[str, Any]:
-    follower = track.follower
-    d, law = follower.device, follower.law
+def _entry(run: "StylusRun") -> dict[str, Any]:
+    stylus = run.stylus
+    d, law = stylus.device, stylus.law
     return {
         "device": {
             "name": d.name,
@@ -96,19 +104,19 @@ def _entry(track: "Track") -> dict[str, Any]:
             "rate_hz": d.rate_hz,
         },
         "law": {"delta_mm": law.delta_mm, "m": law.m, "cap_n": law.cap_n},
-        "feed_forward_n": follower.feed_forward.friction_n,
-        "blend": follower.blend,
-        **track.summary(),
+        "feed_forward_n": stylus.feed_forward.friction_n,
+        "blend": stylus.blend,
+        **run.summary(),
     }
 
 
-def _rows(tracks: "list[Track]") -> list[tuple[str, ...]]:
+def _rows(runs: "list[StylusRun]") -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [
         ("device, law, blend", "mean mm", "RMS", "p95", "max", "worst place", "slid mm", "force N")
     ]
-    for track in tracks:
-        s = track.summary()
-        rows.append((_name(track.follower), *(f"{value:.3f}" for value in s.values())))
+    for run in runs:
+        s = run.summary()
+        rows.append((_name(run.stylus), *(f"{value:.3f}" for value in s.values())))
     return rows
 
 
@@ -119,7 +127,7 @@ def _describe(d: "SimulatedDevice") -> str:
     )
 
 
-def _name(follower: "Follower") -> str:
-    law, added = follower.law, follower.feed_forward.friction_n
+def _name(stylus: "HeldStylus") -> str:
+    law, added = stylus.law, stylus.feed_forward.friction_n
     extra = f" + {added:.3f} N with the surface" if added > 0.0 else ""
-    return f"{follower.device.name}, δ {law.delta_mm:.2f} mm m {law.m:g}{extra}, {follower.blend}"
+    return f"{stylus.device.name}, δ {law.delta_mm:.2f} mm m {law.m:g}{extra}, {stylus.blend}"

@@ -1,8 +1,8 @@
-"""Tensor-product spline network of any degrees and pitches (Ren 2008, eq. 1), for studies and tests.
+"""Tensor-product spline network of any degrees and knot pitches (Ren 2008, eq. 1).
 
 d(x, y, z) = Σ p_ijk B_i(x) C_j(y) D_k(z) with uniform B-splines of degree 1 to 5 and a pitch of its own along
-each axis. The servo loop evaluates one kind only, cubic with the same pitch along each axis
-(`dvf_ig.kernels.spline`); that is what a DvfModel holds.
+each axis. The servo loop evaluates cubic splines with the same pitch along each axis
+(`dvf_ig.kernels.spline`); that is what a DvfModel holds, and what `dvf_ig.preop.spline.fit` fits.
 """
 
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ class SplineAxis:
 
     Attributes:
         degree: 1 (linear) to 5.
-        origin_mm: where the first cell starts.
+        origin_mm: start of the first cell.
         spacing_mm: knot pitch.
-        cells: how many cells; there are cells + degree basis functions.
+        cells: number of cells; there are cells + degree basis functions.
     """
 
     degree: int
@@ -53,22 +53,22 @@ class SplineAxis:
         return self.origin_mm + self.cells * self.spacing_mm
 
     def values(self, x_mm: FloatArray) -> csr_array:
-        """(n, functions) value of every basis function at (n,) places.
+        """(n, functions) value of every basis function at (n,) positions.
 
         Raises:
-            InvalidInputError: a place outside the cells.
+            InvalidInputError: a position outside the cells.
         """
         return self._design(x_mm, self.degree)
 
-    def slopes(self, x_mm: FloatArray) -> csr_array:
+    def derivatives(self, x_mm: FloatArray) -> csr_array:
         """(n, functions) derivative of every basis function, 1/mm: (B_(i−1) − B_i)/pitch, a degree lower."""
         lower = self._design(x_mm, self.degree - 1)
         n = lower.shape[0]
         values = np.pad(lower.data.reshape(n, self.degree), [(0, 0), (1, 1)])
         columns = lower.indices.reshape(n, self.degree)[:, :1] + np.arange(self.degree + 1)
         rows = np.repeat(np.arange(n), self.degree + 1)
-        slopes = (values[:, :-1] - values[:, 1:]) / self.spacing_mm
-        return csr_array((slopes.ravel(), (rows, columns.ravel())), shape=(n, self.functions))
+        derivatives = (values[:, :-1] - values[:, 1:]) / self.spacing_mm
+        return csr_array((derivatives.ravel(), (rows, columns.ravel())), shape=(n, self.functions))
 
     def _design(self, x_mm: FloatArray, degree: int) -> csr_array:
         u = self._knot_coordinates(x_mm)
@@ -76,12 +76,12 @@ class SplineAxis:
         return csr_array(BSpline.design_matrix(u, knots, degree))
 
     def _knot_coordinates(self, x_mm: FloatArray) -> FloatArray:
-        """(n,) places in knots from the origin; rounding at either end is forgiven."""
+        """(n,) positions in knots from the origin; rounding errors at either end are tolerated."""
         u = (np.asarray(x_mm, dtype=np.float64) - self.origin_mm) / self.spacing_mm
-        slack = 1e-9 * self.cells
-        if not ((u >= -slack) & (u <= self.cells + slack)).all():
+        tolerance = 1e-9 * self.cells
+        if not ((u >= -tolerance) & (u <= self.cells + tolerance)).all():
             raise InvalidInputError(
-                f"places from {np.min(x_mm):g} to {np.max(x_mm):g} mm; the spline is defined from "
+                f"positions from {np.min(x_mm):g} to {np.max(x_mm):g} mm; the spline is defined from "
                 f"{self.origin_mm:g} to {self.upper_mm:g} mm"
             )
         return np.clip(u, 0.0, self.cells)
@@ -121,7 +121,7 @@ class SplineNetwork:
         values = [axis.values(xyz_mm[:, a]) for a, axis in enumerate(self.axes)]
         gradient = np.empty((len(xyz_mm), 3))
         for a, axis in enumerate(self.axes):
-            along = [*values[:a], axis.slopes(xyz_mm[:, a]), *values[a + 1 :]]
+            along = [*values[:a], axis.derivatives(xyz_mm[:, a]), *values[a + 1 :]]
             gradient[:, a] = self._products(*along) @ flat
         return np.asarray(self._products(*values) @ flat), gradient
 

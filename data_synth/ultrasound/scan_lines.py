@@ -1,4 +1,4 @@
-"""From a beating anatomy to the envelope along scan lines."""
+"""The envelope along scan lines: trace, insonify, scatter, form beams, detect."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from data_synth.heart.fibre_orientation import STRIDE
 from data_synth.heart.motion import PullBack
 from data_synth.heart.reference import ReferenceMap
-from data_synth.kernels import receive, sector
+from data_synth.kernels import receive, speckle
+from data_synth.kernels.insonification import Amplitudes, Pulse, TissueFields, insonify, reverberate
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.core.frames import require_same_frame
 
@@ -22,8 +23,8 @@ from .slice_lattice import Lattice, slice_lattice
 Raster = NDArray[np.float32]
 
 
-class Insonified(Protocol):
-    """What the simulator needs of an anatomy."""
+class AcousticAnatomy(Protocol):
+    """What the simulator needs of an anatomy: tissue at end-diastole, and where it came from."""
 
     @property
     def reference(self) -> ReferenceMap: ...
@@ -37,7 +38,7 @@ class BeamTables:
     """Tables that depend on the probe alone.
 
     Attributes:
-        axial: pulse, see `ultrasound_beam`.
+        axial: pulse, see `beam`.
         lateral: (k, 2·samples) beam, for both halves of the samples.
         end_mm: (samples + 1,) depths of the ends of the samples.
         elevation_mm: (planes, samples + 1) distance of each elevation plane from the middle one there.
@@ -68,7 +69,7 @@ def beam_tables(probe: SectorProbe) -> BeamTables:
     end_mm: FloatArray = probe.step_mm * np.arange(probe.samples + 1.0)
     sigma_mm = probe.elevation_fwhm_mm(end_mm) / FWHM_PER_SIGMA
     # one fixed table of deviates; the seed enters through the hash that picks from it
-    deviates = np.random.default_rng(20080101).standard_normal((sector.TABLE, 2)) / np.sqrt(2)
+    deviates = np.random.default_rng(20080101).standard_normal((speckle.TABLE, 2)) / np.sqrt(2)
     return BeamTables(
         beam.axial_taps(probe.axial_fwhm_mm, probe.step_mm),
         np.tile(beam.lateral_taps(probe.lateral_fwhm_mm(depths) / radius, pitch, radius), (1, 2)),
@@ -82,12 +83,12 @@ def beam_tables(probe: SectorProbe) -> BeamTables:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Seeds:
     """64-bit seeds: one of the tissue texture for each band, one of this frame's blood and noise."""
 
     texture: tuple[np.uint64, ...]
-    once: np.uint64
+    frame: np.uint64
 
     @classmethod
     def of(cls, seed: int, frame: int, bands: int) -> "Seeds":
@@ -96,103 +97,109 @@ class Seeds:
         return cls(tuple(texture), once)
 
 
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class InsonifiedLines:
+    """What the beams of one plane meet.
+
+    Attributes:
+        path_mm: (lines, samples + 1, 3) reference positions of the ends of the samples.
+        amplitudes: that return from each sample.
+    """
+
+    path_mm: FloatArray
+    amplitudes: Amplitudes
+
+
 def envelope_lines(
-    anatomy: Insonified, probe: SectorProbe, mr_from_plane: Rigid, phases: FloatArray, seed: int, frame: int
+    anatomy: AcousticAnatomy,
+    probe: SectorProbe,
+    mr_from_plane: Rigid,
+    phases: FloatArray,
+    seed: int,
+    frame: int,
 ) -> Raster:
     """(lines, samples) envelope in dB re myocardium's scatter, before log compression."""
     require_same_frame("mr", mr_from_plane.target, "image plane")
     require_same_frame("plane", mr_from_plane.source, "image plane")
-    tables, seeds = beam_tables(probe), Seeds.of(seed, frame, probe.bands)
+    seeds = Seeds.of(seed, frame, probe.bands)
     lattice = slice_lattice(probe, mr_from_plane.rotation[:, 2])
     directions = probe.directions @ mr_from_plane.rotation.T
     planes = [
-        insonified(anatomy, probe, mr_from_plane, directions, phases, k)
-        for k in range(len(tables.elevation_mm))
+        insonified_lines(anatomy, probe, mr_from_plane, directions, phases, plane)
+        for plane in range(probe.elevation_planes)
     ]
     envelope = np.zeros((probe.lines, probe.samples), dtype=np.float32)
-    out = np.empty((2, probe.lines, probe.samples), dtype=np.float32)
+    beams = np.empty((2, probe.lines, probe.samples), dtype=np.float32)
     for band in range(probe.bands):
         parts = np.zeros((2, probe.lines * probe.fine_lines, 2 * probe.samples), dtype=np.float32)
-        for lit in planes:
-            scatter(probe, lattice, *lit, seeds, band, parts)
+        for lines in planes:
+            scatter(probe, lattice, lines, seeds, band, parts)
         add_haze(probe, seeds, band, parts)
-        for part, formed in zip(parts, out, strict=True):
+        for part, formed in zip(parts, beams, strict=True):
             form_beams(probe, part, formed)
-        detect(probe, out, seeds, band, envelope)
+        detect(probe, beams, seeds, band, envelope)
     receive.decibel(envelope, 1.0 / probe.bands)
     return envelope
 
 
-def insonified(
-    anatomy: Insonified,
+def insonified_lines(
+    anatomy: AcousticAnatomy,
     probe: SectorProbe,
     mr_from_plane: Rigid,
     directions: FloatArray,
     phases: FloatArray,
     plane: int = 0,
-) -> tuple[FloatArray, tuple[Raster, Raster, Raster], FloatArray]:
-    """Reference positions along the lines, the amplitudes (tissue, blood, interface) that return, reflectors.
+) -> InsonifiedLines:
+    """Trace the scan lines back to end-diastole, and what returns from along them.
 
     Args:
         directions: (lines, 3) unit vectors of the scan lines, frame "mr".
+        phases: (lines,) model phase of each.
         plane: which elevation plane.
     """
-    reference, tables = anatomy.reference, beam_tables(probe)
+    tables = beam_tables(probe)
     along_mm = probe.face_radius_mm + tables.end_mm[:, None]
     points = mr_from_plane.translation_mm + along_mm * directions[:, None, :]
     if probe.elevation_planes > 1:
         points += tables.elevation_mm[plane][:, None] * mr_from_plane.rotation[:, 2]
     path = traced_lines(anatomy.inverse_motion, points, phases)
-    tissue, blood, echo = (np.empty((probe.lines, probe.samples), dtype=np.float32) for _ in range(3))
-    mirror = np.zeros((probe.lines, 3))
-    sector.insonify(
-        path,
-        reference.acoustics,
-        reference.origin_mm,
-        1.0 / reference.spacing_mm,
-        reference.grain,
-        1.0 / (STRIDE * reference.spacing_mm),
-        probe.step_mm,
-        probe.frequency_mhz,
-        10 ** (probe.specular_db / 20),
-        probe.specular_power,
-        tissue,
-        blood,
-        echo,
-        mirror,
-    )
-    dirt = 10 ** (probe.dirt_db / 20)
-    sector.reverberate(mirror, probe.step_mm, probe.face_reflection, dirt, tissue, echo)
+    amplitudes = _returned(path, anatomy.reference, probe)
     if probe.elevation_planes > 1:
-        tissue *= tables.scatter_weight[plane]
-        blood *= tables.scatter_weight[plane]
-        echo *= tables.echo_weight[plane]
-    return path, (tissue, blood, echo), mirror
+        for scattered in (amplitudes.tissue, amplitudes.blood):
+            scattered *= tables.scatter_weight[plane]
+        amplitudes.interface[:] *= tables.echo_weight[plane]
+    return InsonifiedLines(path, amplitudes)
+
+
+def _returned(path: FloatArray, reference: ReferenceMap, probe: SectorProbe) -> Amplitudes:
+    """Amplitudes from along (lines, samples + 1, 3) paths, with reverberations."""
+    tissue, blood, interface = (np.empty((len(path), path.shape[1] - 1), dtype=np.float32) for _ in range(3))
+    out = Amplitudes(tissue, blood, interface, np.zeros((len(path), 3)))
+    per_mm = 1.0 / reference.spacing_mm
+    fibres_per_mm = 1.0 / (STRIDE * reference.spacing_mm)
+    fields = TissueFields(
+        reference.acoustics, reference.origin_mm, per_mm, reference.fibre_orientation, fibres_per_mm
+    )
+    specular = 10 ** (probe.specular_db / 20)
+    pulse = Pulse(probe.step_mm, probe.frequency_mhz, specular, probe.specular_power)
+    insonify(path, fields, pulse, out)
+    reverberate(out, probe.step_mm, probe.face_reflection, 10 ** (probe.dirty_shadow_db / 20))
+    return out
 
 
 def scatter(
-    probe: SectorProbe,
-    lattice: Lattice,
-    path: FloatArray,
-    amplitudes: tuple[Raster, Raster, Raster],
-    mirror: FloatArray,
-    seeds: Seeds,
-    band: int,
-    parts: Raster,
+    probe: SectorProbe, lattice: Lattice, lines: InsonifiedLines, seeds: Seeds, band: int, parts: Raster
 ) -> None:
-    """Add the echoes of what `insonified` gave to `parts` (2, lines·fine, 2·samples)."""
-    sector.scatter(
-        path @ lattice.axes.T,
-        *amplitudes,
-        mirror,
+    """Add the echoes of the scatterers along `lines` to `parts` (2, lines·fine, 2·samples)."""
+    scatterers = speckle.Scatterers(
         lattice.per_mm,
         beam_tables(probe).deviates,
         np.uint64(int(seeds.texture[band]) ^ lattice.number),
-        np.uint64(int(seeds.once) ^ band),
-        probe.fine_lines,
-        parts[0],
-        parts[1],
+        np.uint64(int(seeds.frame) ^ band),
     )
+    path = lines.path_mm @ lattice.axes.T
+    speckle.scatter(path, lines.amplitudes, scatterers, probe.fine_lines, parts[0], parts[1])
 
 
 def add_haze(probe: SectorProbe, seeds: Seeds, band: int, parts: Raster) -> None:
@@ -202,7 +209,9 @@ def add_haze(probe: SectorProbe, seeds: Seeds, band: int, parts: Raster) -> None
     tables = beam_tables(probe)
     depth_cells = 0.5 * probe.step_mm / beam.LATTICE_MM
     still = np.uint64(int(seeds.texture[band]) ^ 0x4A2E)
-    sector.add_clutter(tables.haze, tables.arc_cells, depth_cells, tables.deviates, still, parts[0], parts[1])
+    speckle.add_clutter(
+        tables.haze, tables.arc_cells, depth_cells, tables.deviates, still, parts[0], parts[1]
+    )
 
 
 def form_beams(probe: SectorProbe, part: Raster, out: Raster) -> None:
@@ -216,4 +225,4 @@ def form_beams(probe: SectorProbe, part: Raster, out: Raster) -> None:
 def detect(probe: SectorProbe, beams: Raster, seeds: Seeds, band: int, envelope: Raster) -> None:
     """Receiver noise and gain on `beams` (2, lines, samples); their envelope is added to `envelope`."""
     tables, noise = beam_tables(probe), np.float32(10 ** (probe.noise_db / 20))
-    receive.detect(beams[0], beams[1], noise, tables.gain, band, tables.deviates, seeds.once, envelope)
+    receive.detect(beams[0], beams[1], noise, tables.gain, band, tables.deviates, seeds.frame, envelope)

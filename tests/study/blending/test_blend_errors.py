@@ -5,12 +5,12 @@ import pytest
 from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance.blend import BLEND_CODES
 from dvf_ig.report.study.blending import blending_png
-from dvf_ig.study.blending.study import blending_errors
+from dvf_ig.study.blending.blend_errors import blending_errors
 
 
 @pytest.fixture(scope="module")
 def study():
-    return blending_errors("physiological", [4, 10], knot_spacing_mm=7.0, threads=2, seed=101)
+    return blending_errors("physiological", [4, 10], knot_spacing_mm=7.0, threads=2, seeds=[101])
 
 
 def test_more_phases_err_less(study):
@@ -39,4 +39,4 @@ def test_picture(study):
 @pytest.mark.parametrize("counts", [[], [3, 10]])
 def test_counts_are_checked(counts):
     with pytest.raises(InvalidInputError, match="numbers of phases"):
-        blending_errors("paper5mm", counts, seed=1)
+        blending_errors("paper5mm", counts, seeds=[1])

@@ -8,7 +8,13 @@ from dvf_ig.core import CycleTiming, FloatArray, InvalidInputError, SurfaceSerie
 from dvf_ig.guidance import DEVICES, DeviceLimits, SimulatedDevice
 from dvf_ig.preop import ModelOptions, model_from_surfaces
 from dvf_ig.report.study.stylus import picture_png
-from dvf_ig.study.stylus.study import BeatingSurface, design, follow, followers, spare_friction_n
+from dvf_ig.study.stylus.holding import (
+    BeatingSurface,
+    held_styli,
+    hold_stylus,
+    spare_friction_n,
+    with_fixture,
+)
 
 CENTER = np.array([10.0, -5.0, 3.0])
 PLACES = np.array([[0.6, 0.0, 0.8], [-0.48, 0.64, 0.6]])
@@ -56,39 +62,40 @@ def ball() -> BeatingSurface:
 
 
 def test_a_light_device_is_held_to_the_surface(ball: BeatingSurface) -> None:
-    track = follow(ball, design(DEVICES["premium"], "force", compensate=False), cycles=3)
-    summary = track.summary()
-    assert track.distance_mm.shape == (2, 1800)
+    run = hold_stylus(ball, with_fixture(DEVICES["premium"], "force", compensate=False), cycles=3)
+    summary = run.summary()
+    assert run.distance_mm.shape == (2, 1800)
     assert summary["mean_mm"] < 0.2
     assert summary["largest_force_n"] <= 0.6
-    np.testing.assert_allclose(track.outward, PLACES, atol=0.05)
+    np.testing.assert_allclose(run.outward, PLACES, atol=0.05)
 
 
 def test_distance_is_to_the_true_surface(ball: BeatingSurface) -> None:
-    track = follow(ball, design(DEVICES["omni"], "distance", compensate=True), cycles=1)
-    radius = 22.0 - 4.0 * np.sin(np.pi * track.t_s / 0.6) ** 2
-    expected = radius - np.linalg.norm(track.tip_mm - CENTER, axis=2)
+    run = hold_stylus(ball, with_fixture(DEVICES["omni"], "distance", compensate=True), cycles=1)
+    radius = 22.0 - 4.0 * np.sin(np.pi * run.t_s / 0.6) ** 2
+    expected = radius - np.linalg.norm(run.tip_mm - CENTER, axis=2)
     # the faceted sphere lies up to 22 mm · (1 − cos 4.5°) inside the round one
-    np.testing.assert_allclose(track.distance_mm, expected, atol=0.14)
+    np.testing.assert_allclose(run.distance_mm, expected, atol=0.14)
 
 
 def test_without_mass_the_error_is_the_dead_band_of_friction(ball: BeatingSurface) -> None:
     """A light, slow tool lags by just what it takes to overcome friction: δ[−ln(1−c/F)]^(1/2m)."""
     light = SimulatedDevice("light", 0.002, 0.2, 0.1)
-    follower = design(light, "distance", compensate=False)
-    track = follow(ball, follower, cycles=2)
-    moving = np.abs(np.sin(2 * np.pi * track.t_s / 0.6)) > 0.5
-    moving &= track.t_s > 0.6
-    dead_band = follower.law.half_width_mm(0.1)
+    stylus = with_fixture(light, "distance", compensate=False)
+    run = hold_stylus(ball, stylus, cycles=2)
+    moving = np.abs(np.sin(2 * np.pi * run.t_s / 0.6)) > 0.5
+    moving &= run.t_s > 0.6
+    dead_band = stylus.law.half_width_mm(0.1)
     drag_mm = 0.2 * 0.021 / 0.4
-    held = np.abs(track.distance_mm[:, moving]).mean(axis=1)
+    held = np.abs(run.distance_mm[:, moving]).mean(axis=1)
     np.testing.assert_allclose(held, dead_band + drag_mm, atol=0.06)
 
 
 def test_feed_forward_overcomes_friction_and_stays_passive(ball: BeatingSurface) -> None:
     omni = DEVICES["omni"]
     plain, helped = (
-        follow(ball, design(omni, "force", compensate=c), cycles=2).summary() for c in (False, True)
+        hold_stylus(ball, with_fixture(omni, "force", compensate=c), cycles=2).summary()
+        for c in (False, True)
     )
     assert helped["mean_mm"] < 0.6 * plain["mean_mm"]
     used = spare_friction_n(omni)
@@ -99,7 +106,7 @@ def test_feed_forward_overcomes_friction_and_stays_passive(ball: BeatingSurface)
 
 
 def test_feed_forward_is_tried_where_friction_can_be_spared() -> None:
-    tried = followers(list(DEVICES.values()), ["force", "distance"])
+    tried = held_styli(list(DEVICES.values()), ["force", "distance"])
     assert [(f.device.name, f.feed_forward.friction_n > 0) for f in tried] == [
         ("PHANToM Premium 1.0", False), ("PHANToM Premium 1.0", False),
         ("PHANToM Omni", False), ("PHANToM Omni", False),
@@ -108,10 +115,10 @@ def test_feed_forward_is_tried_where_friction_can_be_spared() -> None:
 
 
 def test_the_picture_is_a_png(ball: BeatingSurface) -> None:
-    tracks = [follow(ball, f, cycles=1) for f in followers([DEVICES["omni"]], ["force", "distance"])]
-    assert picture_png(ball, tracks).startswith(b"\x89PNG")
+    runs = [hold_stylus(ball, f, cycles=1) for f in held_styli([DEVICES["omni"]], ["force", "distance"])]
+    assert picture_png(ball, runs).startswith(b"\x89PNG")
 
 
 def test_senseless_numbers_are_refused(ball: BeatingSurface) -> None:
     with pytest.raises(InvalidInputError, match="0 cycles"):
-        follow(ball, design(DEVICES["premium"], "force", compensate=False), cycles=0)
+        hold_stylus(ball, with_fixture(DEVICES["premium"], "force", compensate=False), cycles=0)

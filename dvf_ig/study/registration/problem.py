@@ -1,4 +1,4 @@
-"""One synthetic registration task: what is registered to what, how, and the truth of it."""
+"""One synthetic registration problem: what is registered to what, how, and the truth of it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ Register = Callable[[Rigid, np.random.Generator], RegistrationResult]
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class RegistrationProblem:
     """Attributes:
     truth: mr_from_tracker.
     targets: where errors are declared, frame "mr".
@@ -71,8 +71,8 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Before:
-    """The heart before: MR, wall and blood, and both as gated volumes need them."""
+class _PreOperative:
+    """The pre-operative heart: MR, wall and blood, and both as gated volumes need them."""
 
     mr: VolumeSeries
     labels: VolumeSeries
@@ -81,23 +81,23 @@ class _Before:
 
 
 @lru_cache(maxsize=1)
-def _before(seed: int, motion: Motion) -> _Before:
-    preop = image_pair(PairSpec(seed, motion)).preop
-    if preop.mr is None:
+def _preoperative(seed: int, motion: Motion) -> _PreOperative:
+    data = image_pair(PairSpec(seed, motion)).preop
+    if data.mr is None:
         raise TypeError("the phantom's pre-operative data hold MR")
-    mr, labels = preop.mr, label_map(preop)
+    mr, labels = data.mr, label_map(data)
     numbers = [_nearest(mr, phase) for phase in GATED]
     gated = channels_from_mr(mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=numbers)
-    return _Before(mr, labels, gated, target_from_labels(labels, np.array(GATED)))
+    return _PreOperative(mr, labels, gated, target_from_labels(labels, np.array(GATED)))
 
 
 @lru_cache(maxsize=2)
 def _channels(seed: int, motion: Motion, smoothing_mm: float) -> ModelChannels:
-    return channels_from_mr(_before(seed, motion).mr, smoothing_mm=smoothing_mm)
+    return channels_from_mr(_preoperative(seed, motion).mr, smoothing_mm=smoothing_mm)
 
 
-def make_scene(pair_seed: int, condition: dict[str, Any]) -> Scene:
-    """The scene of a condition of `registration_arms`."""
+def make_problem(pair_seed: int, condition: dict[str, Any]) -> RegistrationProblem:
+    """The registration problem of an image pair under a condition of `experiments`."""
     pair = image_pair(
         PairSpec(pair_seed, condition["motion"], condition["quality"], condition.get("change", "none"))
     )
@@ -109,26 +109,26 @@ def make_scene(pair_seed: int, condition: dict[str, Any]) -> Scene:
     return _volumes(pair, condition)
 
 
-def _volumes(pair: ImagePair, condition: dict[str, Any]) -> Scene:
+def _volumes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
     """Gated 3-D images, the MR of their phases, and how late the gate is."""
     error: float | list[float] = condition.get("phase_error", 0.0)
     if "rr_s" in condition:
         error = _retiming_error(pair, condition["rr_s"]).tolist()
     volumes = pair.volumes(GATED, phase_error=error)
-    before = _before(pair.spec.seed, pair.spec.motion)
-    return _volume_scene(pair, volumes, before, before.surface)
+    preop = _preoperative(pair.spec.seed, pair.spec.motion)
+    return _volume_problem(pair, volumes, preop, preop.surface)
 
 
-def _volume_scene(
-    pair: ImagePair, volumes: tuple[TrackedVolume, ...], before: _Before, surface: EdgeTarget | None
-) -> Scene:
-    model, mr = before.gated, before.mr
+def _volume_problem(
+    pair: ImagePair, volumes: tuple[TrackedVolume, ...], preop: _PreOperative, surface: EdgeTarget | None
+) -> RegistrationProblem:
+    model, mr = preop.gated, preop.mr
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
         return register_volumes(volumes, model, start, pair.center_mm, rng=rng, surface=surface)
 
     first = volumes[0]
-    return Scene(
+    return RegistrationProblem(
         pair.mr_from_tracker,
         pair.targets.points,
         pair.center_mm,
@@ -146,31 +146,31 @@ def _retiming_error(pair: ImagePair, rr_s: float) -> FloatArray:
     """
     anatomy = pair.before
     phi = np.linspace(0.0, 1.0, 2000, endpoint=False)
-    believed = retime(phi, rr_s, anatomy.rr_s, anatomy.es_fraction, mode="two-segment")
+    estimated = retime(phi, rr_s, anatomy.rr_s, anatomy.es_fraction, mode="two-segment")
     true = two_segment_phase(phi, np.full_like(phi, rr_s), anatomy.rr_s, anatomy.es_fraction, 0.0028)
-    return np.array([np.interp(gate, believed, true - believed) for gate in GATED])
+    return np.array([np.interp(gate, estimated, true - estimated) for gate in GATED])
 
 
-def _same_image(pair: ImagePair) -> Scene:
-    """The harness itself: "ultrasound" whose root amplitude is the model's own channel, through a tracker."""
-    before = _before(pair.spec.seed, pair.spec.motion)
-    tracker_from_mr, grid = pair.mr_from_tracker.inverse(), before.mr.grid
+def _same_image(pair: ImagePair) -> RegistrationProblem:
+    """The pipeline alone: "ultrasound" with the model's own channel as root amplitude, through a tracker."""
+    preop = _preoperative(pair.spec.seed, pair.spec.motion)
+    tracker_from_mr, grid = pair.mr_from_tracker.inverse(), preop.mr.grid
     pose = Rigid("tracker", "mr", tracker_from_mr.rotation, tracker_from_mr.translation_mm)
     shown = root_amplitude(np.arange(256, dtype=np.uint8))
     volumes = []
-    for phase, channels in zip(GATED, before.gated.values, strict=True):
+    for phase, channels in zip(GATED, preop.gated.values, strict=True):
         level = channels[..., 0] - channels[..., 0].min()
         grey = np.searchsorted(shown, level * (shown[-1] / level.max())).clip(0, 255).astype(np.uint8)
         mask = Volume(grid, np.ones(grid.shape, dtype=np.uint8))
         volumes.append(TrackedVolume(Volume(grid, grey), mask, pose, phase))
-    # blood is bright in MR: the borders of ultrasound do not exist here
-    return _volume_scene(pair, tuple(volumes), before, surface=None)
+    # blood is bright in MR: the boundaries that ultrasound shows do not exist here
+    return _volume_problem(pair, tuple(volumes), preop, surface=None)
 
 
-def _planes(pair: ImagePair, condition: dict[str, Any]) -> Scene:
+def _planes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
     """Cine loops of a few tracked planes; calibration off at the fan's centre, clock late."""
-    before, probe = _before(pair.spec.seed, pair.spec.motion), PROBES["apical"]
-    mr = before.mr
+    preop, probe = _preoperative(pair.spec.seed, pair.spec.motion), PROBES["apical"]
+    mr = preop.mr
     if not isinstance(probe, SectorProbe):
         raise TypeError("the apical probe makes planes")
     views = plane_views(pair.now, condition["planes"], child_rng(pair.spec.seed, "pair planes"))
@@ -201,13 +201,13 @@ def _planes(pair: ImagePair, condition: dict[str, Any]) -> Scene:
         for pitch, smoothing in PLANE_LEVELS
     ]
 
-    surface = target_from_labels(before.labels, model_phase)
+    surface = target_from_labels(preop.labels, model_phase)
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
         edges = Edges(boundary_points(levels[1].slices), surface)
         return register_rigid(levels[0], levels[1], start, pair.center_mm, rng=rng, edges=edges)
 
-    return Scene(pair.mr_from_tracker, pair.targets.points, pair.center_mm, register)
+    return RegistrationProblem(pair.mr_from_tracker, pair.targets.points, pair.center_mm, register)
 
 
 def _miscalibrated(probe: SectorProbe, off_mm: float, seed: int) -> ImageMap:

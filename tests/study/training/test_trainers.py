@@ -7,21 +7,14 @@ from hypothesis import strategies as st
 
 from dvf_ig.core import InvalidInputError, Stop
 from dvf_ig.kernels.spline import spline_batch
-from dvf_ig.preop import (
-    AxisSolver,
-    SplineAxis,
-    SplineNetwork,
-    fit_coefficients,
-    safe_step,
-    train_gradient,
-    train_scattered,
-    train_separable,
-)
+from dvf_ig.preop import AxisSolver, fit_coefficients
+from dvf_ig.study.training.network import SplineAxis, SplineNetwork
+from dvf_ig.study.training.trainers import safe_step, train_gradient, train_scattered, train_separable
 
 MIXED = SplineNetwork(SplineAxis(2, -3.0, 1.5, 4), SplineAxis(3, 1.0, 2.0, 3), SplineAxis(1, 0.0, 0.75, 5))
 
 
-def places(network, per_cell=4):
+def positions(network, per_cell=4):
     return tuple(
         np.linspace(axis.origin_mm, axis.upper_mm, per_cell * axis.cells + 1) for axis in network.axes
     )
@@ -47,8 +40,8 @@ def test_polynomials_up_to_the_degree_are_reproduced_with_their_gradient(degrees
     )
     a = rng.normal(size=[d + 1 for d in degrees])
     polynomial = np.polynomial.polynomial
-    samples = polynomial.polyval3d(*np.meshgrid(*places(network, 7), indexing="ij"), a)
-    trained = train_separable(network, places(network, 7), samples)
+    samples = polynomial.polyval3d(*np.meshgrid(*positions(network, 7), indexing="ij"), a)
+    trained = train_separable(network, positions(network, 7), samples)
     scale = np.abs(samples).max()
     points = inside(network, rng, 40)
     value, gradient = network.value_and_gradient(trained.coefficients, points)
@@ -72,7 +65,7 @@ def test_cubic_network_is_what_the_kernel_evaluates():
     np.testing.assert_allclose(gradient, expected[1], atol=1e-5)
     samples = rng.normal(size=[2 * n + 1 for n in cells])
     fast = fit_coefficients(samples, tuple(AxisSolver.of(n) for n in cells))
-    general = train_separable(network, places(network, 2), samples)
+    general = train_separable(network, positions(network, 2), samples)
     np.testing.assert_allclose(fast, general.coefficients, atol=1e-9)
 
 
@@ -80,11 +73,11 @@ def test_three_trainers_reach_the_same_minimum():
     network = SplineNetwork(
         SplineAxis(1, -3.0, 1.5, 4), SplineAxis(2, 1.0, 2.0, 3), SplineAxis(1, 0.0, 0.75, 5)
     )
-    samples = np.random.default_rng(5).normal(size=[len(x) for x in places(network)])
-    exact = train_separable(network, places(network), samples)
+    samples = np.random.default_rng(5).normal(size=[len(x) for x in positions(network)])
+    exact = train_separable(network, positions(network), samples)
     assert exact.rms > 0.5  # noise cannot be fitted: the minimum is not zero
-    paper = train_gradient(network, places(network), samples)
-    scattered = train_scattered(network, on_grid(places(network)), samples.ravel())
+    paper = train_gradient(network, positions(network), samples)
+    scattered = train_scattered(network, on_grid(positions(network)), samples.ravel())
     assert paper.stop is scattered.stop is Stop.CONVERGED
     assert scattered.iterations < paper.iterations / 10
     np.testing.assert_allclose(paper.coefficients, exact.coefficients, atol=1e-5)
@@ -93,7 +86,7 @@ def test_three_trainers_reach_the_same_minimum():
 
 
 def test_the_safe_step_shrinks_the_error_as_the_condition_number_says():
-    axes = places(MIXED)
+    axes = positions(MIXED)
     design = MIXED.design(on_grid(axes)).toarray()
     step, condition = safe_step(MIXED, axes)
     eigenvalues = np.linalg.eigvalsh(design.T @ design)
@@ -118,15 +111,17 @@ def test_scattered_samples_recover_a_known_network():
     np.testing.assert_allclose(trained.coefficients, known, atol=1e-6)
 
 
-def test_samples_that_do_not_excite_the_network_are_refused():
+def test_samples_that_do_not_determine_the_network_are_refused():
     rng = np.random.default_rng(8)
     network = SplineNetwork(*(SplineAxis(3, 0.0, 1.0, 4) for _ in range(3)))
     half = inside(network, rng, 3000) * [0.5, 1, 1]
-    with pytest.raises(InvalidInputError, match=r"leave 98 of 343 basis functions without any"):
+    with pytest.raises(
+        InvalidInputError, match=r"98 of 343 basis functions have no samples in their support"
+    ):
         train_scattered(network, half, half[:, 0])
     one_cell = SplineNetwork(*(SplineAxis(2, 0.0, 1.0, 1) for _ in range(3)))
     few = inside(one_cell, rng, 20)
-    with pytest.raises(InvalidInputError, match="a known one comes back with"):
+    with pytest.raises(InvalidInputError, match="a known one is recovered with an error of"):
         train_scattered(one_cell, few, few[:, 0])
     sparse = (np.arange(5.0), np.linspace(0, 4, 17), np.linspace(0, 4, 17))
     with pytest.raises(InvalidInputError, match=r"leave 2 of 7 directions"):
@@ -150,6 +145,6 @@ def test_axes_are_checked(bad):
         SplineAxis(*bad)
 
 
-def test_places_outside_are_refused():
+def test_positions_outside_are_refused():
     with pytest.raises(InvalidInputError, match="the spline is defined from 0 to 3 mm"):
         SplineAxis(3, 0.0, 1.0, 3).values(np.array([1.0, 3.1]))

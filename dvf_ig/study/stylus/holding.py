@@ -1,9 +1,9 @@
-"""A tool held to the moving surface by a guidance fixture alone: how far from the true surface it is.
+"""A stylus held to the moving surface by a guidance fixture alone: how far from the true surface it is.
 
-The tool is a simulated haptic device that nobody holds. It starts on the surface at rest, at several places;
-the fixture's model is fitted to the true surface at some phases of the cycle, and the truth is the phantom's
-motion between them. Time and phase are known exactly, and there is no registration: what is left is the
-fixture, its blending, and the mass and friction of the device.
+The stylus is that of a simulated haptic device that nobody touches. It starts on the surface at rest, at
+several places; the fixture's model is fitted to the true surface at some phases of the cycle, and the truth
+is the phantom's motion between them. Time and phase are known exactly, and there is no registration: what is
+left is the fixture, its blending, and the mass and friction of the device.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,13 +45,13 @@ COMPENSATED = 0.75
 PHASE_STEP = 0.01
 """Half the span, in cycles, of the difference that gives the speed of the surface."""
 SPEED_CUTOFF_HZ = 50.0
-"""Of the low-pass filter on the tool's measured speed: a sensor step in 1 ms alone is 30 to 55 mm/s."""
+"""Of the low-pass filter on the stylus' measured speed: a sensor step in 1 ms alone is 30 to 55 mm/s."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BeatingSurface:
-    """What is followed: the truth, the model fitted to some of its phases, and where the tool is put.
+    """A beating heart: its true surface, the model fitted to some phases, and where the stylus is put.
 
     Attributes:
         motion: preset.
@@ -69,8 +69,8 @@ class BeatingSurface:
 
 
 @dataclass(frozen=True, slots=True)
-class Follower:
-    """A device with the fixture that is tried on it."""
+class HeldStylus:
+    """A device with the fixture that holds its stylus to the surface."""
 
     device: SimulatedDevice
     law: Gaussian
@@ -80,11 +80,11 @@ class Follower:
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
-    """A follower at each place over the cycles.
+class StylusRun:
+    """Motion of a stylus over the cycles, from each place on.
 
     Attributes:
-        follower: what followed.
+        stylus: what was held.
         t_s: (n,) from the start on.
         tip_mm: (k, n, 3) true tip.
         force_n: (k, n, 3) commanded.
@@ -92,7 +92,7 @@ class Track:
         outward: (k, 3) mean direction out of the organ at the tip.
     """
 
-    follower: Follower
+    stylus: HeldStylus
     t_s: FloatArray
     tip_mm: FloatArray
     force_n: FloatArray
@@ -100,10 +100,10 @@ class Track:
     outward: FloatArray
 
     def summary(self) -> dict[str, float]:
-        """Of |distance| over all places and times; how far the tool slid; the largest force.
+        """Of |distance| over all places and times; how far the stylus slid; the largest force.
 
         The slide is that between begin and end of the whole cycles at the place where it is largest: nothing
-        holds the tool sideways.
+        holds the stylus sideways.
         """
         error = np.abs(self.distance_mm)
         slid = np.linalg.norm(self.tip_mm[:, -1] - self.tip_mm[:, 0], axis=1)
@@ -136,6 +136,7 @@ def beating_surface(
         cycle_s: length of the cycle (the paper: 20 × T_d = 0.6 s).
         places: number of starting points; the last is where the surface moves most.
         seed: of the phantom's shape.
+        progress: told the share of the model that is fitted.
     Raises:
         InvalidInputError: unknown motion, or fewer than 2 phases or 1 place.
     """
@@ -154,19 +155,21 @@ def beating_surface(
     return BeatingSurface(motion, truth, model, vertices[0][chosen], excursion[chosen])
 
 
-def design(device: SimulatedDevice, blend: Blend, *, compensate: bool, cap_n: float = 0.6) -> Follower:
-    """The fixture with the least slack that the device renders passively; nothing in it is tuned on tracking.
+def with_fixture(
+    device: SimulatedDevice, blend: Blend, *, compensate: bool, cap_n: float = 0.6
+) -> HeldStylus:
+    """The fixture of smallest dead band that the device renders passively; nothing is tuned to this study.
 
     Args:
-        device: what is to follow.
+        device: whose stylus is to be held.
         blend: of the fixture.
         compensate: whether the surface's known speed is used to overcome dry friction.
         cap_n: largest force (the paper: 0.6 N).
     """
     feed_forward = FeedForward(friction_n=spare_friction_n(device) if compensate else 0.0)
     limits = device.limits(fastest_mm_s=FASTEST_MM_S, feed_forward=feed_forward)
-    slack_n = device.dry_n - feed_forward.friction_n
-    return Follower(device, tightest_gaussian(slack_n, cap_n=cap_n, device=limits), blend, feed_forward)
+    friction_n = device.dry_n - feed_forward.friction_n
+    return HeldStylus(device, tightest_gaussian(friction_n, cap_n=cap_n, device=limits), blend, feed_forward)
 
 
 def spare_friction_n(device: SimulatedDevice) -> float:
@@ -181,23 +184,22 @@ def spare_friction_n(device: SimulatedDevice) -> float:
     return min(COMPENSATED * device.dry_n, max(0.0, device.dry_n - needed))
 
 
-def followers(devices: Sequence[SimulatedDevice], blends: Sequence[Blend]) -> list[Follower]:
+def held_styli(devices: Sequence[SimulatedDevice], blends: Sequence[Blend]) -> list[HeldStylus]:
     """Each device with each blend, and again with feed-forward where a tenth of its friction is to spare."""
     out = []
     for device in devices:
         helped = spare_friction_n(device) > 0.1 * device.dry_n
         for compensate in (False, True) if helped else (False,):
-            out += [design(device, blend, compensate=compensate) for blend in blends]
+            out += [with_fixture(device, blend, compensate=compensate) for blend in blends]
     return out
 
 
-def follow(
+def hold_stylus(
     surface: BeatingSurface,
-    follower: Follower,
+    stylus: HeldStylus,
     *,
     cycles: int = 30,
-    progress: Callable[[float], None] | None = None,
-) -> Track:
+) -> StylusRun:
     """Let the fixture hold the device to the surface for some cycles, at each place.
 
     Raises:
@@ -205,27 +207,37 @@ def follow(
     """
     if cycles < 1:
         raise InvalidInputError(f"{cycles} cycles asked for; needed at least 1")
-    device, cycle_s = follower.device, surface.model.timing.rr_s
-    limits = device.limits(fastest_mm_s=FASTEST_MM_S, feed_forward=follower.feed_forward)
-    evaluator = Evaluator(surface.model, follower.law, blend=follower.blend, device=limits)
+    device, cycle_s = stylus.device, surface.model.timing.rr_s
+    limits = device.limits(fastest_mm_s=FASTEST_MM_S, feed_forward=stylus.feed_forward)
+    evaluator = Evaluator(surface.model, stylus.law, blend=stylus.blend, device=limits)
     tick = PoseAndPhase(Rigid("mr", "device", np.eye(3), np.zeros(3))).bind(evaluator)
     t_s = np.arange(round(cycles * cycle_s * device.rate_hz)) / device.rate_hz
     shape = (len(surface.starts_mm), len(t_s), 3)
     tip, force, distance, outward = np.empty(shape), np.empty(shape), np.empty(shape[:2]), []
     for i, start in enumerate(surface.starts_mm):
-        tip[i], force[i] = _one_place(tick, follower, start, t_s / cycle_s, cycle_s)
+        tip[i], force[i] = _one_place(tick, stylus, start, t_s / cycle_s, cycle_s)
         distance[i], gradient = surface.truth.distance(tip[i], t_s / cycle_s)
         outward.append(-gradient.mean(axis=0) / np.linalg.norm(gradient.mean(axis=0)))
-        if progress is not None:
-            progress((i + 1) / len(surface.starts_mm))
-    return Track(follower, t_s, tip, force, distance, np.array(outward))
+    return StylusRun(stylus, t_s, tip, force, distance, np.array(outward))
+
+
+def pool_hearts(runs: Sequence[StylusRun]) -> StylusRun:
+    """The same stylus on several hearts, as one run over all their places."""
+    return StylusRun(
+        runs[0].stylus,
+        runs[0].t_s,
+        np.concatenate([run.tip_mm for run in runs]),
+        np.concatenate([run.force_n for run in runs]),
+        np.concatenate([run.distance_mm for run in runs]),
+        np.concatenate([run.outward for run in runs]),
+    )
 
 
 def _one_place(
-    tick: BoundTick, follower: Follower, start_mm: FloatArray, phase: FloatArray, cycle_s: float
+    tick: BoundTick, stylus: HeldStylus, start_mm: FloatArray, phase: FloatArray, cycle_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Tip (n, 3) and force (n, 3) at every tick: measure, evaluate, add the feed-forward, cap, move."""
-    device, law, constants = follower.device, follower.law, follower.device.constants
+    device, law, constants = stylus.device, stylus.law, stylus.device.constants
     state = np.concatenate([start_mm, np.zeros(3)])
     tip, force = np.empty((len(phase), 3)), np.zeros((len(phase), 3))
     out, speed, last = np.empty(7), np.zeros(3), device.measured_mm(start_mm)
@@ -237,10 +249,10 @@ def _one_place(
         last = here
         if tick(here, phi, int(Status.OK), out) == Status.OK:
             force[k] = out[:3]
-            if follower.feed_forward != FeedForward():
+            if stylus.feed_forward != FeedForward():
                 gradient = out[4:].copy()
                 rate = _distance_rate(tick, here, phi, out) / cycle_s
-                force[k] += follower.feed_forward.force(gradient, rate, speed)
+                force[k] += stylus.feed_forward.force(gradient, rate, speed)
                 force[k] *= min(1.0, law.cap_n / max(float(np.linalg.norm(force[k])), law.cap_n))
         advance(state, force[k], *constants, state)
     return tip, force
