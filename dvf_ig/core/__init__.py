@@ -34,6 +34,7 @@ from .scenario import Preop as Preop
 from .scenario import Scenario as Scenario
 from .scenario import ScenarioTruth as ScenarioTruth
 from .scenario import ToolTruth as ToolTruth
+from .seeds import Seeds as Seeds
 from .sequence import Fan as Fan
 from .sequence import TrackedSequence as TrackedSequence
 from .signal import Signal as Signal
@@ -44,3 +45,4 @@ from .tracked_volume import TrackedVolume as TrackedVolume
 from .volume import Grid as Grid
 from .volume import Volume as Volume
 from .volume import VolumeSeries as VolumeSeries
+from .wire_search import WireSearch as WireSearch

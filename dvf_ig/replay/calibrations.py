@@ -18,7 +18,7 @@ from dvf_ig.core import DvfIgError, Scenario
 
 
 @dataclass(frozen=True, slots=True)
-class Rulers:
+class Calibrations:
     """Every calibration result with its evidence."""
 
     pivot: PivotResult
@@ -26,7 +26,7 @@ class Rulers:
     latency: LatencyResult
 
 
-def calibrate(scenario: Scenario, seed: int) -> Rulers:
+def calibrate(scenario: Scenario, seed: int) -> Calibrations:
     """Calibrate tool, probe and latency from their recordings; refusals are the methods' own."""
     rng_pivot, rng_probe = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     with _naming("pivot calibration"):
@@ -35,7 +35,7 @@ def calibrate(scenario: Scenario, seed: int) -> Rulers:
         probe = calibrate_probe(scenario.nwire, rng=rng_probe)
     with _naming("latency calibration"):
         latency = estimate_latency(scenario.latency)
-    return Rulers(pivot, probe, latency)
+    return Calibrations(pivot, probe, latency)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Estimates against the planted truth. Nothing here runs where a scenario carries none."""
+"""Estimates against the ground truth. Nothing here runs where a scenario carries none."""
 
 import itertools
 from collections.abc import Sequence
@@ -25,12 +25,12 @@ class PhaseScore:
 
 @dataclass(frozen=True, slots=True)
 class ForceScore:
-    """Force error over ticks in contact with valid state, and how many contact ticks were served."""
+    """Force error over ticks in contact with valid state, and how many ticks in contact gave a force."""
 
     error_n_median: float
     error_n_p95: float
     contact_ticks: int
-    served_ticks: int
+    force_ticks: int
 
 
 def score_poses(
@@ -114,10 +114,10 @@ def score_force(
         force_n, true_force_n: (n, 3) in the tracker's frame.
         valid, contact: (n,).
     """
-    served = contact & valid & (np.linalg.norm(force_n, axis=1) > 0)
-    if not served.any():
+    with_force = contact & valid & (np.linalg.norm(force_n, axis=1) > 0)
+    if not with_force.any():
         return None
-    error = np.linalg.norm(force_n[served] - true_force_n[served], axis=1)
+    error = np.linalg.norm(force_n[with_force] - true_force_n[with_force], axis=1)
     return ForceScore(
-        float(np.median(error)), float(np.percentile(error, 95)), int(contact.sum()), int(served.sum())
+        float(np.median(error)), float(np.percentile(error, 95)), int(contact.sum()), int(with_force.sum())
     )

@@ -22,6 +22,7 @@ from dvf_ig.calibration import (
     segment_wires,
     validate_probe,
 )
+from dvf_ig.cli.calibrate.wires import wire_image_options
 from dvf_ig.cli.main import app
 from dvf_ig.core import (
     FloatArray,
@@ -131,9 +132,8 @@ def test_command_without_points_counts_frames_and_reasons(
 
 
 def test_search_settings_come_from_the_device_set(data_dir: Path, tmp_path: Path) -> None:
-    options = read_wire_search(
-        data_dir / "plus-nwire-segmentation/PlusDeviceSet_iCal_CalibrationOnly_VLCUS_FrameGrabber.xml"
-    )
+    device = data_dir / "plus-nwire-segmentation/PlusDeviceSet_iCal_CalibrationOnly_VLCUS_FrameGrabber.xml"
+    options = wire_image_options(read_wire_search(device))
     assert (options.spacing_mm, options.clip, options.dots.most) == (0.21, (68, 145, 390, 300), 50)
     assert options.pattern.lines.collinear_mm == 1.11
     bad = tmp_path / "bad.xml"
@@ -141,14 +141,14 @@ def test_search_settings_come_from_the_device_set(data_dir: Path, tmp_path: Path
     with pytest.raises(UnreadableFileError, match="must be positive"):
         read_wire_search(bad)
     bad.write_text("<PlusConfiguration/>")
-    assert read_wire_search(bad) == WireImageOptions()
+    assert wire_image_options(read_wire_search(bad)) == WireImageOptions()
 
 
 def real_wires(folder: Path, name: str) -> tuple[WireSegmentation, NWireRecording]:
     device = folder / "PlusDeviceSet_fCal_Sim_SpatialCalibration_2.0.xml"
     path = folder / f"fCal_Test_{name}_3NWires_fCal2.0.igs.mha"
     phantom, sequence = read_nwire_phantom(device), read_sequence(path)
-    found = segment_wires(sequence, phantom, options=read_wire_search(device))
+    found = segment_wires(sequence, phantom, options=wire_image_options(read_wire_search(device)))
     return found, recording_of(found, phantom, phantom_from_probe(path, sequence, device))
 
 
@@ -181,7 +181,9 @@ def test_real_candidates_lie_on_plus_baseline(data_dir: Path) -> None:
     sequence = read_sequence(folder / f"{name}.igs.mha")
     assert sequence.images is not None
     part = still(sequence.images[::every].copy(), orientation=sequence.orientation)
-    found = segment_wires(part, read_nwire_phantom(device), options=read_wire_search(device))
+    found = segment_wires(
+        part, read_nwire_phantom(device), options=wire_image_options(read_wire_search(device))
+    )
     wires, candidates, labelled = [], [], []
     for case, frame in zip(cases, found.frames, strict=True):
         output = case.find("Output")

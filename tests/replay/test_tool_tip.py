@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import PoseStream
-from dvf_ig.replay.ticks import predict_tip
+from dvf_ig.replay.tool_tip import predict_tip
 
 TIP_MM = np.array([10.0, 0.0, 150.0])
 
