@@ -1,7 +1,6 @@
 """What a replay reports as `result.json`, and its schema."""
 
 import json
-from dataclasses import asdict
 from importlib import resources
 from typing import Any
 
@@ -9,10 +8,10 @@ import jsonschema
 import numpy as np
 
 from dvf_ig.cardiac import frame_period_s
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, summarise_errors
 from dvf_ig.guidance import Sigmoid, Status
 from dvf_ig.guidance.blend import static_force
-from dvf_ig.registration import RegistrationResult, summarise, target_errors_mm, weak_direction
+from dvf_ig.registration import RegistrationResult, target_errors_mm, weak_direction
 
 from .engine import Replay
 from .pose_history import Attempt
@@ -99,7 +98,7 @@ def _estimates(replay: Replay) -> dict[str, Any]:
         "tip_mm": calibrations.pivot.tip.xyz_mm[0].tolist(),
         "pivot_rms_3d_mm": calibrations.pivot.rms_3d_mm,
         "probe_from_image": calibrations.probe.probe_from_image.matrix.tolist(),
-        "probe_calibration_mean95_mm": calibrations.probe.calibration.mean95_mm,
+        "probe_calibration_mean95_mm": calibrations.probe.calibration.summary.mean95,
         "lag_s": calibrations.latency.lag_s,
         "lag_correlation": calibrations.latency.correlation,
         "beats": len(replay.tracking.peaks),
@@ -175,7 +174,7 @@ def _errors(replay: Replay) -> dict[str, Any]:
     track, valid = replay.tracking.track, replay.valid
     start_errors = target_errors_mm(replay.start, truth.mr_from_tracker_at(0.0), truth.targets.points)
     out: dict[str, Any] = {
-        "start_tre_mm": asdict(summarise(start_errors)),
+        "start_tre_mm": summarise_errors(start_errors).tre_fields(),
         "lag_error_s": replay.calibrations.latency.lag_s - truth.lag_s,
         "tip_error_mm": float(np.linalg.norm(replay.calibrations.pivot.tip.xyz_mm[0] - truth.tip.xyz_mm[0])),
     }
@@ -186,7 +185,7 @@ def _errors(replay: Replay) -> dict[str, Any]:
         )
     poses = score_poses(replay.poses, track.t_s, valid, truth)
     if poses is not None:
-        out["tre_mm"] = asdict(poses[0])
+        out["tre_mm"] = poses[0].tre_fields()
     phi, model_phase = true_phases(replay)
     locked = track.valid
     if locked.any():

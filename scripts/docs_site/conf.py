@@ -31,6 +31,7 @@ autoapi_python_class_content = "class"
 # types are linked where their name is unique
 suppress_warnings = ["autoapi.python_import_resolution", "ref.python"]
 
+highlight_language = "none"
 html_theme = "furo"
 html_title = "dvf_ig"
 html_static_path = [str(HERE / "static")]

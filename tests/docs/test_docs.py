@@ -91,4 +91,4 @@ def test_equations_are_three_steps_from_the_readme():
         tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
         assert name in {getattr(node, "name", "") for node in tree.body}, f"{path} has no {name}"
     for sought in ("eq. 3", "eqs 7–9", "eqs 10–11", "T_d", "LC2", "N-wire solve", "pose-and-phase", "TRE", "R peak"):
-        assert f"| {sought}" in rows, sought
+        assert f"| [{sought}" in rows, sought

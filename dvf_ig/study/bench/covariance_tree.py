@@ -1,4 +1,4 @@
-"""A covariance tree over triangles (Li and Taylor): the peer among mesh searches in `dvf-ig bench`."""
+"""A covariance tree over triangles (Li and Taylor): the mesh search that `dvf-ig bench` compares with."""
 
 from dataclasses import dataclass
 

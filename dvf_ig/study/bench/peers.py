@@ -1,4 +1,4 @@
-"""What others use for the distance to a mesh, timed for `dvf-ig bench`. Imports open3d and, if there, vtk."""
+"""Distance to a mesh by other libraries, for `dvf-ig bench`. Imports open3d, and vtk where installed."""
 
 import importlib
 import importlib.util

@@ -1,4 +1,4 @@
-"""Do the 95 % intervals of the calibrations hold the truth 95 times in 100? Synthetic recordings know."""
+"""Coverage of the calibrations' 95 % intervals: do they hold the known truth of synthetic recordings?"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ from data_synth.seeds import child_rng
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import (
     MapUncertainty,
-    ProbeOptions,
+    NWireOptions,
     calibrate_crosswire,
-    calibrate_probe,
+    calibrate_nwire,
     calibrate_wall,
-    compare_methods,
+    compare_nwire_methods,
     estimate_latency,
 )
 from dvf_ig.core import FloatArray, InvalidInputError
@@ -124,9 +124,9 @@ def _nwire(
     )
     method = settings["method"]
     if method == "chosen":
-        found = compare_methods(recording, rng=rng).best
+        found = compare_nwire_methods(recording, rng=rng).best
     else:
-        found = calibrate_probe(recording, rng=rng, options=ProbeOptions(method=method))
+        found = calibrate_nwire(recording, rng=rng, options=NWireOptions(method=method))
     return found.uncertainty, {"method": found.method}
 
 

@@ -1,4 +1,4 @@
-"""R peaks and phase against annotated recordings: how often right, how late, and whether they know."""
+"""R peaks and phase against annotated recordings: sensitivity, delay, phase error and its stated σ."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ class BeatScore:
         beats, found: how many there are, and how many the detector gave.
         hits_150, hits_50: pairs within 150 and 50 ms.
         timing_ms: median |detected − annotated| of the pairs within 150 ms.
-        latency_p95_ms: from the R peak to the sample that made it known, after the learning time.
+        latency_p95_ms: from the R peak to the sample at which it was detected, after the learning time.
         speed: recorded over processor time, detection and phase together.
     """
 
@@ -143,7 +143,7 @@ def rhythm_class(truth: BeatAnnotations, t_s: FloatArray) -> str:
 
 
 def score_beats(peaks: Sequence[RPeak], truth_s: FloatArray, speed: float) -> BeatScore:
-    """R peaks in the order in which they became known, against annotated times."""
+    """R peaks, in the order of their detection, against annotated times."""
     found = np.array([peak.t_s for peak in peaks])
     order = np.argsort(found, kind="stable")
     delays = np.array([peak.detected_at_s - peak.t_s for peak in peaks])[order]
@@ -155,7 +155,7 @@ def score_beats(peaks: Sequence[RPeak], truth_s: FloatArray, speed: float) -> Be
         hits_150=len(hits),
         hits_50=len(match_beats(found[order], truth_s, 0.05)[0]),
         timing_ms=float(1000 * np.median(apart)) if len(apart) else float("nan"),
-        # the beats of the learning time are known only after it
+        # the beats of the learning time are detected only after it
         latency_p95_ms=float(1000 * np.percentile(delays[4:], 95)) if len(delays) > 4 else float("nan"),
         speed=speed,
     )
@@ -196,7 +196,7 @@ def phase_errors(track: PhaseTrack, truth: BeatAnnotations) -> PhaseErrors:
 def predictor_errors(name: PredictorName, beats_s: FloatArray) -> FloatArray:
     """(n,) |phase error| over the cycles of annotated beats, from the RR that a predictor expected.
 
-    Every R is known at once here and nothing is refused: it compares predictors, not the whole clock.
+    R peaks are given without delay here and nothing is refused: it compares predictors, not the whole clock.
     """
     predictor = make_predictor(name)
     expected = np.empty(len(beats_s) - 1)
@@ -242,10 +242,11 @@ def pool(parts: Sequence[PhaseErrors]) -> PhaseErrors:
 
 
 def risk_coverage(errors: PhaseErrors) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What refusing by σφ alone would give, whatever the state.
+    """Risk–coverage curve (El-Yaniv and Wiener 2010) of refusing by σφ alone, whatever the state.
 
     Returns:
-        (k,) share of the time with σφ below a threshold, p95 of |error| there in % of RR, the threshold.
+        (k,) coverage: share of the time with σφ below a threshold; risk: p95 of |error| there in % of RR; the
+        threshold.
     """
     known = np.isfinite(errors.sigma)
     order = np.argsort(errors.sigma[known], kind="stable")

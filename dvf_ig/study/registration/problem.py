@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from data_synth.heart.clock import two_segment_phase
+from data_synth.heart.motion import MotionPreset
 from data_synth.scenario.image_pair import ImagePair, PairSpec, image_pair, plane_views
-from data_synth.scenario.presets import Motion
 from data_synth.seeds import child_rng
 from data_synth.ultrasound.presets import PROBES
 from data_synth.ultrasound.probe import SectorProbe
@@ -81,7 +81,7 @@ class _PreOperative:
 
 
 @lru_cache(maxsize=1)
-def _preoperative(seed: int, motion: Motion) -> _PreOperative:
+def _preoperative(seed: int, motion: MotionPreset) -> _PreOperative:
     data = image_pair(PairSpec(seed, motion)).preop
     if data.mr is None:
         raise TypeError("the phantom's pre-operative data hold MR")
@@ -92,7 +92,7 @@ def _preoperative(seed: int, motion: Motion) -> _PreOperative:
 
 
 @lru_cache(maxsize=2)
-def _channels(seed: int, motion: Motion, smoothing_mm: float) -> ModelChannels:
+def _channels(seed: int, motion: MotionPreset, smoothing_mm: float) -> ModelChannels:
     return channels_from_mr(_preoperative(seed, motion).mr, smoothing_mm=smoothing_mm)
 
 
@@ -156,11 +156,13 @@ def _same_image(pair: ImagePair) -> RegistrationProblem:
     preop = _preoperative(pair.spec.seed, pair.spec.motion)
     tracker_from_mr, grid = pair.mr_from_tracker.inverse(), preop.mr.grid
     pose = Rigid("tracker", "mr", tracker_from_mr.rotation, tracker_from_mr.translation_mm)
-    shown = root_amplitude(np.arange(256, dtype=np.uint8))
+    amplitudes = root_amplitude(np.arange(256, dtype=np.uint8))
     volumes = []
     for phase, channels in zip(GATED, preop.gated.values, strict=True):
         level = channels[..., 0] - channels[..., 0].min()
-        grey = np.searchsorted(shown, level * (shown[-1] / level.max())).clip(0, 255).astype(np.uint8)
+        grey = (
+            np.searchsorted(amplitudes, level * (amplitudes[-1] / level.max())).clip(0, 255).astype(np.uint8)
+        )
         mask = Volume(grid, np.ones(grid.shape, dtype=np.uint8))
         volumes.append(TrackedVolume(Volume(grid, grey), mask, pose, phase))
     # blood is bright in MR: the boundaries that ultrasound shows do not exist here
