@@ -1,4 +1,4 @@
-"""Sphinx extension: formulas as SVG drawn at build time; no script, no font file, no network in the browser."""
+"""Sphinx extension: formulas as SVG drawn at build time; the browser needs no script, font or network."""
 
 from functools import cache
 from html import escape
