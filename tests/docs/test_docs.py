@@ -26,12 +26,12 @@ _OUTSIDE = re.compile(
 _LINK = re.compile(r"\]\(([^)#\s]*)(?:#[^)\s]*)?\)")
 
 
-def test_every_page_is_found():
+def test_every_page_is_found() -> None:
     assert len(PAGES) > 25
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_paths_and_links_of_a_page_exist(page: Path):
+def test_paths_and_links_of_a_page_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     links = {link for link in _LINK.findall(text) if link and "://" not in link}
     missing = {path for path in set(_PATH.findall(text)) if not (ROOT / path).exists()}
@@ -39,7 +39,7 @@ def test_paths_and_links_of_a_page_exist(page: Path):
     assert not missing
 
 
-def test_texts_that_the_code_cites_are_in_the_repository():
+def test_texts_that_the_code_cites_are_in_the_repository() -> None:
     missing, outside = [], []
     for path in CODE:
         text = path.read_text(encoding="utf-8")
@@ -63,7 +63,7 @@ ALL_COMMANDS = sorted(set().union(*(commands_in(page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("line", ALL_COMMANDS)
-def test_a_documented_command_exists_with_its_options(line: str):
+def test_a_documented_command_exists_with_its_options(line: str) -> None:
     words = [word for word in shlex.split(line.replace("…", ""))[1:] if word not in ("[", "]")]
     commands = [typer.main.get_command(app)]
     while words and hasattr(commands[0], "commands") and not words[0].startswith("-"):
@@ -77,13 +77,13 @@ def test_a_documented_command_exists_with_its_options(line: str):
         assert asked <= known | {"--help"}, f"unknown options in: {line}"
 
 
-def test_pages_ship_with_the_package():
+def test_pages_ship_with_the_package() -> None:
     """The wheel takes whole packages; a page outside of them would be left behind."""
     assert (ROOT / "dvf_ig" / "docs" / "find-it.md").is_file()
     assert not (ROOT / "dvf_ig" / "notes").exists()
 
 
-def test_equations_are_three_steps_from_the_readme():
+def test_equations_are_three_steps_from_the_readme() -> None:
     """README → find-it → module → the name that is looked for."""
     assert "dvf_ig/docs/find-it.md" in (ROOT / "README.md").read_text(encoding="utf-8")
     rows = (ROOT / "dvf_ig" / "docs" / "find-it.md").read_text(encoding="utf-8")
