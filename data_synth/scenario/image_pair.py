@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
+from data_synth.heart.motion import MotionPreset
 from data_synth.mr.cine import cine_preop
 from data_synth.seeds import child_rng, child_seed
 from data_synth.ultrasound.presets import PROBES
@@ -32,7 +33,7 @@ from dvf_ig.core import (
     TrackedVolume,
 )
 
-from .presets import PRESETS, Motion
+from .presets import PRESETS
 
 Quality = Literal["no-mismatch", "calm", "poor-image"]
 Change = Literal["none", "deformation", "motion"]
@@ -74,7 +75,7 @@ class PairSpec:
     """
 
     seed: int
-    motion: Motion = "paper5mm"
+    motion: MotionPreset = "paper5mm"
     quality: Quality = "calm"
     change: Change = "none"
 
@@ -202,7 +203,7 @@ def image_pair(spec: PairSpec) -> ImagePair:
         spec.quality, PRESETS["poor-image"].mismatch_mm
     )
     before = phantom_anatomy(motion=spec.motion, mismatch_mm=0.0, seed=spec.seed)
-    motion: Motion = spec.motion
+    motion: MotionPreset = spec.motion
     if spec.change == "motion":
         motion = "physiological" if spec.motion == "paper5mm" else "paper5mm"
     if spec.change == "deformation":

@@ -1,8 +1,9 @@
 """What a synthetic intervention is like: named presets of rhythm, disturbances and errors."""
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import get_args
 
+from data_synth.heart.motion import MotionPreset
 from data_synth.operator.probe_path import SweepSpec
 from data_synth.operator.tool_path import ToolSpec
 from data_synth.phantoms.nwire import NWireSpec
@@ -16,8 +17,7 @@ from dvf_ig.core import InvalidInputError
 
 from .displacement import Displacement
 
-Motion = Literal["paper5mm", "physiological"]
-MOTIONS: tuple[Motion, ...] = get_args(Motion)
+MOTIONS: tuple[MotionPreset, ...] = get_args(MotionPreset)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ class ScenarioSpec:
     """
 
     preset: str = "calm"
-    motion: Motion = "paper5mm"
+    motion: MotionPreset = "paper5mm"
     seconds: float = 60.0
     seed: int = 1
     us_rate_hz: float = 12.0

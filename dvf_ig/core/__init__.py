@@ -6,6 +6,8 @@ from .arrays import FloatArray as FloatArray
 from .arrays import IntArray as IntArray
 from .arrays import read_only_arrays as read_only_arrays
 from .cycle import CycleTiming as CycleTiming
+from .error_summary import ErrorSummary as ErrorSummary
+from .error_summary import summarise_errors as summarise_errors
 from .errors import DvfIgError as DvfIgError
 from .errors import FrameMismatchError as FrameMismatchError
 from .errors import InvalidInputError as InvalidInputError

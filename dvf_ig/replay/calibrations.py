@@ -8,10 +8,10 @@ import numpy as np
 
 from dvf_ig.calibration import (
     LatencyResult,
+    NWireResult,
     PivotResult,
-    ProbeResult,
+    calibrate_nwire,
     calibrate_pivot,
-    calibrate_probe,
     estimate_latency,
 )
 from dvf_ig.core import DvfIgError, Scenario
@@ -22,7 +22,7 @@ class Calibrations:
     """Every calibration result with its evidence."""
 
     pivot: PivotResult
-    probe: ProbeResult
+    probe: NWireResult
     latency: LatencyResult
 
 
@@ -32,7 +32,7 @@ def calibrate(scenario: Scenario, seed: int) -> Calibrations:
     with _naming("pivot calibration"):
         pivot = calibrate_pivot(scenario.pivot, rng=rng_pivot)
     with _naming("probe calibration"):
-        probe = calibrate_probe(scenario.nwire, rng=rng_probe)
+        probe = calibrate_nwire(scenario.nwire, rng=rng_probe)
     with _naming("latency calibration"):
         latency = estimate_latency(scenario.latency)
     return Calibrations(pivot, probe, latency)

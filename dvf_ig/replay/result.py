@@ -1,7 +1,6 @@
 """What a replay reports as `result.json`, and its schema."""
 
 import json
-from dataclasses import asdict
 from importlib import resources
 from typing import Any
 
@@ -9,10 +8,10 @@ import jsonschema
 import numpy as np
 
 from dvf_ig.cardiac import frame_period_s
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, summarise_errors
 from dvf_ig.guidance import Sigmoid, Status
 from dvf_ig.guidance.blend import static_force
-from dvf_ig.registration import RegistrationResult, summarise, target_errors_mm, weak_direction
+from dvf_ig.registration import RegistrationResult, least_constrained_direction, target_errors_mm
 
 from .engine import Replay
 from .pose_history import Attempt
@@ -99,7 +98,7 @@ def _estimates(replay: Replay) -> dict[str, Any]:
         "tip_mm": calibrations.pivot.tip.xyz_mm[0].tolist(),
         "pivot_rms_3d_mm": calibrations.pivot.rms_3d_mm,
         "probe_from_image": calibrations.probe.probe_from_image.matrix.tolist(),
-        "probe_calibration_mean95_mm": calibrations.probe.calibration.mean95_mm,
+        "probe_calibration_mean95_mm": calibrations.probe.calibration.summary.mean95,
         "lag_s": calibrations.latency.lag_s,
         "lag_correlation": calibrations.latency.correlation,
         "beats": len(replay.tracking.peaks),
@@ -140,7 +139,7 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
         "reason": attempt.reason,
     }
     if result is not None:
-        out |= {"mr_from_tracker": result.mr_from_tracker.matrix.tolist(), **evidence_of(result)}
+        out |= {"mr_from_tracker": result.target_from_source.matrix.tolist(), **evidence_of(result)}
     return out
 
 
@@ -151,16 +150,16 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
         "success_probability": result.success_probability,
         "covariance": result.covariance.tolist() if finite else None,
         "covariance_about_mm": result.center_mm.tolist(),
-        "weakness": weak_direction(result.covariance).sentence(),
+        "weakness": least_constrained_direction(result.covariance).sentence(),
         "similarity": result.similarity,
         "start_similarity": result.start_similarity,
         "second_best": result.second_best,
-        "contrast": result.contrast,
+        "contrast": result.evidence.z_score,
         "overlap": result.overlap,
-        "disagreement_mm": _finite(result.disagreement_mm),
-        "phase_disagreement_mm": _finite(result.phase_disagreement_mm),
-        "part_disagreement_mm": _finite(result.part_disagreement_mm),
-        "edge_disagreement_mm": _finite(result.edge_disagreement_mm),
+        "disagreement_mm": _finite(result.evidence.split_half_mm),
+        "phase_disagreement_mm": _finite(result.evidence.phase_mm),
+        "part_disagreement_mm": _finite(result.evidence.half_volume_mm),
+        "edge_disagreement_mm": _finite(result.evidence.boundary_mm),
         "moved_mm": result.moved_mm,
         "slices": result.slices,
         "seconds": round(result.seconds, 3),
@@ -175,7 +174,7 @@ def _errors(replay: Replay) -> dict[str, Any]:
     track, valid = replay.tracking.track, replay.valid
     start_errors = target_errors_mm(replay.start, truth.mr_from_tracker_at(0.0), truth.targets.points)
     out: dict[str, Any] = {
-        "start_tre_mm": asdict(summarise(start_errors)),
+        "start_tre_mm": summarise_errors(start_errors).tre_fields(),
         "lag_error_s": replay.calibrations.latency.lag_s - truth.lag_s,
         "tip_error_mm": float(np.linalg.norm(replay.calibrations.pivot.tip.xyz_mm[0] - truth.tip.xyz_mm[0])),
     }
@@ -186,7 +185,7 @@ def _errors(replay: Replay) -> dict[str, Any]:
         )
     poses = score_poses(replay.poses, track.t_s, valid, truth)
     if poses is not None:
-        out["tre_mm"] = asdict(poses[0])
+        out["tre_mm"] = poses[0].tre_fields()
     phi, model_phase = true_phases(replay)
     locked = track.valid
     if locked.any():

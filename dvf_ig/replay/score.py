@@ -6,8 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, ImageMap, Rigid, ScenarioTruth, SurfaceSeries
-from dvf_ig.registration import ErrorSummary, summarise, target_errors_mm
+from dvf_ig.core import (
+    BoolArray,
+    ErrorSummary,
+    FloatArray,
+    ImageMap,
+    Rigid,
+    ScenarioTruth,
+    SurfaceSeries,
+    summarise_errors,
+)
+from dvf_ig.registration import target_errors_mm
 
 CONTACT_MM = 0.0
 """The tool is in contact where its tip truly is at or inside the true surface."""
@@ -57,7 +66,7 @@ def score_poses(
     if not errors:
         return None
     pooled = np.repeat(np.concatenate(errors), np.repeat(weights, [len(e) for e in errors]))
-    return summarise(pooled), mean_mm
+    return summarise_errors(pooled), mean_mm
 
 
 def score_phase(

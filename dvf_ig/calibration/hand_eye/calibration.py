@@ -10,6 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.random import Generator
 
+from dvf_ig.calibration.inliers import Consensus, InlierRule, fit_inliers
 from dvf_ig.calibration.pivot.pivot import rotation_span_deg
 from dvf_ig.core import (
     BoolArray,
@@ -23,7 +24,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.rigid import nearest_rotation
 
-from .fit import Chain, refine
+from .fit import Chain, ChainFit, refine
 
 HandEyeMethod = Literal["tsai", "park", "horaud", "andreff", "daniilidis", "shah", "li"]
 HAND_EYE_METHODS: tuple[HandEyeMethod, ...] = get_args(HandEyeMethod)
@@ -42,10 +43,11 @@ class HandEyeOptions:
             shah, li (robot–world and hand–eye together).
         consensus_mm, consensus_deg: a pose supports a hypothesis that places the target within both.
         hypotheses: four-pose samples drawn.
-        keep_sigma: poses within this many robust sigmas take part in the last fit.
+        keep_sigma: pairs within this many robust standard deviations are inliers.
         min_span_deg: smallest accepted largest rotation between two poses of the hand.
         min_axis_spread: smallest accepted ratio of the second to the first principal size of the hand's
-            rotation vectors; 0 where all turns are about one axis, which leaves the shift along it open.
+            rotation vectors; 0 where all rotations are about one axis, which does not determine the
+            shift along it.
         min_inlier_share: smallest accepted share of pairs that agree.
     """
 
@@ -111,13 +113,14 @@ def calibrate_hand_eye(
     Raises:
         InvalidInputError: frames that repeat, or fewer than 3 pairs.
         NoOverlapError: the two streams share no time.
-        QualityGateError: the hand turns too little or about one axis, or too few pairs agree.
+        QualityGateError: the hand rotates too little or about one axis, or too few pairs agree.
     Source: Tsai & Lenz 1989, Park & Martin 1994, Shah 2013 (in OpenCV); MSAC of Torr & Zisserman 2000.
     """
     options = options or HandEyeOptions()
     chain, t_s = _paired(base_from_hand, camera_from_target)
     _refuse_still(chain, base_from_hand.name, options)
-    keep = _agreeing(chain, _closed_form(options.method), rng, options)
+    agreed = _inliers(chain, _closed_form(options.method), rng, options)
+    keep, fitted = agreed.inliers, agreed.model
     if keep.sum() < max(3, options.min_inlier_share * len(t_s)):
         raise QualityGateError(
             f"only {int(keep.sum())} of {len(t_s)} pairs agree on one place of '{camera_from_target.target}' "
@@ -125,8 +128,12 @@ def calibrate_hand_eye(
             f"{options.min_inlier_share:.0%}; check that the target stood still and that both clocks are one"
         )
     span, spread = _refuse_still(chain.part(keep), base_from_hand.name, options)
-    fitted = refine(chain.part(keep), _closed_form(options.method)(chain.part(keep)))
-    mm, degrees = chain.misses(fitted.hand_from_camera, fitted.base_from_target)
+    if fitted is None:
+        raise QualityGateError(
+            f"method '{options.method}' finds no place of '{camera_from_target.target}' from the "
+            f"{int(keep.sum())} pairs that agree; try another method"
+        )
+    mm, degrees = chain.residuals(fitted.hand_from_camera, fitted.base_from_target)
     return HandEyeResult(
         hand_from_camera=Rigid.from_matrix(
             fitted.hand_from_camera, base_from_hand.source, camera_from_target.target
@@ -180,22 +187,22 @@ def _refuse_still(chain: Chain, name: str, options: HandEyeOptions) -> tuple[flo
     span, spread = rotation_span_deg(chain.hand_rotations), chain.axis_spread()
     if span < options.min_span_deg:
         raise QualityGateError(
-            f"{name} turns by {span:.1f}° only, needed at least {options.min_span_deg:g}°; tilt the hand in "
-            "all directions while the camera sees the target"
+            f"{name} rotates by {span:.1f}° only, needed at least {options.min_span_deg:g}°; tilt the hand "
+            "in all directions while the camera sees the target"
         )
     if spread < options.min_axis_spread:
         raise QualityGateError(
-            f"{name} turns about one axis only (spread of the axes {spread:.3f}, needed at least "
-            f"{options.min_axis_spread:g}); the camera's place along it stays unknown: turn about a second "
+            f"{name} rotates about one axis only (spread of the axes {spread:.3f}, needed at least "
+            f"{options.min_axis_spread:g}); the camera's place along it stays unknown: rotate about a second "
             "axis too"
         )
     return span, spread
 
 
-def _agreeing(
+def _inliers(
     chain: Chain, solve: Callable[[Chain], FloatArray], rng: Generator, options: HandEyeOptions
-) -> BoolArray:
-    """(n,) pairs that agree with the best-supported hypothesis, refitted until the set stands still."""
+) -> Consensus[ChainFit]:
+    """The fit to all inliers, from those of the best-supported of the closed forms of random samples."""
     best, lowest = np.ones(len(chain), dtype=np.bool_), np.inf
     for _ in range(options.hypotheses if len(chain) > _SAMPLE else 1):
         sample = rng.permutation(len(chain))[:_SAMPLE]
@@ -209,35 +216,26 @@ def _agreeing(
         cost = float(np.minimum(excess, 1.0).sum())
         if cost < lowest:
             best, lowest = excess <= 1.0, cost
-    keep = best
-    for _ in range(20):
-        if keep.sum() < 3 or chain.part(keep).axis_spread() < options.min_axis_spread:
-            break
-        start = solve(chain.part(keep))
-        if not np.isfinite(start).all():
-            return np.zeros(len(chain), dtype=np.bool_)
-        fitted = refine(chain.part(keep), start)
-        again = _near(chain, fitted.hand_from_camera, fitted.base_from_target, keep, options)
-        if np.array_equal(again, keep):
-            break
-        keep = again
-    return keep
+
+    def fit(keep: BoolArray, _: ChainFit | None) -> ChainFit | None:
+        part = chain.part(keep)
+        if part.axis_spread() < options.min_axis_spread:
+            return None
+        start = solve(part)
+        return refine(part, start) if np.isfinite(start).all() else None
+
+    return fit_inliers(
+        fit,
+        lambda fitted: chain.residuals(fitted.hand_from_camera, fitted.base_from_target),
+        best,
+        InlierRule(options.keep_sigma, scale_from_inliers=True),
+    )
 
 
 def _excess(chain: Chain, hand_from_camera: FloatArray, options: HandEyeOptions) -> FloatArray:
-    """(n,) squared miss of each pair over the consensus limits; 1 at the limit."""
-    mm, degrees = chain.misses(hand_from_camera, chain.middle_target(hand_from_camera))
+    """(n,) squared residual of each pair over the consensus limits; 1 at the limit."""
+    mm, degrees = chain.residuals(hand_from_camera, chain.middle_target(hand_from_camera))
     return np.maximum(mm / options.consensus_mm, degrees / options.consensus_deg) ** 2
-
-
-def _near(
-    chain: Chain, hand_from_camera: FloatArray, base_from_target: FloatArray, keep: BoolArray,
-    options: HandEyeOptions,
-) -> BoolArray:  # fmt: skip
-    mm, degrees = chain.misses(hand_from_camera, base_from_target)
-    # a median of 3-D lengths is 1.5382 sigma of one coordinate
-    limits = [max(options.keep_sigma * float(np.median(miss[keep])) / 1.5382, 1e-6) for miss in (mm, degrees)]
-    return (mm <= limits[0]) & (degrees <= limits[1])
 
 
 def _closed_form(method: HandEyeMethod) -> Callable[[Chain], FloatArray]:
@@ -265,12 +263,12 @@ def _opencv(chain: Chain, method: HandEyeMethod) -> tuple[FloatArray, FloatArray
     try:
         if method not in _ROBOT_WORLD:
             kind = getattr(cv2, f"CALIB_HAND_EYE_{method.upper()}")
-            turn, shift = cv2.calibrateHandEye(*held, *seen, method=kind)
-            return np.asarray(turn), np.ravel(shift)
-        turned = np.swapaxes(chain.hand_rotations, 1, 2)
-        shifted = -np.einsum("nij,nj->ni", turned, chain.hand_translations)
+            rotation, shift = cv2.calibrateHandEye(*held, *seen, method=kind)
+            return np.asarray(rotation), np.ravel(shift)
+        inverse = np.swapaxes(chain.hand_rotations, 1, 2)
+        shifted = -np.einsum("nij,nj->ni", inverse, chain.hand_translations)
         kind = getattr(cv2, f"CALIB_ROBOT_WORLD_HAND_EYE_{method.upper()}")
-        found = cv2.calibrateRobotWorldHandEye(*seen, list(turned), list(shifted), method=kind)
+        found = cv2.calibrateRobotWorldHandEye(*seen, list(inverse), list(shifted), method=kind)
     except cv2.error:
         return np.full((3, 3), np.nan), np.full(3, np.nan)
     hand_from_camera = np.asarray(found[2]).T

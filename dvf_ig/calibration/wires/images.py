@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvf_ig.calibration.rejection import RejectedFrame, Rejection
 from dvf_ig.core import (
     FloatArray,
     IntArray,
@@ -19,11 +20,11 @@ from dvf_ig.core import (
 )
 
 from .dots import Clip, DotOptions, Dots, find_dots
-from .pattern import FoundWires, PatternOptions, RefusedFrame, Rejection, find_wires
+from .pattern import FoundWires, PatternOptions, find_wires
 from .plan import WirePlan, plan_wires
 
 SCALE_FRAMES = 10
-"""Frames looked at to estimate the pixel size."""
+"""Frames from which the pixel size is estimated."""
 SCALE_STEP = 1.25
 """Ratio of one pixel size tried to the next, where none is given."""
 SCALE_SHARE = 0.08
@@ -52,15 +53,15 @@ class WireFrame:
     """What was seen in one frame: candidate dots, and the wires among them or why there are none."""
 
     dots: Dots
-    wires: FoundWires | RefusedFrame
+    wires: FoundWires | RejectedFrame
 
     @property
     def found(self) -> FoundWires | None:
         return self.wires if isinstance(self.wires, FoundWires) else None
 
     @property
-    def refused(self) -> RefusedFrame | None:
-        return self.wires if isinstance(self.wires, RefusedFrame) else None
+    def rejected(self) -> RejectedFrame | None:
+        return self.wires if isinstance(self.wires, RejectedFrame) else None
 
 
 @read_only_arrays
@@ -86,7 +87,7 @@ class WireSegmentation:
     @property
     def reasons(self) -> dict[str, int]:
         """How many frames were left out for which reason, the most frequent first."""
-        return dict(Counter(f.refused.reason.value for f in self.frames if f.refused).most_common())
+        return dict(Counter(f.rejected.reason.value for f in self.frames if f.rejected).most_common())
 
 
 def segment_wires(
@@ -142,12 +143,12 @@ def _spacing(
 
     Of several sizes tried, the one at which most frames show the phantom, and then with the least misfit.
     """
-    looked_at = (
+    sampled = (
         valid[np.unique(np.linspace(0, len(valid) - 1, SCALE_FRAMES).astype(int))] if len(valid) else valid
     )
     best, best_score = None, (0, -np.inf)
     for size in _sizes(images.shape[2], plan, options):
-        tried = [_frame(images[i], True, plan, size, options).wires for i in looked_at.tolist()]
+        tried = [_frame(images[i], True, plan, size, options).wires for i in sampled.tolist()]
         found = [wires for wires in tried if isinstance(wires, FoundWires)]
         if found:
             score = (len(found), -float(np.median([wires.misfit_mm for wires in found])))
@@ -179,6 +180,8 @@ def _frame(
 ) -> WireFrame:
     if not valid:
         none = Dots(np.zeros((0, 2)), np.zeros(0))
-        return WireFrame(none, RefusedFrame(Rejection.IMAGE_INVALID, "the recorder marked the image invalid"))
+        return WireFrame(
+            none, RejectedFrame(Rejection.IMAGE_INVALID, "the recorder marked the image invalid")
+        )
     dots = find_dots(image, spacing_mm, clip=options.clip, options=options.dots)
     return WireFrame(dots, find_wires(dots, plan, spacing_mm, options=options.pattern))

@@ -2,18 +2,13 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit
 
-from .output import OutputOption, error_row, save, wire_errors, wire_rows
-from .uncertainty import map_rows, rejected_list, uncertainty
-from .wires import read_wires, segmentation_json, segmentation_rows
-
-if TYPE_CHECKING:
-    from dvf_ig.calibration import ProbeResult, ProbeVariants, WireErrors
+from .output import OutputOption, save
 
 
 class Phantom(StrEnum):
@@ -67,135 +62,19 @@ def probe(
 
         rng = np.random.default_rng(seed)
         if phantom is not Phantom.nwire:
-            from .target import calibrate_target
+            from .target import target_result
 
-            calibrated = calibrate_target(
+            calibrated = target_result(
                 phantom.value, sequence, points, validate, validate_points, method, rng
             )
         else:
+            from .nwire import nwire_result
+
             tables = (points, validate_points or points)
-            calibrated = _nwire(sequence, device_set, validate, tables, method, picture, rng)
+            calibrated = nwire_result(sequence, device_set, validate, tables, method, picture, rng)
         result, rows, error_mm = calibrated
         files = (sequence, device_set, points, validate, validate_points)
         inputs = [p for p in files if p is not None]
         matrix = np.array(result["sensor_from_image"])
         save(output, result, f"{result['sensor_frame']}_from_image", matrix, error_mm, inputs)
         emit(result, rows, as_json=as_json)
-
-
-def _nwire(
-    sequence: Path,
-    device_set: Path | None,
-    validate: Path | None,
-    tables: tuple[Path | None, Path | None],
-    method: str | None,
-    picture: Path | None,
-    rng: Any,
-) -> tuple[dict[str, Any], list[tuple[str, ...]], float]:
-    """JSON, rows to print and the error to save."""
-    from dvf_ig.calibration import compare_methods, validate_probe
-    from dvf_ig.core import InvalidInputError
-
-    if device_set is None:
-        raise InvalidInputError("an N-wire phantom needs --device-set XML with its wires and its placement")
-    seen = read_wires(sequence, device_set, tables[0], "CalibrationData", picture)
-    validated = None
-    if validate is not None:
-        validated = read_wires(validate, device_set, tables[1], "ValidationData")
-    recording, held_out = seen.recording, None if validated is None else validated.recording
-    variants = compare_methods(recording, rng=rng)
-    found = _chosen(variants, method)
-    checked = {
-        name: None if held_out is None else validate_probe(r.probe_from_image, held_out)
-        for name, r in variants.results.items()
-    }
-    result = _probe_result(found, checked[found.method])
-    result["method_from"] = "cross-validation of the calibration frames" if method is None else "--method"
-    result["variants"] = _variants(variants, checked)
-    result["segmentation"] = segmentation_json(seen)
-    result["validation_segmentation"] = segmentation_json(validated)
-    rows: list[tuple[str, ...]] = [*segmentation_rows(seen, validated)]
-    rows += [*_probe_rows(found, checked[found.method]), *_variant_rows(result)]
-    return result, rows, (checked[found.method] or found.calibration).mean95_mm
-
-
-def _chosen(variants: "ProbeVariants", method: str | None) -> "ProbeResult":
-    from dvf_ig.calibration import PROBE_METHODS
-    from dvf_ig.core import InvalidInputError, QualityGateError
-
-    if method is None:
-        return variants.best
-    for name in PROBE_METHODS:
-        if name == method:
-            if name in variants.refused:
-                raise QualityGateError(f"method {name}: {variants.refused[name]}")
-            return variants.results[name]
-    raise InvalidInputError(f"probe method '{method}' is unknown; choose {', '.join(PROBE_METHODS)}")
-
-
-def _probe_result(found: "ProbeResult", checked: "WireErrors | None") -> dict[str, Any]:
-    return {
-        "sensor_from_image": found.matrix.tolist(),
-        "sensor_frame": found.probe_from_image.rigid.target,
-        "phantom": Phantom.nwire.value,
-        "calibration": wire_errors(found.calibration),
-        "validation": None if checked is None else wire_errors(checked),
-        "method": found.method,
-        "inlier_frames": int(found.inliers.sum()),
-        "rejected": rejected_list(found.rejected),
-        "edge_sd_mm": found.edge_sd_mm,
-        "shear_deg": found.shear_deg,
-        "leave_one_out_rms_mm": float((found.uncertainty.held_out_mm**2).mean() ** 0.5),
-        "uncertainty": uncertainty(found.uncertainty),
-    }
-
-
-def _variants(
-    variants: "ProbeVariants", checked: "dict[Any, WireErrors | None]"
-) -> dict[str, dict[str, Any]]:
-    from dvf_ig.calibration import PROBE_METHODS
-
-    table: dict[str, dict[str, Any]] = {}
-    for name in PROBE_METHODS:
-        if name in variants.refused:
-            table[name] = {"refused": variants.refused[name]}
-            continue
-        errors = checked[name]
-        table[name] = {
-            "calibration": wire_errors(variants.results[name].calibration),
-            "validation": None if errors is None else wire_errors(errors),
-            "cross_validated_mean95_mm": variants.cross_validated_mm[name],
-            "in_plane_mm": float((errors or variants.results[name].calibration).in_plane_mm.mean()),
-        }
-    return table
-
-
-def _probe_rows(found: "ProbeResult", checked: "WireErrors | None") -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = [
-        ("frames used", f"{int(found.inliers.sum())} of {found.calibration.frames}"),
-        *map_rows(found.uncertainty),
-        ("calibration", error_row(found.calibration)),
-    ]
-    if checked is not None:
-        rows.append(("validation", error_row(checked)))
-    rows += [(f"frame {frame}", reason) for frame, reason in found.rejected]
-    return rows + list(wire_rows(checked or found.calibration))
-
-
-def _variant_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
-    """A table of the methods: lowest 95 % of the errors, in mm."""
-    rows: list[tuple[str, ...]] = [
-        ("method", "cross-validated  calibration  validation  in plane (mm; all but the last: lowest 95 %)")
-    ]
-    for name, entry in result["variants"].items():
-        used = " *" if name == result["method"] else ""
-        if "refused" in entry:
-            rows.append((name, entry["refused"]))
-            continue
-        checked = entry["validation"]
-        held_out = "-" if checked is None else f"{checked['mean95_mm']:.3f}"
-        crossed, fitted = entry["cross_validated_mean95_mm"], entry["calibration"]["mean95_mm"]
-        rows.append(
-            (name + used, f"{crossed:<15.3f}  {fitted:<11.3f}  {held_out:<10}  {entry['in_plane_mm']:.3f}")
-        )
-    return [*rows, ("* used", f"chosen by {result['method_from']}")]

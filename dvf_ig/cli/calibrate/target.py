@@ -3,18 +3,18 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .output import error_row, vector, wire_errors
-from .uncertainty import map_rows, rejected_list, uncertainty
+from .output import error_fields, error_row, vector
+from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import ProbeTargetResult, TargetErrors
+    from dvf_ig.calibration import CalibrationErrors, TargetResult
     from dvf_ig.core import FloatArray, PoseStream
 
 METHODS = ("orthogonal", "isotropic")
 Printed = tuple[dict[str, Any], list[tuple[str, ...]], float]
 
 
-def calibrate_target(
+def target_result(
     phantom: str,
     sequence: Path,
     points: Path | None,
@@ -40,12 +40,12 @@ def calibrate_target(
         "sensor_from_image": found.probe_from_image.matrix.tolist(),
         "sensor_frame": found.probe_from_image.rigid.target,
         "phantom": phantom,
-        "calibration": wire_errors(found.calibration),
-        "validation": None if checked is None else wire_errors(checked),
+        "calibration": error_fields(found.calibration),
+        "validation": error_fields(checked),
         "method": method or METHODS[0],
         "inlier_frames": int(found.inliers.sum()),
         "rejected": rejected_list(found.rejected),
-        "leave_one_out": wire_errors(found.held_out),
+        "leave_one_out": error_fields(found.held_out),
         **place,
         "uncertainty": uncertainty(found.uncertainty),
     }
@@ -54,21 +54,21 @@ def calibrate_target(
         *map_rows(found.uncertainty),
         *rows,
         ("calibration", error_row(found.calibration)),
-        ("left out in turn", error_row(found.held_out)),
+        ("leave-one-out", error_row(found.held_out)),
     ]
     if checked is not None:
         table.append(("validation", error_row(checked)))
-    table += [(f"frame {frame}", reason) for frame, reason in found.rejected]
-    return result, table, (checked or found.held_out).mean95_mm
+    table += rejected_rows(found.rejected)
+    return result, table, (checked or found.held_out).summary.mean95
 
 
 Solved = tuple[
-    "ProbeTargetResult[Any]", "TargetErrors | None", dict[str, Any], list[tuple[str, ...]]
+    "TargetResult[Any]", "CalibrationErrors | None", dict[str, Any], list[tuple[str, ...]]
 ]  # fmt: skip
-Seen = tuple["PoseStream", "FloatArray"]
+PosesAndPoints = tuple["PoseStream", "FloatArray"]
 
 
-def _crosswire(seen: Seen, second: Seen | None, options: Any, rng: Any) -> Solved:
+def _crosswire(seen: PosesAndPoints, second: PosesAndPoints | None, options: Any, rng: Any) -> Solved:
     from dvf_ig.calibration import calibrate_crosswire, validate_crosswire
 
     found = calibrate_crosswire(*seen, rng=rng, options=options)
@@ -78,7 +78,7 @@ def _crosswire(seen: Seen, second: Seen | None, options: Any, rng: Any) -> Solve
     return found, checked, place, [("crossing", f"{vector(crossing)} mm in '{frame}'")]
 
 
-def _wall(seen: Seen, second: Seen | None, options: Any, rng: Any) -> Solved:
+def _wall(seen: PosesAndPoints, second: PosesAndPoints | None, options: Any, rng: Any) -> Solved:
     from dvf_ig.calibration import calibrate_wall, validate_wall
 
     found = calibrate_wall(*seen, rng=rng, options=options)
@@ -93,7 +93,7 @@ def _wall(seen: Seen, second: Seen | None, options: Any, rng: Any) -> Solved:
     return found, checked, place, [("wall", shown)]
 
 
-def _recording(phantom: str, sequence: Path, points: Path | None, option: str, rng: Any) -> Seen:
+def _recording(phantom: str, sequence: Path, points: Path | None, option: str, rng: Any) -> PosesAndPoints:
     """Poses and points; a wall's line is found in the images where no points are given."""
     from dvf_ig.calibration import find_wall_lines
     from dvf_ig.core import InvalidInputError

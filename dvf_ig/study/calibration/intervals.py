@@ -16,11 +16,11 @@ from data_synth.seeds import child_rng
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import (
     MapUncertainty,
-    ProbeOptions,
+    NWireOptions,
     calibrate_crosswire,
-    calibrate_probe,
+    calibrate_nwire,
     calibrate_wall,
-    compare_methods,
+    compare_nwire_methods,
     estimate_latency,
 )
 from dvf_ig.core import FloatArray, InvalidInputError
@@ -79,7 +79,7 @@ def calibration_trial(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
     middle = np.array(probe.apex_px) + np.array([0.0, 0.5 * (probe.fan.start_px + probe.fan.stop_px)])
     uncertainty = uncertainty.about(middle)
     parameters = uncertainty.parameters
-    error = -parameters.away(planted.probe_from_image) * _MAP_UNITS
+    error = -parameters.step_to(planted.probe_from_image) * _MAP_UNITS
     half = uncertainty.half_width[[*range(parameters.count), *[-1] * (8 - parameters.count)]]
     return {**_line(_MAP_NAMES, error, half * _MAP_UNITS), **extra}
 
@@ -124,9 +124,9 @@ def _nwire(
     )
     method = settings["method"]
     if method == "chosen":
-        found = compare_methods(recording, rng=rng).best
+        found = compare_nwire_methods(recording, rng=rng).best
     else:
-        found = calibrate_probe(recording, rng=rng, options=ProbeOptions(method=method))
+        found = calibrate_nwire(recording, rng=rng, options=NWireOptions(method=method))
     return found.uncertainty, {"method": found.method}
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.heart.anatomy import phantom_anatomy
+from data_synth.heart.motion import MotionPreset
 from data_synth.operator.contact import MovingSurface
-from data_synth.scenario.presets import Motion
 from dvf_ig.core import (
     CycleTiming,
     DvfModel,
@@ -61,7 +61,7 @@ class BeatingSurface:
         excursion_mm: (k,) how far the surface moves along its normal there.
     """
 
-    motion: Motion
+    motion: MotionPreset
     truth: MovingSurface
     model: DvfModel
     starts_mm: FloatArray
@@ -119,7 +119,7 @@ class StylusRun:
 
 
 def beating_surface(
-    motion: Motion,
+    motion: MotionPreset,
     *,
     phases: int = 20,
     cycle_s: float = 0.6,

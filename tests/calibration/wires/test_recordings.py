@@ -17,10 +17,10 @@ from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import (
     WireImageOptions,
     WireSegmentation,
-    calibrate_probe,
+    calibrate_nwire,
     recording_of,
     segment_wires,
-    validate_probe,
+    validate_nwire,
 )
 from dvf_ig.cli.calibrate.wires import wire_image_options
 from dvf_ig.cli.main import app
@@ -165,11 +165,11 @@ def test_real_images_calibrate_the_probe(data_dir: Path) -> None:
         print(f"{section}: {found.used} of {len(found.frames)} frames, {(misses < 5).mean():.4f} within 5 px")  # noqa: T201
         assert (misses < 5).mean() > 0.998
         assert misses.max() < 10
-    calibrated = calibrate_probe(recording, rng=np.random.default_rng(0))
-    checked = validate_probe(calibrated.probe_from_image, held_out)
-    print(f"validation {checked.mean95_mm:.3f} mm over {checked.frames_used} of {checked.frames} frames")  # noqa: T201
+    calibrated = calibrate_nwire(recording, rng=np.random.default_rng(0))
+    checked = validate_nwire(calibrated.probe_from_image, held_out)
+    print(f"validation {checked.summary.mean95:.3f} mm over {checked.frames_used} of {checked.frames} frames")  # noqa: T201
     assert checked.frames_used >= 0.98 * checked.frames
-    assert checked.mean95_mm <= 0.60
+    assert checked.summary.mean95 <= 0.60
 
 
 def test_real_candidates_lie_on_plus_baseline(data_dir: Path) -> None:

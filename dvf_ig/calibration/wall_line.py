@@ -1,4 +1,4 @@
-"""The floor of a water tank as a straight line in each ultrasound image."""
+"""A flat wall, or the floor of a water tank, as a straight line in each ultrasound image."""
 
 from dataclasses import dataclass
 
@@ -115,9 +115,9 @@ def _line(
         return None
     slopes = (row[pairs[:, 1]] - row[pairs[:, 0]]) / step
     at_center = row[pairs[:, 0]] + slopes * (center - column[pairs[:, 0]])
-    misses = np.abs(row - at_center[:, None] - slopes[:, None] * (column - center))
-    best = int(np.minimum(misses, options.tolerance_px).sum(axis=1).argmin())
-    near = misses[best] <= options.tolerance_px
+    residuals = np.abs(row - at_center[:, None] - slopes[:, None] * (column - center))
+    best = int(np.minimum(residuals, options.tolerance_px).sum(axis=1).argmin())
+    near = residuals[best] <= options.tolerance_px
     if near.mean() < options.min_support:
         return None
     for _ in range(3):
