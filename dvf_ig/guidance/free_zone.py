@@ -50,9 +50,9 @@ def gaussian_for_free_zone(
         )
         allowed_n_per_m = 1000.0 * device.allowed_stiffness_n_per_mm
         raise InvalidInputError(
-            f"a free zone of ±{zone.half_width_mm:g} mm below {zone.detection_threshold_n:g} N needs a stiffer "
-            f"wall than the device's {allowed_n_per_m:.4g} N/m; the narrowest it renders is ±{narrowest:.3g} mm; "
-            f"widen it or lower the cap of {cap_n:g} N"
+            f"a free zone of ±{zone.half_width_mm:g} mm below {zone.detection_threshold_n:g} N needs a "
+            f"stiffer wall than the device's {allowed_n_per_m:.4g} N/m; the narrowest it renders is "
+            f"±{narrowest:.3g} mm; widen it or lower the cap of {cap_n:g} N"
         )
     return best
 

@@ -15,6 +15,7 @@ from .options import FolderOption, SchedulerOption, WorkersOption
 from .registration import capture, failures, gating_error, planes, same_image
 from .retiming import retiming
 from .tracking import tracking
+from .training import training
 
 if TYPE_CHECKING:
     from dvf_ig.study.calibration.intervals import Coverage
@@ -25,6 +26,7 @@ app.command("distance")(distance_maps)
 app.command("blending")(blending)
 app.command("gating")(gating)
 app.command("retiming")(retiming)
+app.command("training")(training)
 app.command("same-image")(same_image)
 app.command("capture")(capture)
 app.command("gating-error")(gating_error)
