@@ -19,7 +19,7 @@ from dvf_ig.io.atomic import write_bytes
 from dvf_ig.preop import check_model
 from dvf_ig.report.paper import dynamic_figure, field_figure, gaussian_figure, sigmoid_figure
 from dvf_ig.report.study.stylus import tracking_figure
-from dvf_ig.study.stylus.study import BeatingSurface, Track, beating_surface, follow, followers
+from dvf_ig.study.stylus.holding import BeatingSurface, StylusRun, beating_surface, held_styli, hold_stylus
 
 Row = tuple[str, str, str]
 
@@ -38,8 +38,8 @@ def main() -> int:
     surface = beating_surface("paper5mm", places=arguments.places, seed=arguments.seed)
     model = surface.model
     tracks = [
-        follow(surface, follower, cycles=arguments.cycles)
-        for follower in followers(list(DEVICES.values()), list(BLEND_CODES))
+        hold_stylus(surface, stylus, cycles=arguments.cycles)
+        for stylus in held_styli(list(DEVICES.values()), list(BLEND_CODES))
     ]
     figures = [
         ("sigmoid", "Fig. 4", sigmoid_figure(), "Half of the largest force at the surface, whatever γ."),
@@ -101,8 +101,8 @@ def _part(out: Path, name: str, number: str, figure: Figure, caption: str) -> st
     )
 
 
-def _tracking_caption(tracks: list[Track]) -> str:
-    devices = {t.follower.device.name: t.follower.device for t in tracks}.values()
+def _tracking_caption(tracks: list[StylusRun]) -> str:
+    devices = {t.stylus.device.name: t.stylus.device for t in tracks}.values()
     each = "; ".join(
         f"{d.name}: {1000 * d.mass_kg:g} g, dry friction {d.dry_n:g} N, sensor step {d.resolution_mm:g} mm"
         for d in devices
@@ -119,10 +119,10 @@ def _accuracy(model: DvfModel) -> list[Row]:
     ]
 
 
-def _tracking_rows(tracks: list[Track]) -> list[Row]:
+def _tracking_rows(tracks: list[StylusRun]) -> list[Row]:
     rows = []
     for track in tracks:
-        f, found = track.follower, track.summary()
+        f, found = track.stylus, track.summary()
         extra = " with feed-forward" if f.feed_forward.friction_n > 0.0 else ""
         name = f"automatic tracking, {f.device.name}{extra}, blend '{f.blend}', mean"
         rows.append((name, f"{found['mean_mm']:.3f} mm", "0.29 mm"))

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from data_synth import MOTIONS
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
 from data_synth.heart.motion_report import motion_report
 from data_synth.realism.gates import (
+    PROBE,
     STANDARD,
     Gate,
     anisotropy_gate,
@@ -26,17 +28,17 @@ from data_synth.realism.gates import (
 )
 from data_synth.realism.heart import heart_gates
 from data_synth.realism.motion import EARLY_SYSTOLE, beating_gates, block_matching_gates
-from data_synth.realism.page import bounds, realism_figure, realism_html
+from data_synth.realism.pictures import attenuation_db, contrasts_db, heart_views, points_db
 from data_synth.realism.scan import real_pair_gates
 from data_synth.ultrasound.sequence import simulate_sequence
 from data_synth.ultrasound.views import standard_view
 from data_synth.ultrasound.volume import MatrixProbe, simulate_volume
 from dvf_ig.io import read_sequence, write_text
 from dvf_ig.io.atomic import write_bytes
+from dvf_ig.report.realism import RealismPictures, bounds_text, realism_figure, realism_html
 
 OUT = Path("out/realism")
 PAIR = ("UltrasonixCurvilinearBrightnessData.igs.mha", "UltrasonixCurvilinearScanConvertedData.igs.mha")
-MOTIONS = ("paper5mm", "physiological")
 
 
 def main() -> int:
@@ -61,8 +63,17 @@ def main() -> int:
     for motion, heart in hearts.items():
         gates += heart_gates(motion, motion_report(heart))
     _print(gates)
+    shown = RealismPictures(
+        envelopes,
+        PROBE.depths_mm,
+        PROBE.depth_mm,
+        points_db(),
+        contrasts_db(gates),
+        attenuation_db(),
+        {motion: heart_views(heart) for motion, heart in hearts.items()},
+    )
     picture = io.BytesIO()
-    realism_figure(envelopes, gates, hearts).savefig(picture, format="png", dpi=90)
+    realism_figure(shown).savefig(picture, format="png", dpi=90)
     OUT.mkdir(parents=True, exist_ok=True)
     write_bytes(OUT / "pictures.png", picture.getvalue())
     title = "How real the synthetic world is"
@@ -77,6 +88,8 @@ def _scan_conversion() -> list[Gate]:
         print(f"note: no real scan-conversion pair at {folder}; set DVF_IG_DATA", file=sys.stderr)
         return []
     polar, converted = (read_sequence(folder / name).images for name in PAIR)
+    if polar is None or converted is None:
+        raise SystemExit(f"error: the scan-conversion pair in {folder} has no images")
     return real_pair_gates(polar, converted)
 
 
@@ -110,7 +123,7 @@ def _print(gates: list[Gate]) -> None:
     width = max(len(g.name) for g in gates)
     print(f"{'gate':<{width}}  {'value':>10}  {'bounds':>20}")
     for g in gates:
-        print(f"{g.name:<{width}}  {g.value:>10.4g}  {bounds(g):>20}  {'pass' if g.passed else 'FAIL'}")
+        print(f"{g.name:<{width}}  {g.value:>10.4g}  {bounds_text(g):>20}  {'pass' if g.passed else 'FAIL'}")
 
 
 if __name__ == "__main__":

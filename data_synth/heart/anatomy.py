@@ -8,10 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from data_synth.kernels import lv
-from data_synth.mr.cine import MrProtocol, cine_preop
-from data_synth.mr.stack import StackCine, StackProtocol, stack_cine, stack_grid
-from dvf_ig.core import FloatArray, IntArray, Landmarks, Points, Preop, Rigid, read_only_arrays
+from dvf_ig.core import FloatArray, IntArray, Landmarks, Points, Rigid, read_only_arrays
 
 from .anatomical_points import TOUCHABLE, heart_landmarks, with_box_grid
 from .mismatch import SmoothField, random_mismatch, tabulated_inverse
@@ -30,7 +27,7 @@ MARGIN_MM = 32.0
 
 
 class BeatingAnatomy(Protocol):
-    """One beating heart: the anatomy the intervention meets, and what was acquired of it before.
+    """One beating heart: the anatomy that the intervention meets.
 
     Frame "mr" throughout. `model_phase`: fraction of the pre-operative cycle, cyclic; 0 is end-diastole.
 
@@ -74,10 +71,6 @@ class BeatingAnatomy(Protocol):
 
     def landmarks(self) -> Landmarks:
         """Points on the pre-operative end-diastolic surface that a stylus could touch."""
-        ...
-
-    def preop(self, rng: np.random.Generator) -> Preop:
-        """What was acquired before the intervention; it knows nothing of the mismatch."""
         ...
 
 
@@ -176,28 +169,6 @@ class PhantomAnatomy:
         names, points = heart_landmarks(self.shapes.heart, self.shapes.mr_from_heart)
         chosen = points[[names.index(name) for name in TOUCHABLE]]
         return Landmarks(TOUCHABLE, Points("mr", project_to_outline(self.shapes.organ, chosen)))
-
-    def preop(self, rng: np.random.Generator) -> Preop:
-        return cine_preop(
-            f"phantom-{self.seed}",
-            self.reference,
-            self.resting_motion,
-            self.box_mm,
-            self.rr_s,
-            rng,
-            MrProtocol(),
-        )
-
-    def short_axis_cine(self, rng: np.random.Generator, protocol: StackProtocol | None = None) -> StackCine:
-        """A short-axis stack over the ventricles, from below the apex to above the mitral plane."""
-        chosen = protocol or StackProtocol()
-        pose = self.shapes.mr_from_heart
-        local = pose.inverse().apply_array(self.ed_vertices_mm)
-        low, high = local.min(axis=0) - MrProtocol().margin_mm, local.max(axis=0) + MrProtocol().margin_mm
-        low[2], high[2] = -0.5 * chosen.pitch_mm, lv.BASE + chosen.pitch_mm
-        grid = stack_grid(pose.rotation, pose.apply_array(low), high - low, chosen)
-        timing = (self.rr_s, self.es_fraction)
-        return stack_cine(self.reference, self.resting_motion, grid, timing, rng, chosen)
 
     def _wide_box(self) -> FloatArray:
         return np.asarray(self.box_mm + np.array([[-MARGIN_MM], [MARGIN_MM]]))

@@ -1,4 +1,7 @@
-"""Which way the heart's walls face: muscle returns less of a beam that runs along its wall."""
+"""Orientation of the heart's muscle fibres: muscle returns less of a beam that runs along its wall.
+
+Fibres lie in the plane of the wall and turn through its thickness: the normal of the wall describes them.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,19 +12,19 @@ from dvf_ig.core import FloatArray
 from .tissue import ANISOTROPY_DB, MUSCLE
 
 STRIDE = 2
-"""Nodes of the tissue fields for each node of the grain; walls turn slowly."""
+"""Nodes of the tissue fields for each node of the orientations; walls turn slowly."""
 _SMOOTH_MM = 1.5
 _REACH_MM = 4.0
 """About half a wall: the middle of a wall takes its direction from both of its faces."""
 _TENSOR = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
-def no_grain() -> NDArray[np.float32]:
+def no_fibres() -> NDArray[np.float32]:
     """Of a medium without walls: one node that holds everywhere."""
     return np.zeros((1, 1, 1, 3), dtype=np.float32)
 
 
-def muscle_grain(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.float32]:
+def fibre_orientation(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.float32]:
     """Wall normals on every second node, each as long as the square root of the drop along the wall in dB.
 
     The normal is the main direction of the smoothed structure tensor of the muscle, so it has no sign and
@@ -33,9 +36,9 @@ def muscle_grain(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.floa
         (ceil(nx/2), ceil(ny/2), ceil(nz/2), 3) float32; 0 away from muscle.
     """
     muscle = np.isin(codes[::STRIDE, ::STRIDE, ::STRIDE], MUSCLE)
-    grain = np.zeros((*muscle.shape, 3), dtype=np.float32)
+    orientation = np.zeros((*muscle.shape, 3), dtype=np.float32)
     if not muscle.any():
-        return grain
+        return orientation
     pitch_mm = STRIDE * spacing_mm
     margin = int(np.ceil(2 * _REACH_MM / pitch_mm)) + 1
     held = np.argwhere(muscle)
@@ -47,8 +50,8 @@ def muscle_grain(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.floa
     near = soft > 0.02
     normals = np.zeros((*soft.shape, 3), dtype=np.float32)
     normals[near] = _main_directions(np.stack([part[near] for part in tensor], axis=-1))
-    grain[box] = np.sqrt(ANISOTROPY_DB) * normals
-    return grain
+    orientation[box] = np.sqrt(ANISOTROPY_DB) * normals
+    return orientation
 
 
 def _main_directions(tensor: FloatArray) -> FloatArray:

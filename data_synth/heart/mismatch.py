@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_synth.kernels.lookup import cubic_at
+from data_synth.kernels.interpolation import cubic_at
 from data_synth.kernels.waves import wave_sum
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 
@@ -104,7 +104,7 @@ def random_mismatch(
     """A smooth random field of exactly `rms_mm` over the heart box, without any rigid part there.
 
     The rigid part (shift and small rotation) is removed by least squares over a uniform grid of the box, so
-    that a planted pose stays the best rigid pose.
+    that the true pose stays the best rigid pose.
 
     Args:
         box_mm: (2, 3) heart box, frame "mr".

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from data_synth.kernels import lookup
+from data_synth.kernels import gridded_motion
 from dvf_ig.core import FloatArray, IntArray, InvalidInputError, read_only_arrays
 
 MotionPreset = Literal["paper5mm", "physiological"]
@@ -85,7 +85,7 @@ class InverseMotion:
         """(n, 3) reference positions of points, at one phase or each at its own (n,)."""
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
-        lookup.pull_back(
+        gridded_motion.pull_back(
             points,
             self.displacement_mm,
             self.origin_mm,

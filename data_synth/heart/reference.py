@@ -1,16 +1,16 @@
 """The heart at end-diastole as grids: what MR and ultrasound look up after going back through the motion."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.kernels import lookup
+from data_synth.kernels import tissue_map
+from data_synth.threads import for_each
 from dvf_ig.core import FloatArray, read_only_arrays
 
-from .fibre_orientation import muscle_grain
+from .fibre_orientation import fibre_orientation
 from .tissue import ACOUSTICS, BLOOD, Tissue, bssfp_signal
 
 Layers = list[tuple[Tissue, FloatArray]]
@@ -18,7 +18,6 @@ Layers = list[tuple[Tissue, FloatArray]]
 CHANNELS = 5
 """Ultrasound channels: ln Z, α dB/cm/MHz, echo amplitude of tissue, of blood, and |∇ ln Z| per mm."""
 
-_THREADS = 2
 REFLECTORS = (Tissue.LUNG, Tissue.BONE)
 _REFLECTOR_EDGE = 3.0
 """Wider by this: a tenth of their edge reflects all, and must not be a staircase of nodes."""
@@ -59,7 +58,7 @@ class ReferenceMap:
         inner, outer: (nx, ny, nz) uint8 codes that hold where the organ depth is positive, or not.
         signal: (nx, ny, nz) float32 noise-free bSSFP signal.
         acoustics: (nx, ny, nz, CHANNELS) float32.
-        grain: wall normals on a coarser grid from the same origin, see `muscle_grain`.
+        fibre_orientation: wall normals on a coarser grid from the same origin, see the function of that name.
     """
 
     origin_mm: FloatArray
@@ -69,11 +68,11 @@ class ReferenceMap:
     outer: NDArray[np.uint8]
     signal: NDArray[np.float32]
     acoustics: NDArray[np.float32]
-    grain: NDArray[np.float32]
+    fibre_orientation: NDArray[np.float32]
 
     def sample(self, xyz_mm: FloatArray, signal: NDArray[np.float32], codes: NDArray[np.uint8]) -> None:
         """MR signal and tissue code at (n, 3) reference positions, into `signal` and `codes` (n,)."""
-        lookup.sampled(
+        tissue_map.sample_mr(
             xyz_mm, self.organ_mm, self.inner, self.outer, self.signal, self.origin_mm,
             1.0 / self.spacing_mm, signal, codes,
         )  # fmt: skip
@@ -124,11 +123,10 @@ def build_reference(shapes: ReferenceShapes, box_mm: FloatArray, spacing_mm: flo
         acoustics[i, ..., : CHANNELS - 1] = rows[:, : CHANNELS - 1].reshape(*shape[1:], -1)
         signal[i] = rows[:, -1].reshape(shape[1:])
 
-    with ThreadPoolExecutor(_THREADS) as pool:
-        list(pool.map(fill, range(shape[0])))
-    lookup.gradient_norm(acoustics, 1.0 / spacing_mm)
-    grain = muscle_grain(np.where(organ > 0, inner, outer), spacing_mm)
-    return ReferenceMap(np.array(box_mm[0]), spacing_mm, organ, inner, outer, signal, acoustics, grain)
+    for_each(fill, range(shape[0]))
+    tissue_map.gradient_norm(acoustics, 1.0 / spacing_mm)
+    fibres = fibre_orientation(np.where(organ > 0, inner, outer), spacing_mm)
+    return ReferenceMap(np.array(box_mm[0]), spacing_mm, organ, inner, outer, signal, acoustics, fibres)
 
 
 def _codes(

@@ -5,8 +5,6 @@ from numba import njit
 
 from dvf_ig.core import AnyArray
 
-Point = tuple[float, float, float]
-
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def squared_distance(px: float, py: float, pz: float, a: AnyArray, b: AnyArray, c: AnyArray) -> float:

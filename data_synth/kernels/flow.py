@@ -11,7 +11,8 @@ from numba import njit
 
 from dvf_ig.core import AnyArray
 
-from .lv import BASE, Point, radii
+from .interpolation import Point
+from .lv import BASE, radii
 
 STEPS = 2
 SEPTUM_MM = 14.0

@@ -5,8 +5,8 @@ from numba import njit
 from dvf_ig.core import AnyArray
 
 from .flow import flow_point
-from .lookup import cubic_point
-from .lv import Point, forward_point, inverse_point
+from .interpolation import Point, cubic_point
+from .lv import forward_point, inverse_point
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -12,7 +12,7 @@ tapers, which stretches the atria in systole.
 import numpy as np
 from numba import njit
 
-Point = tuple[float, float, float]
+from .interpolation import Point
 
 BASE = 85.0
 CAVITY_APEX = 12.0

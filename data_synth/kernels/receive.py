@@ -5,7 +5,7 @@ from numba import njit
 
 from dvf_ig.core import AnyArray
 
-from .sector import lattice_hash
+from .speckle import lattice_hash
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=False)

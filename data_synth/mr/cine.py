@@ -1,18 +1,18 @@
 """Pre-operative 4-D cine MR of the synthetic heart, with its segmentation."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from data_synth.heart.anatomy import PhantomAnatomy
 from data_synth.heart.motion import PullBack
 from data_synth.heart.reference import ReferenceMap
 from data_synth.heart.tissue import FIRST_OUTSIDE, LABEL_NAMES, Tissue, bssfp_signal
+from data_synth.threads import for_each
 from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, VolumeSeries
 
-_THREADS = 2
 _BLOOD_LEVEL = 800.0
 FWHM_PER_SIGMA = 2.3548
 
@@ -39,27 +39,23 @@ class MrProtocol:
 
 
 def cine_preop(
-    patient_id: str,
-    reference: ReferenceMap,
-    motion: PullBack,
-    box_mm: FloatArray,
-    rr_s: float,
-    rng: np.random.Generator,
-    protocol: MrProtocol,
+    anatomy: PhantomAnatomy, rng: np.random.Generator, protocol: MrProtocol | None = None
 ) -> Preop:
-    """4-D MR (int16) and its labels (uint8) on one grid, frame "mr".
+    """4-D MR (int16) and its labels (uint8) of the phantom's heart on one grid, frame "mr".
+
+    It was acquired before the intervention, and knows nothing of the mismatch.
 
     Args:
-        reference, motion: the pre-operative anatomy (without mismatch).
-        box_mm: (2, 3) heart box.
-        rr_s: RR interval of the acquisition.
         rng: draws coil shading and noise.
+        protocol: None is `MrProtocol()`.
     """
+    protocol = protocol or MrProtocol()
+    reference, motion, box_mm = anatomy.reference, anatomy.resting_motion, anatomy.box_mm
     low = box_mm[0] - protocol.margin_mm
     count = np.ceil((box_mm[1] - box_mm[0] + 2 * protocol.margin_mm) / protocol.spacing_mm).astype(int)
     shape = (int(count[0]), int(count[1]), int(count[2]))
     grid = Grid.axis_aligned("mr", shape, low, protocol.spacing_mm)
-    timing = CycleTiming.uniform(protocol.phases, rr_s)
+    timing = CycleTiming.uniform(protocol.phases, anatomy.rr_s)
     shading = coil_shading(grid, protocol.bias, rng)
     noise_rngs = rng.spawn(protocol.phases)
     sigma_px = np.full(3, protocol.psf_fwhm_mm / FWHM_PER_SIGMA / protocol.spacing_mm)
@@ -71,10 +67,9 @@ def cine_preop(
         image[i] = measured(signal * shading, sigma_px, protocol.snr, noise_rngs[i])
         labels[i] = heart_labels(codes)
 
-    with ThreadPoolExecutor(_THREADS) as pool:
-        list(pool.map(acquire, range(protocol.phases)))
+    for_each(acquire, range(protocol.phases))
     return Preop(
-        patient_id=patient_id,
+        patient_id=f"phantom-{anatomy.seed}",
         mr=VolumeSeries(grid, image, timing),
         labels=VolumeSeries(grid, labels, timing),
         label_names=LABEL_NAMES,

@@ -1,20 +1,21 @@
 """Short-axis cine MR as it is acquired: thick slices with gaps, one breath-hold and one heart rate each."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_synth.heart.anatomy import PhantomAnatomy
 from data_synth.heart.clock import two_segment_phase
 from data_synth.heart.motion import PullBack
 from data_synth.heart.reference import ReferenceMap
 from data_synth.heart.respiration import DIRECTION
+from data_synth.kernels import lv
+from data_synth.threads import for_each
 from dvf_ig.core import CycleTiming, FloatArray, Grid, InvalidInputError, VolumeSeries, read_only_arrays
 
-from .cine import FWHM_PER_SIGMA, coil_shading, heart_labels, measured
+from .cine import FWHM_PER_SIGMA, MrProtocol, coil_shading, heart_labels, measured
 
-_THREADS = 2
 _SUBSLICES = 5
 
 
@@ -70,6 +71,20 @@ class StackCine:
     trigger_s: FloatArray
 
 
+def short_axis_cine(
+    anatomy: PhantomAnatomy, rng: np.random.Generator, protocol: StackProtocol | None = None
+) -> StackCine:
+    """A short-axis stack over the phantom's ventricles, from below the apex to above the mitral plane."""
+    chosen, margin_mm = protocol or StackProtocol(), MrProtocol().margin_mm
+    pose = anatomy.shapes.mr_from_heart
+    local = pose.inverse().apply_array(anatomy.ed_vertices_mm)
+    low, high = local.min(axis=0) - margin_mm, local.max(axis=0) + margin_mm
+    low[2], high[2] = -0.5 * chosen.pitch_mm, lv.BASE + chosen.pitch_mm
+    grid = stack_grid(pose.rotation, pose.apply_array(low), high - low, chosen)
+    timing = (anatomy.rr_s, anatomy.es_fraction)
+    return stack_cine(anatomy.reference, anatomy.resting_motion, grid, timing, rng, chosen)
+
+
 def stack_cine(
     reference: ReferenceMap,
     motion: PullBack,
@@ -113,8 +128,7 @@ def stack_cine(
             image[i, ..., k] = measured(shaded, sigma_px, protocol.snr, noise_rngs[k])
             labels[i, ..., k] = heart_labels(codes).reshape(grid.shape[:2])
 
-    with ThreadPoolExecutor(_THREADS) as pool:
-        list(pool.map(acquire, range(slices)))
+    for_each(acquire, range(slices))
     cycle = CycleTiming(fractions, float(rr_s.mean()))
     return StackCine(
         VolumeSeries(grid, image, cycle),

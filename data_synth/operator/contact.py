@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from data_synth.heart.clock import HeartClock
-from data_synth.surfaces.closest_triangle import signed_distances
+from data_synth.kernels.closest_triangle import Mesh, signed_distances
 from dvf_ig.core import FloatArray, IntArray, InvalidInputError, ToolTruth, read_only_arrays
 
 MAX_INTERPOLATION_ERROR_MM = 0.005
@@ -34,21 +34,13 @@ class MovingSurface:
 
     Attributes:
         phases: (p,) cached phases, increasing from 0; their spacing follows the speed of the motion.
-        vertices_mm: (p, v, 3); linear between neighbouring phases, cyclic.
-        triangles: (m, 3), outward, sorted by cluster.
+        mesh: the surface at these phases, linear between neighbouring ones, cyclic.
         interpolation_error_mm: bound on the vertex error of the linear interpolation.
     """
 
     phases: FloatArray
-    vertices_mm: FloatArray
-    triangles: IntArray
+    mesh: Mesh
     interpolation_error_mm: float
-    _clusters: IntArray
-    _centers: FloatArray
-    _radii: FloatArray
-    _start: IntArray
-    _around: IntArray
-    _neighbour: IntArray
 
     @classmethod
     def of(cls, anatomy: MovingMesh) -> "MovingSurface":
@@ -63,18 +55,17 @@ class MovingSurface:
         sampled_at, exact, cubic_error = _exact_samples(anatomy)
         phases, vertices, linear_error = _filled_in(sampled_at, exact)
         triangles = np.array(anatomy.surface_triangles, dtype=np.int64)
-        return cls._indexed(phases, vertices, triangles, cubic_error + linear_error)
+        return cls(phases, _indexed(vertices, triangles), cubic_error + linear_error)
 
-    @classmethod
-    def _indexed(
-        cls, phases: FloatArray, vertices: FloatArray, triangles: IntArray, error: float
-    ) -> "MovingSurface":
-        order, clusters = _clustered(vertices[0][triangles].mean(axis=1))
-        triangles = np.ascontiguousarray(triangles[order])
-        neighbour = _neighbours(triangles)
-        start, around = _triangles_around(triangles, vertices.shape[1])
-        centers, radii = _bounding_spheres(vertices, triangles, clusters)
-        return cls(phases, vertices, triangles, error, clusters, centers, radii, start, around, neighbour)
+    @property
+    def vertices_mm(self) -> FloatArray:
+        """(p, v, 3) at the cached phases."""
+        return self.mesh.vertices
+
+    @property
+    def triangles(self) -> IntArray:
+        """(m, 3), outward."""
+        return self.mesh.triangles
 
     def at(self, model_phase: float) -> FloatArray:
         """(v, 3) vertices at one phase."""
@@ -86,10 +77,7 @@ class MovingSurface:
         points = np.ascontiguousarray(points_mm, dtype=np.float64)
         low, high, weight = self._bracket(np.broadcast_to(model_phase, len(points)))
         distance, gradient = np.empty(len(points)), np.empty((len(points), 3))
-        signed_distances(
-            points, low, high, weight, self.vertices_mm, self.triangles, self._clusters, self._centers,
-            self._radii, self._start, self._around, self._neighbour, distance, gradient,
-        )  # fmt: skip
+        signed_distances(points, low, high, weight, self.mesh, distance, gradient)
         return distance, gradient
 
     def _bracket(self, model_phase: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
@@ -173,6 +161,16 @@ def _filled_in(sampled_at: FloatArray, exact: FloatArray) -> tuple[FloatArray, F
         phases += [float(sampled_at[i] + steps[i] * k / parts) for k in range(parts)]
         vertices += [_cubic(sampled_at, exact, i, k / parts) for k in range(parts)]
     return np.array(phases), np.stack(vertices), worst
+
+
+def _indexed(vertices: FloatArray, triangles: IntArray) -> Mesh:
+    """The mesh sorted into clusters, with what surrounds each vertex and edge."""
+    order, clusters = _clustered(vertices[0][triangles].mean(axis=1))
+    triangles = np.ascontiguousarray(triangles[order])
+    neighbour = _neighbours(triangles)
+    start, around = _triangles_around(triangles, vertices.shape[1])
+    centers, radii = _bounding_spheres(vertices, triangles, clusters)
+    return Mesh(vertices, triangles, start, around, neighbour, clusters, centers, radii)
 
 
 def _clustered(centroids: FloatArray) -> tuple[IntArray, IntArray]:

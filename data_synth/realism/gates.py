@@ -9,8 +9,8 @@ from scipy.special import erfc
 from scipy.stats import rayleigh
 
 from data_synth.heart.tissue import ACOUSTICS, ANISOTROPY_DB, Tissue
-from data_synth.ultrasound.lines import form_beams
 from data_synth.ultrasound.probe import FWHM_PER_SIGMA, SectorProbe
+from data_synth.ultrasound.scan_lines import form_beams
 from data_synth.ultrasound.sequence import simulate_lines
 from dvf_ig.core import FloatArray, Rigid
 
@@ -134,9 +134,9 @@ def anisotropy_gate() -> Gate:
         one = medium(Tissue.LV_MYOCARDIUM)
         # beams of the narrow probe run along y
         normal = np.array([1.0, 0.0, 0.0]) if along_beam else np.array([0.0, 1.0, 0.0])
-        grain = (np.sqrt(ANISOTROPY_DB) * normal).astype(np.float32).reshape(1, 1, 1, 3)
+        fibres = (np.sqrt(ANISOTROPY_DB) * normal).astype(np.float32).reshape(1, 1, 1, 3)
         probe = replace(PROBE, half_angle_rad=0.06)
-        faced = replace(one, reference=replace(one.reference, grain=grain))
+        faced = replace(one, reference=replace(one.reference, fibre_orientation=fibres))
         level = simulate_lines(faced, probe, FACING, np.zeros(probe.lines), seed=5, frame=0)
         levels.append(10 * np.log10(np.mean(10 ** (level[:, _NEAR_SAMPLES:-10].astype(np.float64) / 10))))
     return near("muscle along the beam re facing it, dB", float(levels[1] - levels[0]), -ANISOTROPY_DB, 0.5)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from data_synth.heart.fibre_orientation import no_grain
+from data_synth.heart.fibre_orientation import no_fibres
 from data_synth.heart.reference import CHANNELS, ReferenceMap
 from data_synth.heart.tissue import ACOUSTICS, BLOOD, Tissue
 from dvf_ig.core import FloatArray, read_only_arrays
@@ -65,7 +65,7 @@ def medium(
     origin[axis] = -40.5
     unused = np.zeros(fields.shape[:3], dtype=np.float32)
     codes = np.zeros(fields.shape[:3], dtype=np.uint8)
-    reference = ReferenceMap(origin, 1.0, unused, codes, codes, unused, fields, no_grain())
+    reference = ReferenceMap(origin, 1.0, unused, codes, codes, unused, fields, no_fibres())
     return Medium(reference, RigidShift(np.array(shift_mm), np.array(turn_rad)))
 
 

@@ -88,6 +88,19 @@ class DisplacedPose:
         return minimum_jerk((t_s - self.start_s) / self.over_s)
 
 
+def random_displacement(
+    rng: np.random.Generator, *, shift_mm: float, turn_deg: float
+) -> tuple[FloatArray, FloatArray]:
+    """A rotation vector (3,) in rad and a translation (3,) in mm of exactly these sizes.
+
+    Axis and direction are independent, and uniform over the sphere: two normalised Gaussian vectors, the axis
+    drawn first.
+    """
+    axis, direction = rng.standard_normal((2, 3))
+    turn = np.deg2rad(turn_deg) * axis / np.linalg.norm(axis)
+    return turn, shift_mm * direction / np.linalg.norm(direction)
+
+
 def displaced(
     before: Rigid, change: Displacement, center_mm: FloatArray, seconds: float, rng: np.random.Generator
 ) -> DisplacedPose:
@@ -97,12 +110,6 @@ def displaced(
         center_mm: (3,) point of the target frame that moves by exactly `change.shift_mm`.
         seconds: length of the live part.
     """
-    axis, direction = rng.standard_normal((2, 3))
-    return DisplacedPose(
-        before,
-        change.at_share * seconds,
-        change.over_s,
-        np.deg2rad(change.turn_deg) * axis / np.linalg.norm(axis),
-        change.shift_mm * direction / np.linalg.norm(direction),
-        np.asarray(center_mm, dtype=np.float64),
-    )
+    turn_rad, shift_mm = random_displacement(rng, shift_mm=change.shift_mm, turn_deg=change.turn_deg)
+    center = np.asarray(center_mm, dtype=np.float64)
+    return DisplacedPose(before, change.at_share * seconds, change.over_s, turn_rad, shift_mm, center)

@@ -1,4 +1,4 @@
-"""What is wrong with a recording, in words that give nothing planted away."""
+"""What is wrong with a recording, in words that give no true value away."""
 
 from .presets import Preset
 
@@ -15,7 +15,7 @@ def describe_faults(preset: Preset) -> tuple[str, ...]:
         (bool(ecg.missed_beats), "Some beats leave no trace in the ECG."),
         (preset.respiration_mm > 0, "The heart moves with respiration."),
         (
-            preset.sight.losses_per_min > 0 or any(t.lost_s for t in trackers),
+            preset.occlusion.losses_per_min > 0 or any(t.lost_s for t in trackers),
             "The tracker loses sight of probe and tool for seconds.",
         ),
         (any(t.latency_s > 0 for t in trackers), "The tracker reports its poses late."),

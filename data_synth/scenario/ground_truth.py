@@ -1,4 +1,4 @@
-"""The unknowns that a replay has to find: frames, image calibration, tool tip, latency; and coarse starts."""
+"""The ground truth that a replay has to find: frames, image calibration, tool tip, latency; coarse starts."""
 
 from dataclasses import dataclass
 
@@ -7,13 +7,15 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import FloatArray, ImageMap, Landmarks, Points, Rigid
 
+from .displacement import random_displacement
+
 LANDMARK_RMS_MM = 3.0
 """RMS 3-D error of a touched landmark; each axis has an SD of this over √3."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Planted:
-    """Frames of one synthetic operating room.
+class GroundTruth:
+    """What is unknown in one synthetic operating room.
 
     Attributes:
         mr_from_tracker: any rotation, the heart some 0.5 to 0.9 m from the tracker's origin.
@@ -29,9 +31,9 @@ class Planted:
     lag_s: float
 
 
-def plant(
+def draw_ground_truth(
     center_mr_mm: FloatArray, plane_from_image: ImageMap, tool_mm: float, rng: np.random.Generator
-) -> Planted:
+) -> GroundTruth:
     """Draw every unknown.
 
     Args:
@@ -50,7 +52,7 @@ def plant(
     probe_from_image = ImageMap(probe_from_plane @ plane_from_image.rigid, plane_from_image.scale_mm_per_px)
     tip = rng.uniform((-20.0, -20.0, 0.95 * tool_mm), (20.0, 20.0, 1.05 * tool_mm))
     lag_s = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.02, 0.08))
-    return Planted(
+    return GroundTruth(
         tracker_from_mr.inverse(), probe_from_image, probe_from_plane, Points("tool", tip[None]), lag_s
     )
 
@@ -69,10 +71,6 @@ def coarse_start(
     offset_deg: float,
     rng: np.random.Generator,
 ) -> Rigid:
-    """The planted pose turned by exactly `offset_deg` about the heart's centre and moved by `offset_mm`."""
-    axis, direction = rng.standard_normal((2, 3))
-    return mr_from_tracker.perturbed_left(
-        np.deg2rad(offset_deg) * axis / np.linalg.norm(axis),
-        offset_mm * direction / np.linalg.norm(direction),
-        center_mr_mm,
-    )
+    """The true pose turned by exactly `offset_deg` about the heart's centre and moved by `offset_mm`."""
+    turn_rad, shift_mm = random_displacement(rng, shift_mm=offset_mm, turn_deg=offset_deg)
+    return mr_from_tracker.perturbed_left(turn_rad, shift_mm, center_mr_mm)

@@ -13,13 +13,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
+from data_synth.heart.motion import MotionPreset
+from data_synth.mr.cine import cine_preop
 from data_synth.seeds import child_rng, child_seed
 from data_synth.ultrasound.presets import PROBES
 from data_synth.ultrasound.probe import SectorProbe
 from data_synth.ultrasound.sequence import simulate_sequence
 from data_synth.ultrasound.views import COUPLING_MM, standard_view, view_from
 from data_synth.ultrasound.volume import MatrixProbe, shown_volume, simulate_pyramid
-from data_synth.ultrasound.volume_faults import spoiled_pyramid
+from data_synth.ultrasound.volume_faults import degraded_pyramid
 from dvf_ig.core import (
     FloatArray,
     InvalidInputError,
@@ -31,7 +33,7 @@ from dvf_ig.core import (
     TrackedVolume,
 )
 
-from .presets import PRESETS, Motion
+from .presets import PRESETS
 
 Quality = Literal["no-mismatch", "calm", "poor-image"]
 Change = Literal["none", "deformation", "motion"]
@@ -73,7 +75,7 @@ class PairSpec:
     """
 
     seed: int
-    motion: Motion = "paper5mm"
+    motion: MotionPreset = "paper5mm"
     quality: Quality = "calm"
     change: Change = "none"
 
@@ -103,7 +105,7 @@ class ImagePair:
 
     @cached_property
     def preop(self) -> Preop:
-        return self.before.preop(child_rng(self.spec.seed, "pair preop"))
+        return cine_preop(self.before, child_rng(self.spec.seed, "pair preop"))
 
     @property
     def targets(self) -> Landmarks:
@@ -129,8 +131,8 @@ class ImagePair:
         """
         late = np.broadcast_to(np.asarray(phase_error, dtype=np.float64), len(phases))
         array = probe or MatrixProbe()
-        spoil = PRESETS["poor-image" if self.spec.quality == "poor-image" else "calm"].image
-        array = replace(array, sector=replace(array.sector, dynamic_range_db=spoil.dynamic_range_db))
+        faults = PRESETS["poor-image" if self.spec.quality == "poor-image" else "calm"].image
+        array = replace(array, sector=replace(array.sector, dynamic_range_db=faults.dynamic_range_db))
         views = [standard_view(name, self.now.reference) for name in VOLUME_VIEWS]
         held = child_rng(self.spec.seed, "pair view")
         poses = [_held_freely(view, held) for view in views]
@@ -142,8 +144,8 @@ class ImagePair:
         for i, (mr_from_plane, k) in enumerate(product(poses, range(len(phases)))):
             times = np.repeat((phases[k] + late[k] + within)[:, None], array.sector.lines, axis=1)
             level = simulate_pyramid(self.now, array, mr_from_plane, times, seed=seed, frame=i)
-            faults = child_rng(self.spec.seed, f"pair faults {i // len(phases)}")
-            shown = shown_volume(spoiled_pyramid(level, array, spoil, faults), array)
+            fault_rng = child_rng(self.spec.seed, f"pair faults {i // len(phases)}")
+            shown = shown_volume(degraded_pyramid(level, array, faults, fault_rng), array)
             pose = self._read(mr_from_plane, rng, "plane", BEATS_PER_VOLUME)
             out.append(TrackedVolume(shown.image, shown.mask, pose, phases[k] % 1.0))
         return tuple(out)
@@ -201,7 +203,7 @@ def image_pair(spec: PairSpec) -> ImagePair:
         spec.quality, PRESETS["poor-image"].mismatch_mm
     )
     before = phantom_anatomy(motion=spec.motion, mismatch_mm=0.0, seed=spec.seed)
-    motion: Motion = spec.motion
+    motion: MotionPreset = spec.motion
     if spec.change == "motion":
         motion = "physiological" if spec.motion == "paper5mm" else "paper5mm"
     if spec.change == "deformation":
@@ -250,6 +252,6 @@ def _turned(view: Rigid, angle_rad: float) -> Rigid:
 
 
 def _held_freely(view: Rigid, rng: np.random.Generator) -> Rigid:
-    """Where an operator holds the probe: up to 12° and 6 mm from the textbook's view."""
+    """Where an operator really holds the probe: up to 12° and 6 mm from the textbook's view."""
     turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-12.0, 12.0, 3))).as_matrix()
     return Rigid("mr", "plane", view.rotation @ turn, view.translation_mm + rng.uniform(-6.0, 6.0, 3))

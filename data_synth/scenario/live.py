@@ -13,7 +13,7 @@ from data_synth.operator.tool_path import tip_path, tool_path
 from data_synth.seeds import child_seed
 from data_synth.signals.occlusion import losses_in_contact
 from data_synth.signals.tracker import PosePath, TrackerSpec, sampling_times, tracked
-from data_synth.ultrasound.image_faults import spoiled
+from data_synth.ultrasound.image_faults import degraded
 from data_synth.ultrasound.sequence import simulate_sequence
 from dvf_ig.core import FloatArray, PoseStream, Rigid, ToolTruth, TrackedSequence
 
@@ -42,7 +42,7 @@ def tool_task(world: World) -> ToolTask:
     options = world.options.tool
     sites = contact_sites(world.surface, access, options.sites, rng)
     tip = tip_path(world.surface, world.clock, sites, spec.seconds, options, rng)
-    heart_from_tool = tool_path(tip, access, world.planted.tip_in_tool, rng)
+    heart_from_tool = tool_path(tip, access, world.truth.tip_in_tool, rng)
     ticks_s = np.arange(round(spec.seconds * TICK_HZ)) / TICK_HZ
     met = tool_truth(world.surface, world.clock, ticks_s, tip(ticks_s))
     contact = replace(met, tip_mr_mm=met.tip_mr_mm + breath(ticks_s))
@@ -79,7 +79,7 @@ def tracked_ultrasound(
         seed=child_seed(spec.seed, "speckle"),
         progress=lambda done, count: report(done / count),
     )
-    images = spoiled(images, world.probe, taken_s, options.image, world.rng("image faults"))
+    images = degraded(images, world.probe, taken_s, options.image, world.rng("image faults"))
     tracker = _with_losses(options.probe_tracker, world, contact, "probe sight")
     tracker_from_probe = composed(composed(inverted(world.patient), mr_from_plane), inverted(world.mount))
     stream = tracked(
@@ -91,7 +91,7 @@ def tracked_ultrasound(
 
 def _image_times(world: World, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """(n,) stamps on the video clock, and (n,) true times at which the images were taken."""
-    spec, lag_s = world.spec, world.planted.lag_s
+    spec, lag_s = world.spec, world.truth.lag_s
     step_s = 1.0 / spec.us_rate_hz
     taken_s = np.arange(0.1, spec.seconds - 0.1, step_s)
     jitter = world.options.video_jitter_s * rng.standard_normal(len(taken_s))
@@ -109,5 +109,5 @@ def _line_phases(world: World, taken_s: FloatArray) -> FloatArray:
 
 
 def _with_losses(spec: TrackerSpec, world: World, contact: ToolTruth, stream: str) -> TrackerSpec:
-    losses = losses_in_contact(contact, world.options.sight, world.rng(stream))
+    losses = losses_in_contact(contact, world.options.occlusion, world.rng(stream))
     return replace(spec, lost_s=spec.lost_s + losses)

@@ -1,14 +1,15 @@
 """What a synthetic intervention is like: named presets of rhythm, disturbances and errors."""
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import get_args
 
+from data_synth.heart.motion import MotionPreset
 from data_synth.operator.probe_path import SweepSpec
 from data_synth.operator.tool_path import ToolSpec
 from data_synth.phantoms.nwire import NWireSpec
 from data_synth.phantoms.watertank import WaterTankSpec
 from data_synth.signals.ecg import EcgSpec
-from data_synth.signals.occlusion import SightSpec
+from data_synth.signals.occlusion import OcclusionSpec
 from data_synth.signals.rhythm import RhythmSpec
 from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.image_faults import ImageSpec
@@ -16,8 +17,7 @@ from dvf_ig.core import InvalidInputError
 
 from .displacement import Displacement
 
-Motion = Literal["paper5mm", "physiological"]
-MOTIONS: tuple[Motion, ...] = get_args(Motion)
+MOTIONS: tuple[MotionPreset, ...] = get_args(MotionPreset)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class Preset:
         rhythm, ecg, sweep, tool, image, nwire, watertank: see their classes.
         probe_tracker, tool_tracker: errors of the two sensors in the live part.
         pivot_tracker, nwire_tracker, watertank_tracker: the same in these calibration recordings.
-        sight: long losses of the probe's and the tool's markers while the tool is in contact.
+        occlusion: long losses of the probe's and the tool's markers while the tool is in contact.
         patient_shift: mr_from_tracker changes; the displacement is that of the heart's centre.
         probe_slip: probe_from_image changes; the displacement is that of the image's middle.
         other_probe_mm, other_probe_deg: the calibration recordings are of a probe whose image lies this far
@@ -63,7 +63,7 @@ class Preset:
         default_factory=lambda: TrackerSpec(rate_hz=20.0, position_mm=0.1, rotation_deg=0.05)
     )
     watertank_tracker: TrackerSpec = field(default_factory=lambda: TrackerSpec(rate_hz=50.0))
-    sight: SightSpec = field(default_factory=SightSpec)
+    occlusion: OcclusionSpec = field(default_factory=OcclusionSpec)
     patient_shift: Displacement = field(default_factory=Displacement)
     probe_slip: Displacement = field(default_factory=Displacement)
     other_probe_mm: float = 0.0
@@ -101,7 +101,7 @@ PRESETS: dict[str, Preset] = {
     "calm": Preset(),
     "tachycardia": Preset(rhythm=RhythmSpec(rate_bpm=((8.0, 60.0), (52.0, 120.0)))),
     "ectopy": Preset(rhythm=RhythmSpec(ectopic_share=0.1)),
-    "line-of-sight-loss": Preset(sight=SightSpec(losses_per_min=4.0)),
+    "line-of-sight-loss": Preset(occlusion=OcclusionSpec(losses_per_min=4.0)),
     "probe-slip": Preset(probe_slip=Displacement(shift_mm=6.0, turn_deg=4.0)),
     "patient-shift": Preset(patient_shift=Displacement(shift_mm=8.0, turn_deg=3.0, over_s=0.5)),
     "poor-image": Preset(
@@ -149,7 +149,7 @@ class ScenarioSpec:
     """
 
     preset: str = "calm"
-    motion: Motion = "paper5mm"
+    motion: MotionPreset = "paper5mm"
     seconds: float = 60.0
     seed: int = 1
     us_rate_hz: float = 12.0

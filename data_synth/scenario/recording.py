@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from data_synth.heart.anatomy import phantom_anatomy
+from data_synth.mr.cine import cine_preop
 from data_synth.operator.hand import reframed
 from data_synth.operator.probe_path import ReplayedPath, central_view, sweeping_path
 from data_synth.phantoms.nwire import nwire_recording
@@ -50,10 +51,11 @@ def phantom_scenario(spec: ScenarioSpec, progress: Report | None = None) -> Scen
     beats = beat_series(spec.options.rhythm, -3.0, spec.seconds + 3.0, child_rng(spec.seed, "rhythm"))
     ecg = synthetic_ecg(beats, spec.seconds, spec.options.ecg, child_rng(spec.seed, "ecg"))
     world = make_world(spec, anatomy, beats.r_peaks_s)
-    _tell(progress, 0.12)
+    _report_progress(progress, 0.12)
     sweep = sweeping_path(world.outline, world.window, spec.options.sweep, world.rng("probe path"))
     name = f"four-chamber phantom, {spec.motion}, {spec.preset}, seed {spec.seed}"
-    return _assembled(name, world, ecg, sweep, with_start=True, progress=progress)
+    preop = cine_preop(anatomy, world.rng("preop"))
+    return _assembled(name, world, preop, ecg, sweep, with_start=True, progress=progress)
 
 
 def surface_scenario(
@@ -85,29 +87,36 @@ def surface_scenario(
     seed = child_seed(spec.seed, "anatomy")
     anatomy = surface_anatomy(surfaces, mismatch_mm=spec.mismatch, seed=seed)
     world = make_world(spec, anatomy, np.asarray(r_peaks_s, dtype=np.float64))
-    _tell(progress, 0.12)
+    _report_progress(progress, 0.12)
     view = central_view(world.outline, world.window)
-    mr_from_mean_probe = view @ world.planted.probe_from_plane.inverse()
-    sweep = reframed(probe_path, mr_from_mean_probe, world.planted.probe_from_plane)
+    mr_from_mean_probe = view @ world.truth.probe_from_plane.inverse()
+    sweep = reframed(probe_path, mr_from_mean_probe, world.truth.probe_from_plane)
     name = f"real surfaces and ECG, {spec.preset}, seed {spec.seed}"
-    return _assembled(name, world, ecg.between(0.0, spec.seconds), sweep, with_start=False, progress=progress)
+    shown = ecg.between(0.0, spec.seconds)
+    return _assembled(name, world, anatomy.preop(), shown, sweep, with_start=False, progress=progress)
 
 
 def _assembled(
-    name: str, world: World, ecg: Signal, sweep: PosePath, *, with_start: bool, progress: Report | None
+    name: str,
+    world: World,
+    preop: Preop,
+    ecg: Signal,
+    sweep: PosePath,
+    *,
+    with_start: bool,
+    progress: Report | None,
 ) -> Scenario:
-    spec, planted, anatomy = world.spec, world.planted, world.anatomy
-    preop = anatomy.preop(world.rng("preop"))
-    _tell(progress, 0.3)
+    spec, truth, anatomy = world.spec, world.truth, world.anatomy
+    _report_progress(progress, 0.3)
     task = tool_task(world)
-    _tell(progress, 0.4)
+    _report_progress(progress, 0.4)
     ultrasound = tracked_ultrasound(
-        world, sweep, task.contact, lambda done: _tell(progress, 0.4 + 0.57 * done)
+        world, sweep, task.contact, lambda done: _report_progress(progress, 0.4 + 0.57 * done)
     )
     options, center = world.options, anatomy.box_mm.mean(axis=0)
     landmarks = anatomy.landmarks()
     start = coarse_start(
-        planted.mr_from_tracker, center, options.start_mm, options.start_deg, world.rng("start")
+        truth.mr_from_tracker, center, options.start_mm, options.start_deg, world.rng("start")
     )
     scenario = Scenario(
         name=name,
@@ -117,23 +126,23 @@ def _assembled(
         ultrasound=ultrasound,
         fan=world.probe.fan,
         tool=tracked_tool(world, task),
-        pivot=pivot_recording(planted.tip_in_tool, options.pivot_tracker, world.rng("pivot")),
+        pivot=pivot_recording(truth.tip_in_tool, options.pivot_tracker, world.rng("pivot")),
         nwire=_nwire(world),
         latency=watertank_recording(
             world.calibrated,
             world.probe.fan,
-            planted.lag_s,
+            truth.lag_s,
             options.watertank_tracker,
             options.watertank,
             world.rng("water tank"),
         ),
         start=start if with_start else None,
         landmarks_mr=landmarks,
-        landmarks_tracker=touched_landmarks(landmarks, planted.mr_from_tracker, world.rng("landmarks")),
+        landmarks_tracker=touched_landmarks(landmarks, truth.mr_from_tracker, world.rng("landmarks")),
         seed=spec.seed,
         truth=_truth(world, preop, task.contact),
     )
-    _tell(progress, 1.0)
+    _report_progress(progress, 1.0)
     return scenario
 
 
@@ -150,8 +159,8 @@ def _nwire(world: World) -> NWireRecording:
 
 
 def _truth(world: World, preop: Preop, contact: ToolTruth) -> ScenarioTruth:
-    """Everything planted, with the true surface at TRUTH_PHASES phases."""
-    anatomy, planted, surface = world.anatomy, world.planted, world.surface
+    """The whole ground truth, with the surface at TRUTH_PHASES phases."""
+    anatomy, truth, surface = world.anatomy, world.truth, world.surface
     moving = SurfaceSeries(
         preop.surface,
         "mr",
@@ -165,9 +174,9 @@ def _truth(world: World, preop: Preop, contact: ToolTruth) -> ScenarioTruth:
     other = options.other_probe_mm > 0 or options.other_probe_deg > 0
     return ScenarioTruth(
         mr_from_tracker=world.patient.steps(),
-        probe_from_image=planted.probe_from_image,
-        tip=planted.tip_in_tool,
-        lag_s=planted.lag_s,
+        probe_from_image=truth.probe_from_image,
+        tip=truth.tip_in_tool,
+        lag_s=truth.lag_s,
         r_peaks_s=peaks[(peaks >= 0.0) & (peaks < world.spec.seconds)],
         targets=anatomy.targets(),
         surface=moving,
@@ -180,6 +189,6 @@ def _truth(world: World, preop: Preop, contact: ToolTruth) -> ScenarioTruth:
     )
 
 
-def _tell(progress: Report | None, done: float) -> None:
+def _report_progress(progress: Report | None, done: float) -> None:
     if progress is not None:
         progress(done)

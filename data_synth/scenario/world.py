@@ -1,4 +1,4 @@
-"""What every stream of one scenario is made from: heart, beats, probe, planted frames and how they change."""
+"""What every stream of one scenario is made from: heart, beats, probe, true frames and how they change."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.core import FloatArray, ImageMap, read_only_arrays
 
 from .displacement import DisplacedPose, Displacement, displaced
-from .ground_truth import Planted, plant
+from .ground_truth import GroundTruth, draw_ground_truth
 from .presets import Preset, ScenarioSpec
 
 ANTERIOR_LEFT = np.array([0.52, -0.83, -0.20])
@@ -32,7 +32,7 @@ class World:
         anatomy, clock, surface, outline: the beating heart, at rest in breathing.
         window: (3,) direction of the acoustic window from the heart.
         probe: the scanner.
-        planted: unknowns at the beginning.
+        truth: what a replay has to find, as it is at the beginning.
         patient: mr_from_tracker over time.
         mount: probe_from_plane over time.
         calibrated: image calibration of the probe that the calibration recordings show.
@@ -46,7 +46,7 @@ class World:
     outline: HeartOutline
     window: FloatArray
     probe: SectorProbe
-    planted: Planted
+    truth: GroundTruth
     patient: DisplacedPose
     mount: DisplacedPose
     calibrated: ImageMap
@@ -60,7 +60,7 @@ class World:
         return child_rng(self.spec.seed, stream)
 
     def image_maps(self) -> tuple[tuple[float, ImageMap], ...]:
-        """Every image calibration with the time from which it holds; the first is the planted one."""
+        """Every image calibration with the time from which it holds; the first is that of `truth`."""
         plane_from_image = self.probe.plane_from_image
         return tuple(
             (start_s, ImageMap(pose @ plane_from_image.rigid, plane_from_image.scale_mm_per_px))
@@ -86,8 +86,10 @@ def make_world(spec: ScenarioSpec, anatomy: BeatingAnatomy, r_peaks_s: FloatArra
     )
     probe, options = SectorProbe(), spec.options
     center = anatomy.box_mm.mean(axis=0)
-    planted = plant(center, probe.plane_from_image, options.tool.length_mm, child_rng(spec.seed, "planting"))
-    middle = image_middle_mm(planted.probe_from_image, probe)
+    truth = draw_ground_truth(
+        center, probe.plane_from_image, options.tool.length_mm, child_rng(spec.seed, "planting")
+    )
+    middle = image_middle_mm(truth.probe_from_image, probe)
     return World(
         spec=spec,
         anatomy=anatomy,
@@ -96,24 +98,22 @@ def make_world(spec: ScenarioSpec, anatomy: BeatingAnatomy, r_peaks_s: FloatArra
         outline=outline,
         window=window,
         probe=probe,
-        planted=planted,
+        truth=truth,
         patient=displaced(
-            planted.mr_from_tracker,
+            truth.mr_from_tracker,
             options.patient_shift,
             center,
             spec.seconds,
             child_rng(spec.seed, "patient shift"),
         ),
         mount=displaced(
-            planted.probe_from_plane,
+            truth.probe_from_plane,
             options.probe_slip,
             middle,
             spec.seconds,
             child_rng(spec.seed, "probe slip"),
         ),
-        calibrated=_other_probe(
-            planted.probe_from_image, options, middle, child_rng(spec.seed, "other probe")
-        ),
+        calibrated=_other_probe(truth.probe_from_image, options, middle, child_rng(spec.seed, "other probe")),
         breathing=breathing(
             options.respiration_mm, options.respiration_per_min, child_rng(spec.seed, "breathing")
         ),
@@ -129,6 +129,6 @@ def image_middle_mm(probe_from_image: ImageMap, probe: SectorProbe) -> FloatArra
 def _other_probe(
     image: ImageMap, options: Preset, middle_mm: FloatArray, rng: np.random.Generator
 ) -> ImageMap:
-    """The image calibration that was recorded: the planted one, or another probe's."""
+    """The image calibration that was recorded: the true one, or another probe's."""
     change = Displacement(0.0, options.other_probe_mm, options.other_probe_deg)
     return ImageMap(displaced(image.rigid, change, middle_mm, 0.0, rng).steps()[-1][1], image.scale_mm_per_px)

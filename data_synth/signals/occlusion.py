@@ -10,7 +10,7 @@ Intervals = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class SightSpec:
+class OcclusionSpec:
     """Long losses of one marker.
 
     Attributes:
@@ -29,7 +29,7 @@ class SightSpec:
             )
 
 
-def losses_in_contact(contact: ToolTruth, spec: SightSpec, rng: np.random.Generator) -> Intervals:
+def losses_in_contact(contact: ToolTruth, spec: OcclusionSpec, rng: np.random.Generator) -> Intervals:
     """(start, stop) of every loss, each around a moment in which the tip truly touched.
 
     The moments are spread over all the time in contact (without any, over the whole recording): each lies in

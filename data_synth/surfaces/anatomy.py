@@ -189,7 +189,8 @@ class SurfaceAnatomy:
             points[name] = vertices[vertices[:, axis].argmax()]
         return Landmarks(tuple(points), Points("mr", np.array(list(points.values()))))
 
-    def preop(self, rng: np.random.Generator) -> Preop:
+    def preop(self) -> Preop:
+        """The surfaces as given: what was known before the intervention."""
         return Preop(patient_id=self.series[0].patient_id, surfaces=self.series, surface=EPICARDIAL)
 
     def _anatomical_points(self) -> tuple[tuple[str, ...], FloatArray]:

@@ -1,6 +1,5 @@
 """A dense motion of space that follows real surfaces: smooth interpolation of their vertex displacements."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,8 @@ from scipy.spatial import cKDTree
 
 from data_synth.heart.mismatch import InverseField
 from data_synth.heart.motion import InverseMotion
-from data_synth.kernels import distance, lookup
+from data_synth.kernels import distance, gridded_motion
+from data_synth.threads import for_each
 from dvf_ig.core import CycleTiming, FloatArray, IntArray, read_only_arrays
 
 NODE_MM = 3.5
@@ -20,7 +20,6 @@ ANCHOR_MM = 55.0
 KNOTS = 50
 NEAR_MM = 10.0
 MODE_TOLERANCE_MM = 0.03
-_THREADS = 2
 
 
 @read_only_arrays
@@ -53,14 +52,13 @@ class GriddedMotion:
             found = nodes[part]
             for k in range(len(table)):
                 knot = np.full(len(part), k)
-                lookup.polish(
+                gridded_motion.polish(
                     nodes[part], self.forward_mm, self.origin_mm, 1.0 / self.spacing_mm,
                     knot, knot, np.zeros(len(part)), found,
                 )  # fmt: skip
                 table[k].reshape(-1, 3)[part] = found - nodes[part]
 
-        with ThreadPoolExecutor(_THREADS) as pool:
-            list(pool.map(fill, np.array_split(np.arange(len(nodes)), 32)))
+        for_each(fill, np.array_split(np.arange(len(nodes)), 32))
         return InverseMotion(table, self.origin_mm, self.spacing_mm)
 
 
@@ -86,7 +84,7 @@ class SurfaceMotion:
         """(n, 3) reference positions of (n, 3) points."""
         points = np.ascontiguousarray(xyz_mm if self.mismatch is None else self.mismatch.at(xyz_mm))
         out = self.backward.pull_back(points, model_phase)
-        lookup.polish(
+        gridded_motion.polish(
             points,
             self.forward.forward_mm,
             self.forward.origin_mm,
@@ -152,13 +150,11 @@ def _two_scale_field(
 
     def summed(points: FloatArray) -> NDArray[np.float32]:
         out = np.empty((len(points), weights.shape[1]), dtype=np.float32)
-        parts = np.array_split(np.arange(len(points)), 16)
-        with ThreadPoolExecutor(_THREADS) as pool:
-            list(
-                pool.map(
-                    lambda p: distance.radial_field(points[p], centers, single, affine, out[p[0] :]), parts
-                )
-            )
+
+        def fill(part: IntArray) -> None:
+            distance.radial_field(points[part], centers, single, affine, out[part[0] :])
+
+        for_each(fill, np.array_split(np.arange(len(points)), 16))
         return out
 
     coarse_nodes = np.ascontiguousarray(nodes[::2, ::2, ::2])

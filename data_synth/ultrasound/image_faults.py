@@ -53,7 +53,7 @@ class ImageSpec:
             raise InvalidInputError(f"dynamic range is {self.dynamic_range_db:g} dB; needed 10 to 120 dB")
 
 
-def spoiled(
+def degraded(
     images: NDArray[np.uint8],
     probe: SectorProbe,
     t_s: FloatArray,

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from data_synth.heart.fibre_orientation import muscle_grain
+from data_synth.heart.fibre_orientation import fibre_orientation
 from data_synth.heart.reference import CHANNELS, ReferenceMap
 from data_synth.heart.tissue import ACOUSTICS, BLOOD, FIRST_OUTSIDE, Tissue
-from data_synth.kernels import lookup
+from data_synth.kernels import tissue_map
 from dvf_ig.core import AnyArray, FloatArray, InvalidInputError, Volume
 
 WHOLE_HEART: dict[int, Tissue] = {
@@ -49,7 +49,7 @@ _SAME_MM = 0.75
 
 
 @dataclass(frozen=True, slots=True)
-class Still:
+class NoMotion:
     """No motion: what is here now was always here."""
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
@@ -61,7 +61,7 @@ class LabelAnatomy:
     """What the ultrasound simulator needs, from labels; frame "mr"."""
 
     reference: ReferenceMap
-    inverse_motion: Still
+    inverse_motion: NoMotion
 
     @property
     def center_mm(self) -> FloatArray:
@@ -90,9 +90,9 @@ def label_anatomy(
     outer = np.where(organ_mm > 0, Tissue.MEDIASTINUM, codes).astype(np.uint8)
     fields = _acoustic_fields(codes, spacing_mm)
     unseen = np.zeros(codes.shape, dtype=np.float32)
-    grain = muscle_grain(codes, spacing_mm)
+    fibres = fibre_orientation(codes, spacing_mm)
     return LabelAnatomy(
-        ReferenceMap(origin, spacing_mm, organ_mm, inner, outer, unseen, fields, grain), Still()
+        ReferenceMap(origin, spacing_mm, organ_mm, inner, outer, unseen, fields, fibres), NoMotion()
     )
 
 
@@ -178,7 +178,7 @@ def _acoustic_fields(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.
         table[tissue] = (np.log(a.impedance_mrayl), a.attenuation_db, *scatter)
     for channel in range(CHANNELS - 1):
         fields[..., channel] = gaussian_filter(table[codes, channel], _EDGE_NODES)
-    lookup.gradient_norm(fields, 1.0 / spacing_mm)
+    tissue_map.gradient_norm(fields, 1.0 / spacing_mm)
     return fields
 
 

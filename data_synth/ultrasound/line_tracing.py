@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_synth.heart.motion import PullBack
-from data_synth.kernels.lookup import fill_middles
+from data_synth.kernels.line_tracing import fill_middles
 from dvf_ig.core import FloatArray, InvalidInputError
 
 COARSE = 8

@@ -45,7 +45,7 @@ class SectorProbe:
         haze_db, haze_mm: level at the face (re myocardium) and decay length of near-field clutter.
         face_reflection: amplitude that the transducer's face sends back into the body: the reverberations
             behind lung and bone.
-        dirt_db: clutter behind a total reflector, re the level that reaches it.
+        dirty_shadow_db: clutter behind a total reflector, re the level that reaches it.
     """
 
     lines: int = 128
@@ -77,7 +77,7 @@ class SectorProbe:
     haze_db: float = -math.inf
     haze_mm: float = 12.0
     face_reflection: float = 0.2
-    dirt_db: float = -30.0
+    dirty_shadow_db: float = -30.0
 
     def __post_init__(self) -> None:
         if self.lines < 8 or self.samples < 64 or self.samples % 8:

@@ -1,23 +1,23 @@
 """B-mode images of a beating synthetic heart."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_synth.threads import THREADS, in_order
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid
 
-from .lines import Insonified, envelope_lines
 from .probe import SectorProbe
 from .scan_conversion import ScanConverter
+from .scan_lines import AcousticAnatomy, envelope_lines
 
 Progress = Callable[[int, int], None]
 
 
 def simulate_frame(
-    anatomy: Insonified,
+    anatomy: AcousticAnatomy,
     probe: SectorProbe,
     mr_from_plane: Rigid,
     line_phases: FloatArray,
@@ -41,7 +41,7 @@ def simulate_frame(
 
 
 def simulate_lines(
-    anatomy: Insonified,
+    anatomy: AcousticAnatomy,
     probe: SectorProbe,
     mr_from_plane: Rigid,
     line_phases: FloatArray,
@@ -58,14 +58,14 @@ def simulate_lines(
 
 
 def simulate_sequence(
-    anatomy: Insonified,
+    anatomy: AcousticAnatomy,
     probe: SectorProbe,
     mr_from_plane: Sequence[Rigid],
     line_phases: FloatArray,
     *,
     seed: int,
     progress: Progress | None = None,
-    threads: int = 2,
+    threads: int = THREADS,
 ) -> NDArray[np.uint8]:
     """(frames, rows, columns) images; bit-identical for any number of threads.
 
@@ -86,13 +86,12 @@ def simulate_sequence(
         level = envelope_lines(anatomy, probe, mr_from_plane[i], phases[i], seed, i)
         return log_compressed(level, probe)
 
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        shown: NDArray[np.float32] | None = None
-        for i, grey in enumerate(pool.map(make, range(len(out)))):
-            shown = grey if shown is None or kept == 0 else kept * shown + (1 - kept) * grey
-            out[i] = convert(shown)
-            if progress is not None:
-                progress(i + 1, len(out))
+    shown: NDArray[np.float32] | None = None
+    for i, grey in enumerate(in_order(make, range(len(out)), threads)):
+        shown = grey if shown is None or kept == 0 else kept * shown + (1 - kept) * grey
+        out[i] = convert(shown)
+        if progress is not None:
+            progress(i + 1, len(out))
     return out
 
 

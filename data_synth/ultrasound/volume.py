@@ -1,6 +1,5 @@
 """3-D ultrasound: a pyramid of scan lines from a matrix array, converted to voxels."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -8,12 +7,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_synth.kernels import receive, scan
+from data_synth.threads import THREADS, for_each, in_order
 from dvf_ig.core import FloatArray, Grid, InvalidInputError, Rigid, Volume
 from dvf_ig.core.frames import require_same_frame
 
 from . import beam
-from .lines import Insonified, Raster, Seeds, beam_tables, detect, form_beams, insonified, scatter
 from .probe import SectorProbe
+from .scan_lines import (
+    AcousticAnatomy,
+    InsonifiedLines,
+    Raster,
+    Seeds,
+    beam_tables,
+    detect,
+    form_beams,
+    insonified_lines,
+    scatter,
+)
 from .sequence import checked_phases, log_compressed
 from .slice_lattice import fine_lattice
 
@@ -80,14 +90,14 @@ class EchoVolume:
 
 
 def simulate_volume(
-    anatomy: Insonified,
+    anatomy: AcousticAnatomy,
     probe: MatrixProbe,
     mr_from_plane: Rigid,
     line_phases: FloatArray,
     *,
     seed: int,
     frame: int = 0,
-    threads: int = 2,
+    threads: int = THREADS,
 ) -> EchoVolume:
     """One 3-D image; bit-identical for any number of threads.
 
@@ -104,20 +114,20 @@ def simulate_volume(
     return shown_volume(level, probe, threads=threads)
 
 
-def shown_volume(level_db: NDArray[np.float32], probe: MatrixProbe, *, threads: int = 2) -> EchoVolume:
+def shown_volume(level_db: NDArray[np.float32], probe: MatrixProbe, *, threads: int = THREADS) -> EchoVolume:
     """Log compression and conversion to voxels of a pyramid of scan lines."""
     return _converted(log_compressed(level_db, probe.sector), probe, threads)
 
 
 def simulate_pyramid(
-    anatomy: Insonified,
+    anatomy: AcousticAnatomy,
     probe: MatrixProbe,
     mr_from_plane: Rigid,
     line_phases: FloatArray,
     *,
     seed: int,
     frame: int = 0,
-    threads: int = 2,
+    threads: int = THREADS,
 ) -> NDArray[np.float32]:
     """Envelope before log compression and conversion: (tall, lines, samples), dB re myocardium's scatter.
 
@@ -129,46 +139,44 @@ def simulate_pyramid(
     phases = checked_phases(line_phases, (probe.tall, s.lines))
     # cached values are filled before threads share them
     _ = (anatomy.reference, anatomy.inverse_motion, beam_tables(s))
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        beams = _rows_of_beams(anatomy, probe, mr_from_plane, phases, seeds, pool)
-        return _detected(probe, beams, seeds, pool)
+    rows = _insonified_rows(anatomy, probe, mr_from_plane, phases, threads)
+    return _detected(probe, _rows_of_beams(probe, rows, seeds, threads), seeds, threads)
 
 
-def _rows_of_beams(
-    anatomy: Insonified,
-    probe: MatrixProbe,
-    mr_from_plane: Rigid,
-    phases: FloatArray,
-    seeds: Seeds,
-    pool: ThreadPoolExecutor,
-) -> Raster:
+def _insonified_rows(
+    anatomy: AcousticAnatomy, probe: MatrixProbe, mr_from_plane: Rigid, phases: FloatArray, threads: int
+) -> list[InsonifiedLines]:
+    """One fan of lines for each of the `tall` rows."""
+    directions = probe.directions @ mr_from_plane.rotation.T
+
+    def row(e: int) -> InsonifiedLines:
+        return insonified_lines(anatomy, probe.sector, mr_from_plane, directions[e], phases[e])
+
+    return list(in_order(row, range(probe.tall), threads))
+
+
+def _rows_of_beams(probe: MatrixProbe, rows: list[InsonifiedLines], seeds: Seeds, threads: int) -> Raster:
     """(2, tall · fine_lines, lines, samples) echoes, formed laterally and axially but not in elevation."""
     s, fine, tall = probe.sector, probe.sector.fine_lines, probe.tall
-    directions = probe.directions @ mr_from_plane.rotation.T
     beams = np.empty((2, tall * fine, s.lines, s.samples), dtype=np.float32)
-    lit = list(
-        pool.map(lambda e: insonified(anatomy, s, mr_from_plane, directions[e], phases[e]), range(tall))
-    )
-
     lattice = fine_lattice()
 
     def form(m: int) -> None:
         # between rows as the scatterers do between lines: paths interpolated, amplitudes of the nearer row
         place = min(max((m + 0.5) / fine - 0.5, 0.0), tall - 1.0)
         left = min(int(place), tall - 2)
-        path = lit[left][0] + (place - left) * (lit[left + 1][0] - lit[left][0])
+        path = rows[left].path_mm + (place - left) * (rows[left + 1].path_mm - rows[left].path_mm)
+        lines = InsonifiedLines(path, rows[m // fine].amplitudes)
         parts = np.zeros((2, s.lines * fine, 2 * s.samples), dtype=np.float32)
-        scatter(s, lattice, path, *lit[m // fine][1:], seeds, 0, parts)
+        scatter(s, lattice, lines, seeds, 0, parts)
         for part, out in zip(parts, beams[:, m], strict=True):
             form_beams(s, part, out)
 
-    list(pool.map(form, range(tall * fine)))
+    for_each(form, range(tall * fine), threads)
     return beams
 
 
-def _detected(
-    probe: MatrixProbe, beams: Raster, seeds: Seeds, pool: ThreadPoolExecutor
-) -> NDArray[np.float32]:
+def _detected(probe: MatrixProbe, beams: Raster, seeds: Seeds, threads: int) -> NDArray[np.float32]:
     """(tall, lines, samples) dB: the beam in elevation, noise, gain and envelope."""
     s, shape = probe.sector, (probe.tall, probe.sector.lines, probe.sector.samples)
     formed, level = np.empty((2, *shape), dtype=np.float32), np.zeros(shape, dtype=np.float32)
@@ -180,12 +188,12 @@ def _detected(
 
     def detected(m: int) -> None:
         # every row of the array has its own receiver noise
-        own = Seeds(seeds.texture, np.uint64((int(seeds.once) + _ROW_SEED * (m + 1)) & (2**64 - 1)))
+        own = Seeds(seeds.texture, np.uint64((int(seeds.frame) + _ROW_SEED * (m + 1)) & (2**64 - 1)))
         detect(s, formed[:, m], own, 0, level[m])
         receive.decibel(level[m], 1.0)
 
-    list(pool.map(across, range(2)))
-    list(pool.map(detected, range(probe.tall)))
+    for_each(across, range(2), threads)
+    for_each(detected, range(probe.tall), threads)
     return level
 
 
@@ -217,6 +225,5 @@ def _converted(grey: NDArray[np.float32], probe: MatrixProbe, threads: int) -> E
             mask,
         )
 
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        list(pool.map(convert, parts))
+    for_each(convert, parts, threads)
     return EchoVolume(Volume(grid, image), Volume(grid, mask))

@@ -11,7 +11,7 @@ from .probe import FWHM_PER_SIGMA
 from .volume import MatrixProbe
 
 
-def spoiled_pyramid(
+def degraded_pyramid(
     level_db: NDArray[np.float32], probe: MatrixProbe, spec: ImageSpec, rng: np.random.Generator
 ) -> NDArray[np.float32]:
     """(tall, lines, samples) dB with clutter and shadows; the same values where there are none.

@@ -7,7 +7,7 @@ import numpy as np
 from dvf_ig.core import BoolArray, FloatArray
 
 FLAT_S = 0.2
-"""A lead that keeps one value, or has no samples, for this long is off (theory: cardiac, LOST)."""
+"""A lead that keeps one value, or has no samples, for this long is off (LOST: docs/theory/cardiac.md)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ R_TIMING_S = 0.005
 
 @dataclass(frozen=True, slots=True)
 class PhaseClockOptions:
-    """Limits of the states (theory: cardiac) and of the rate of phase.
+    """Limits of the states (docs/theory/cardiac.md) and of the rate of phase.
 
     Attributes:
         rhythm: how intervals are classified and predicted.

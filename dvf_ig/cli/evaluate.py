@@ -1,6 +1,5 @@
 """`dvf-ig evaluate`: target registration error of a transform."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,9 +49,9 @@ def _result(
 ) -> dict[str, Any]:
     import numpy as np
 
-    from dvf_ig.core import InvalidInputError
+    from dvf_ig.core import InvalidInputError, summarise_errors
     from dvf_ig.io import read_transform
-    from dvf_ig.registration import pose_difference, summarise
+    from dvf_ig.registration import pose_difference
 
     estimate = read_transform(_transform_file(transform))
     fixed, theirs = _sides(landmarks, moving, estimate, moving_first)
@@ -69,7 +68,7 @@ def _result(
         raise InvalidInputError("one landmark file says nothing alone; add the moving side, or --truth FILE")
     errors = np.linalg.norm(got - wanted, axis=1)
     return {
-        "tre_mm": asdict(summarise(errors)),
+        "tre_mm": summarise_errors(errors).tre_fields(),
         "rotation_deg": difference[0],
         "translation_mm": difference[1],
     }

@@ -29,7 +29,7 @@ def gate(
         typer.Option("--delay-s", help="trigger:FILE only: how long after R the trigger fires (s)."),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write the result (JSON), and a picture beside it.")
+        Path | None, typer.Option("-o", "--out", help="Write the result (JSON), and a picture beside it.")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

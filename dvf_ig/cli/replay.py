@@ -20,7 +20,7 @@ def replay(
 ) -> None:
     """Replay a recorded or synthetic intervention from raw streams to force, in time order.
 
-    Calibrates tool, probe and latency, follows the heart, registers ultrasound to the model and evaluates
+    Calibrates tool, probe and latency, detects heart beats, registers ultrasound to the model and evaluates
     the fixture at the tool tip every millisecond. Where the folder holds the truth, every error is printed.
     Exits 7 after writing its evidence when no registration could be used.
     """

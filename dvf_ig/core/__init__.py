@@ -6,6 +6,8 @@ from .arrays import FloatArray as FloatArray
 from .arrays import IntArray as IntArray
 from .arrays import read_only_arrays as read_only_arrays
 from .cycle import CycleTiming as CycleTiming
+from .error_summary import ErrorSummary as ErrorSummary
+from .error_summary import summarise_errors as summarise_errors
 from .errors import DvfIgError as DvfIgError
 from .errors import FrameMismatchError as FrameMismatchError
 from .errors import InvalidInputError as InvalidInputError
@@ -34,6 +36,7 @@ from .scenario import Preop as Preop
 from .scenario import Scenario as Scenario
 from .scenario import ScenarioTruth as ScenarioTruth
 from .scenario import ToolTruth as ToolTruth
+from .seeds import Seeds as Seeds
 from .sequence import Fan as Fan
 from .sequence import TrackedSequence as TrackedSequence
 from .signal import Signal as Signal
@@ -44,3 +47,4 @@ from .tracked_volume import TrackedVolume as TrackedVolume
 from .volume import Grid as Grid
 from .volume import Volume as Volume
 from .volume import VolumeSeries as VolumeSeries
+from .wire_search import WireSearch as WireSearch

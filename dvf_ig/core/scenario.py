@@ -1,4 +1,4 @@
-"""One operating-room recording as a value: what was acquired, and (synthetic only) the truth."""
+"""One operating-room recording as a value: what was acquired, and (synthetic only) the ground truth."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ from .volume import VolumeSeries
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preop:
-    """What was known of the heart before the intervention, in frame "mr".
+    """The pre-operative data of the heart, in frame "mr".
 
     Either `labels` (with or without `mr`) or `surfaces` is present.
 
@@ -50,7 +50,7 @@ class LatencyRecording:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolTruth:
-    """What the tool tip truly met, sampled on the tracker clock.
+    """The true contact of the tool tip, sampled on the tracker clock.
 
     Attributes:
         t_s: (n,).
@@ -84,11 +84,11 @@ class ToolTruth:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ScenarioTruth:
-    """Everything planted. A replay reads it only to score what it has already estimated.
+    """The ground truth of a synthetic recording. A replay reads it only to score what it has estimated.
 
     Attributes:
-        mr_from_tracker: planted poses with the times (tracker clock) from which each holds.
-        probe_from_image: planted image calibration.
+        mr_from_tracker: true poses with the times (tracker clock) from which each holds.
+        probe_from_image: true image calibration.
         tip: tool tip in frame "tool", one point.
         lag_s: t_tracker(event) = t_video(event) + lag_s.
         r_peaks_s: (k,) true R peaks on the tracker clock.
@@ -101,7 +101,7 @@ class ScenarioTruth:
         calibrated_probe_from_image: what the calibration recordings hold, where they are of another probe.
         video_drift_ppm: t_tracker(event) = t_video(event)·(1 + ppm·1e-6) + lag_s.
         respiration_mm: excursion of the heart in breathing; `mr_from_tracker`, `targets` and `surface` are
-            those of end-expiration, while `tool` holds what was truly met.
+            those of end-expiration, while `tool` holds the contact as it truly was.
     """
 
     mr_from_tracker: tuple[tuple[float, Rigid], ...]
@@ -119,7 +119,7 @@ class ScenarioTruth:
     respiration_mm: float = 0.0
 
     def mr_from_tracker_at(self, t_s: float) -> Rigid:
-        """The planted pose that holds at `t_s`."""
+        """The true pose that holds at `t_s`."""
         held = self.mr_from_tracker[0][1]
         for start_s, pose in self.mr_from_tracker:
             if start_s <= t_s:
@@ -127,7 +127,7 @@ class ScenarioTruth:
         return held
 
     def probe_from_image_at(self, t_s: float) -> ImageMap:
-        """The planted image calibration that holds at `t_s`."""
+        """The true image calibration that holds at `t_s`."""
         held = self.probe_from_image
         for start_s, later in self.later_probe_from_image:
             if start_s <= t_s:
@@ -144,7 +144,7 @@ class Scenario:
     Attributes:
         name: short title.
         preset: which synthetic preset, or "recorded".
-        preop: the heart before.
+        preop: the pre-operative data.
         ecg: ECG of the live part.
         ultrasound: images with tracker_from_probe recorded at the video time stamps.
         fan: insonified sector, where the scanner's geometry is known.

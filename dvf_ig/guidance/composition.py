@@ -84,8 +84,8 @@ def compose(
     1. Forbidden forces add up, shortened to the cap.
     2. Guidance forces add up, and the component into forbidden regions is rejected: with n against a region's
        force and f its activation, the sum becomes the x that minimises ½|x − F_g|² + ½ Σ f/(1−f)·max(0,
-       x·n)². For one region that is F_g − f·max(0, F_g·n)·n (theory: fixtures); for several it does not
-       depend on their order, is continuous, never longer than F_g, and at f = 1 leads into none of them.
+       x·n)². For one region that is F_g − f·max(0, F_g·n)·n (docs/theory/fixtures.md); for several it does
+       not depend on their order, is continuous, never longer than F_g, and at f = 1 leads into none of them.
     3. Guidance is shortened to the rest of the cap, cap − |F_f|.
 
     Args:
@@ -139,7 +139,7 @@ def slew_limited(
 
     Args:
         previous_n, target_n: (3,) N in one frame.
-        largest_step_n: slew rate × tick, for example 100 N/s × 1 ms (theory: safety).
+        largest_step_n: slew rate × tick, for example 100 N/s × 1 ms (docs/theory/safety.md).
     Raises:
         InvalidInputError: a step that is not positive.
     """

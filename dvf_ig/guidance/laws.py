@@ -132,7 +132,7 @@ class Gaussian:
     ) -> "Gaussian":
         """The law whose force stays below `detection_threshold_n` within `half_width_mm` of its target.
 
-        δ = w/[−ln(1 − f_t/F)]^(1/2m) (theory: fixtures, free-zone design).
+        δ = w/[−ln(1 − f_t/F)]^(1/2m) (dvf_ig/docs/theory/fixtures.md).
         """
         _require_positive("free zone half_width_mm", half_width_mm, "mm")
         unit = cls(1.0, m, cap_n, depth_mm)
@@ -165,7 +165,7 @@ Law = Sigmoid | Confinement | Gaussian
 def gaussian_steepness(m: float) -> float:
     """c_m, the steepest slope of 1 − exp(−|x|^n), n = 2m: n·u^u·e^(−u) with u = (n−1)/n.
 
-    The slope n·|x|^(n−1)·exp(−|x|^n) is greatest where |x|^n = u. (Theory writes u^(1−1/n): 1 − 1/n is u.)
+    The slope n·|x|^(n−1)·exp(−|x|^n) is greatest where |x|^n = u.
     Infinite for m < 1/2, where it grows without bound towards the target.
     """
     n = 2.0 * m

@@ -19,15 +19,15 @@ from .atomic import write_bytes
 from .reading import read_bytes, reading
 
 SCHEMA = "dvf_ig.model/1"
-_SEAL = b"dvf_ig sha256 "
-_SEAL_BYTES = len(_SEAL) + 64
+_CHECKSUM = b"dvf_ig sha256 "
+_CHECKSUM_BYTES = len(_CHECKSUM) + 64
 
 
 def write_model(model: DvfModel, path: Path | str) -> None:
     """Write a model as one `.npz`.
 
     The header holds schema, units, frame, phase times, RR with its assumed flags, patient id, sources and
-    the SHA-256 over header and arrays; the zip comment seals the file byte for byte.
+    the SHA-256 over header and arrays; the zip comment holds a checksum of the file byte for byte.
 
     Raises:
         OutputError: not writable.
@@ -38,7 +38,7 @@ def write_model(model: DvfModel, path: Path | str) -> None:
     text = json.dumps(header, sort_keys=True, ensure_ascii=False, indent=1)
     np.savez(buffer, **{"header": np.frombuffer(text.encode("utf-8"), np.uint8), **arrays})  # type: ignore[arg-type]
     with zipfile.ZipFile(buffer, "a") as archive:
-        archive.comment = _SEAL + b"0" * 64
+        archive.comment = _CHECKSUM + b"0" * 64
     body = buffer.getvalue()[:-64]
     write_bytes(Path(path), [body, hashlib.sha256(body).hexdigest().encode("ascii")])
 
@@ -55,7 +55,7 @@ def read_model(path: Path | str, patient_id: str | None = None) -> DvfModel:
     """
     path = Path(path)
     data = read_bytes(path, "a model file")
-    _check_seal(path, data)
+    _check_checksum(path, data)
     with reading(path, "a model file"):
         header, arrays = _unpack(path, data)
         if header.get("schema") != SCHEMA:
@@ -123,15 +123,15 @@ def _digest(header: dict[str, Any], arrays: dict[str, AnyArray]) -> str:
     return digest.hexdigest()
 
 
-def _check_seal(path: Path, data: bytes) -> None:
+def _check_checksum(path: Path, data: bytes) -> None:
     """Refuse what is no model file of ours, and a model file of which any byte differs from when written."""
     if not data.startswith(b"PK"):
         raise UnreadableFileError(f"{path} is not a model file; build one with: dvf-ig model build")
     body, stated = data[:-64], data[-64:]
-    sealed = data[-_SEAL_BYTES:-64] == _SEAL
-    if not sealed or hashlib.sha256(body).hexdigest().encode("ascii") != stated:
+    has_checksum = data[-_CHECKSUM_BYTES:-64] == _CHECKSUM
+    if not has_checksum or hashlib.sha256(body).hexdigest().encode("ascii") != stated:
         raise UnreadableFileError(
-            f"{path} is not an intact model file ({len(data)} bytes, its seal does not match): "
+            f"{path} is not an intact model file ({len(data)} bytes, its checksum does not match): "
             "it was truncated, changed, or not written by dvf-ig; build it again"
         )
 

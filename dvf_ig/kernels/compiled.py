@@ -5,7 +5,7 @@ The disk cache follows the file of the outer kernel alone: after an edit to a fu
 another file's kernel, delete `dvf_ig/kernels/__pycache__`.
 
 No fast-math: sums keep their order, NaN keeps its meaning, and a kernel can be tested against its NumPy twin.
-The spline works on rows of four (`lanes`, dvf_ig/notes/0006) and uses fused multiply-add where the processor
+The spline works on rows of four (docs/decisions/0006) and uses fused multiply-add where the processor
 has it; numba's own settings are left as they are.
 """
 

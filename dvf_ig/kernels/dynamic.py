@@ -1,7 +1,7 @@
 """The dynamic virtual fixture in one call (Ren 2008, eqs 1, 4–11): pose, phases, splines, law, blend, force.
 
 Corrected eq. 10: F = (1−α) F(V_i) + α F(V_{i+1}); as printed, the weights are swapped and the force jumps at
-every frame switch (theory: fixtures).
+every frame switch (docs/theory/fixtures.md).
 """
 
 import math
@@ -137,7 +137,7 @@ def _output(force: Float64x4, field: Float64x4, rate: float) -> Output:
 def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Output:
     """Cubic in phase: one law on the blended field, whose phases are those of the periodic spline.
 
-    Not inlined: it would take registers from its callers (dvf_ig/notes/0006).
+    Not inlined: it would take registers from its callers (docs/decisions/0006).
     """
     status, u, v, w = _knot_coordinates(coefficients, f, q, phi)
     if status != code.OK:

@@ -1,7 +1,7 @@
 """Four float64 in one SIMD register, as a value that kernels can hold.
 
 A spline sums rows of four coefficients, so its kernel is written on rows. The compiler vectorises plain code
-only with an optimisation that numba switches off for the whole process (dvf_ig/notes/0006). Every sum
+only with an optimisation that numba switches off for the whole process (docs/decisions/0006). Every sum
 keeps the order in which it is written; `fma` rounds once where the processor has fused multiply-add, twice
 elsewhere.
 """

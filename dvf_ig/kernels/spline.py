@@ -96,14 +96,14 @@ def cell_value_gradient(c: NDArray[np.float32], p: Index, cell: Cell) -> Float64
 
 
 @inlined
-def _point(
+def spline_at(
     coefficients: NDArray[np.float32],
     origin_mm: FloatArray,
     per_knot: float,
     phase: int,
     q: tuple[float, float, float],
 ) -> tuple[int, float, float, float, float]:
-    """Status, distance and gradient of one phase; NaN unless OK."""
+    """Status, distance and gradient of one phase at a point `q` (mm, the model's frame); NaN unless OK."""
     cells = (coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3)
     u = (q[0] - origin_mm[0]) * per_knot
     v = (q[1] - origin_mm[1]) * per_knot
@@ -113,26 +113,6 @@ def _point(
         return status, math.nan, math.nan, math.nan, math.nan
     d, gx, gy, gz = unpack(cell_value_gradient(coefficients, np.uintp(phase), find_cell(u, v, w, cells)))
     return code.OK, d, gx * per_knot, gy * per_knot, gz * per_knot
-
-
-@kernel
-def spline_tick(
-    coefficients: NDArray[np.float32], box: FloatArray, phase: int, xyz_mm: FloatArray, out: FloatArray
-) -> int:
-    """Distance and gradient of one phase at one point.
-
-    Args:
-        coefficients: (n, cx, cy, cz) mm.
-        box: (4,) origin in mm, knot pitch in mm.
-        phase: index of the phase, not checked.
-        xyz_mm: (3,) point in the model's frame.
-        out: (4,) distance in mm and its gradient; NaN unless the status is OK.
-    Returns:
-        status code.
-    """
-    q = (xyz_mm[0], xyz_mm[1], xyz_mm[2])
-    status, out[0], out[1], out[2], out[3] = _point(coefficients, box, 1.0 / box[3], phase, q)
-    return status
 
 
 @kernel
@@ -158,6 +138,6 @@ def spline_batch(
     per_knot = 1.0 / knot_mm
     for n in range(len(xyz_mm)):
         q = (xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
-        status[n], value[n], gradient[n, 0], gradient[n, 1], gradient[n, 2] = _point(
+        status[n], value[n], gradient[n, 0], gradient[n, 1], gradient[n, 2] = spline_at(
             coefficients, origin_mm, per_knot, phase, q
         )

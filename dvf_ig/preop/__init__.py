@@ -41,7 +41,6 @@ from .motion.image_match import match_images as match_images
 from .motion.quality import MotionQuality as MotionQuality
 from .motion.quality import assess_motion as assess_motion
 from .motion.quality import dice as dice
-from .segment.seeded import Seeds as Seeds
 from .segment.seeded import SegmentOptions as SegmentOptions
 from .segment.seeded import segment_from_seeds as segment_from_seeds
 from .spline.field import SplineField as SplineField

@@ -1,8 +1,6 @@
 """ECG-gated rigid US/MR registration: from gated, tracked slices to `mr_from_tracker` with its evidence."""
 
-from .accuracy import ErrorSummary as ErrorSummary
 from .accuracy import pose_difference as pose_difference
-from .accuracy import summarise as summarise
 from .accuracy import target_errors_mm as target_errors_mm
 from .boundary.fit import EPICARDIUM_FIT as EPICARDIUM_FIT
 from .boundary.fit import EdgeFit as EdgeFit

@@ -1,32 +1,8 @@
 """Target registration error: the only accuracy of a registration (Fitzpatrick, ch. 8)."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dvf_ig.core import FloatArray, Points, Rigid
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorSummary:
-    """Mean, median, 95th percentile and maximum of n errors in mm."""
-
-    mean: float
-    median: float
-    p95: float
-    max: float
-    n: int
-
-
-def summarise(errors_mm: FloatArray) -> ErrorSummary:
-    """Summary of (n,) errors."""
-    return ErrorSummary(
-        float(errors_mm.mean()),
-        float(np.median(errors_mm)),
-        float(np.percentile(errors_mm, 95)),
-        float(errors_mm.max()),
-        len(errors_mm),
-    )
 
 
 def target_errors_mm(estimate: Rigid, truth: Rigid, targets: Points) -> FloatArray:

@@ -1,43 +1,42 @@
-"""One heart beat's ultrasound, asked about a pose as soon as the beat is over.
+"""The ultrasound of one heart beat, compared with a pose as soon as the beat is over.
 
 A beat is over when its second R peak has been detected, some 0.12 s after it. Its slices are prepared once,
-at the one pitch of TRACK_PITCH_MM, and may be asked about more than one pose.
+at the one pitch of BEAT_PITCH_MM, and may be compared with more than one pose.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from time import perf_counter
 
 import numpy as np
 
-from dvf_ig.cardiac import RPeak
-from dvf_ig.core import FloatArray, ImageMap, Rigid, Scenario
+from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.registration import BeatLook, Lc2, look_at_beat
 
-from .gated_frames import EVEN_MM, look, slices_at, ultrasound_mask
-from .heart import Heart
+from .frame_registration import EVEN_MM
+from .gated_frames import UltrasoundRecording, gate_recording, slices_of, ultrasound_mask
 
-TRACK_PITCH_MM = 2.0
+BEAT_PITCH_MM = 2.0
 PATCH_MM = 13.0
 BEAT_COMPUTE_S = 0.15
-"""What a beat tells is in force this long after its R peak was detected: an allowance for computing it."""
+"""A beat's evaluation takes effect this long after its R peak was detected: an allowance for computing it."""
 BEAT_WINDOW = 0.025
 """Half the distance between twenty phases of a model: every frame is compared with the nearest."""
 FEWEST_SLICES = 4
 LEAST_OVERLAP = 0.35
-REMEMBERED_PEAKS = 12
+GATING_PEAKS = 12
 """R peaks that place a beat and tell whether it is regular."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beat:
-    """A finished beat that was asked about a pose.
+class BeatEvaluation:
+    """A finished beat that was compared with a pose.
 
     Attributes:
         begin_s, end_s: its R peaks.
-        detected_s: when the second was detected; decided_s: when the answer is in force.
+        detected_s: when the second was detected; decided_s: when the evaluation takes effect.
         frames: slices that were compared.
-        look: the answer about the pose then on trial.
-        guided: that pose was guiding.
+        measurement: where the beat would have the pose, and how much better it matches there.
+        in_use: the pose was in use, not waiting to be confirmed.
         seconds: computing time, preparation included.
     """
 
@@ -46,78 +45,76 @@ class Beat:
     detected_s: float
     decided_s: float
     frames: int
-    look: BeatLook
-    guided: bool
+    measurement: BeatLook
+    in_use: bool
     seconds: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeatSlices:
-    """A beat's slices, ready to be asked; `seconds` is what their preparation took.
+    """A beat's slices, ready to be compared with poses.
 
-    A beat that does not steer only watches: it can put a pose in doubt, and not move it.
+    Attributes:
+        begin_s, end_s, detected_s, frames: as in `BeatEvaluation`.
+        metric: their similarity to the model.
+        updates_pose: whether the beat may move the pose in use; otherwise it can only suspend it.
+        seconds: computing time of the preparation.
+        clock: seconds of computing time, from any origin.
     """
 
     begin_s: float
     end_s: float
     detected_s: float
-    metric: Lc2
-    steers: bool
     frames: int
+    metric: Lc2
+    updates_pose: bool
     seconds: float
+    clock: Callable[[], float]
 
-    def asked(self, pose: Rigid, center_mm: FloatArray, guided: bool) -> Beat | None:
-        """The answer about a pose; None where the slices hardly meet the model."""
-        began = perf_counter()
-        seen = look_at_beat(self.metric, pose, center_mm)
-        if seen.overlap < LEAST_OVERLAP:
+    def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
+        """Compare the beat with a pose; None where the slices hardly overlap the model."""
+        began = self.clock()
+        measurement = look_at_beat(self.metric, pose, center_mm)
+        if measurement.overlap < LEAST_OVERLAP:
             return None
-        if not self.steers:
-            seen = replace(seen, offset_information_mm=np.zeros(6), information=np.zeros((6, 6)))
-        seconds = self.seconds + perf_counter() - began
-        return Beat(
-            self.begin_s,
-            self.end_s,
-            self.detected_s,
-            self.detected_s + BEAT_COMPUTE_S,
-            self.frames,
-            seen,
-            guided,
-            seconds,
+        if not self.updates_pose:
+            measurement = replace(
+                measurement, offset_information_mm=np.zeros(6), information=np.zeros((6, 6))
+            )
+        return BeatEvaluation(
+            begin_s=self.begin_s,
+            end_s=self.end_s,
+            detected_s=self.detected_s,
+            decided_s=self.detected_s + BEAT_COMPUTE_S,
+            frames=self.frames,
+            measurement=measurement,
+            in_use=in_use,
+            seconds=self.seconds + self.clock() - began,
         )
 
 
-def beat_slices(
-    scenario: Scenario,
-    heart: Heart,
-    peaks: tuple[RPeak, ...],
-    last: int,
-    lag_s: float,
-    probe_from_image: ImageMap,
-) -> BeatSlices | None:
-    """Slices of the beat that peak `last` ended; None where it is irregular or has too few frames."""
-    began = perf_counter()
-    sight = look(
-        scenario,
-        heart,
-        peaks[max(0, last + 1 - REMEMBERED_PEAKS) : last + 1],
-        lag_s,
-        from_s=peaks[last - 1].t_s,
-        until_s=peaks[last].t_s,
-        known_s=peaks[last].detected_at_s,
+def beat_slices(recording: UltrasoundRecording, last: int, clock: Callable[[], float]) -> BeatSlices | None:
+    """Slices of the beat that R peak number `last` ended; None where it is irregular or has few frames."""
+    began, end = clock(), recording.peaks[last]
+    begin_s = recording.peaks[last - 1].t_s
+    frames = gate_recording(
+        replace(recording, peaks=recording.peaks[max(0, last + 1 - GATING_PEAKS) : last + 1]),
+        from_s=begin_s,
+        until_s=end.t_s,
+        known_s=end.detected_at_s,
         window=BEAT_WINDOW,
     )
-    if len(sight.used) < FEWEST_SLICES:
+    if len(frames.used) < FEWEST_SLICES:
         return None
-    mask = ultrasound_mask(scenario, sight.first + sight.used)
-    slices = slices_at(scenario, heart, mask, probe_from_image, sight, pitch_mm=TRACK_PITCH_MM)
-    metric = Lc2(slices, heart.fine, patch_mm=PATCH_MM, pitch_mm=TRACK_PITCH_MM, even_mm=EVEN_MM)
+    slices = slices_of(recording, frames, ultrasound_mask(recording, frames), pitch_mm=BEAT_PITCH_MM)
+    metric = Lc2(slices, recording.heart.fine, patch_mm=PATCH_MM, pitch_mm=BEAT_PITCH_MM, even_mm=EVEN_MM)
     return BeatSlices(
-        peaks[last - 1].t_s,
-        peaks[last].t_s,
-        peaks[last].detected_at_s,
-        metric,
-        heart.beats_steer,
-        len(slices),
-        perf_counter() - began,
+        begin_s=begin_s,
+        end_s=end.t_s,
+        detected_s=end.detected_at_s,
+        frames=len(slices),
+        metric=metric,
+        updates_pose=recording.heart.beats_update_pose,
+        seconds=clock() - began,
+        clock=clock,
     )

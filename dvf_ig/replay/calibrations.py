@@ -8,34 +8,34 @@ import numpy as np
 
 from dvf_ig.calibration import (
     LatencyResult,
+    NWireResult,
     PivotResult,
-    ProbeResult,
+    calibrate_nwire,
     calibrate_pivot,
-    calibrate_probe,
     estimate_latency,
 )
 from dvf_ig.core import DvfIgError, Scenario
 
 
 @dataclass(frozen=True, slots=True)
-class Rulers:
+class Calibrations:
     """Every calibration result with its evidence."""
 
     pivot: PivotResult
-    probe: ProbeResult
+    probe: NWireResult
     latency: LatencyResult
 
 
-def calibrate(scenario: Scenario, seed: int) -> Rulers:
+def calibrate(scenario: Scenario, seed: int) -> Calibrations:
     """Calibrate tool, probe and latency from their recordings; refusals are the methods' own."""
     rng_pivot, rng_probe = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     with _naming("pivot calibration"):
         pivot = calibrate_pivot(scenario.pivot, rng=rng_pivot)
     with _naming("probe calibration"):
-        probe = calibrate_probe(scenario.nwire, rng=rng_probe)
+        probe = calibrate_nwire(scenario.nwire, rng=rng_probe)
     with _naming("latency calibration"):
         latency = estimate_latency(scenario.latency)
-    return Rulers(pivot, probe, latency)
+    return Calibrations(pivot, probe, latency)
 
 
 @contextmanager

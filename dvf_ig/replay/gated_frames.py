@@ -1,7 +1,6 @@
-"""ECG-gated registration on the ultrasound that has arrived by some moment."""
+"""Ultrasound frames that can be compared with the model: tracked, gated, and placed in its cycle."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,52 +13,66 @@ from dvf_ig.core import (
     ImageMap,
     IntArray,
     InvalidInputError,
-    NoOverlapError,
-    Rigid,
     Scenario,
     read_only_arrays,
 )
 from dvf_ig.registration import (
     PHASE_WINDOW,
-    Edges,
     Gated,
-    LandmarkPrior,
-    Level,
-    RegistrationOptions,
-    RegistrationResult,
     SliceSet,
-    boundary_points,
     fan_mask_from_images,
     gate_frames,
     prepare_slices,
-    prior_from_landmarks,
-    register_rigid,
-    root_amplitude,
     spread,
-    start_from_landmarks,
 )
 
-from .heart import COARSE_PITCH_MM, FINE_PITCH_MM, Heart
+from .heart import Heart
 
-SLICES = 48
-EVEN_MM = 12.0
-"""Patches share their weight over this width: a sweep sees the heart's middle from everywhere. On tuning
-seeds 101–104 it takes the TRE from 1.02 to 0.93 mm, the force error from 0.081 to 0.079 N; 20 mm do alike."""
-MIN_SLICES = 16
-STARTS = RegistrationOptions().starts
+MAX_FRAMES = 48
+MIN_FRAMES = 16
+"""Most and fewest frames of one registration."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UltrasoundRecording:
+    """Recorded ultrasound, and what places it in space and in the cardiac cycle.
+
+    Attributes:
+        heart: the model and channels that it is compared with.
+        peaks: R peaks in time order.
+        lag_s: t_tracker(event) = t_video + lag_s.
+        probe_from_image: image calibration.
+    """
+
+    scenario: Scenario
+    heart: Heart
+    peaks: tuple[RPeak, ...]
+    lag_s: float
+    probe_from_image: ImageMap
+
+    @property
+    def images(self) -> NDArray[np.uint8]:
+        """(n, rows, columns).
+
+        Raises:
+            InvalidInputError: the recording has no images.
+        """
+        if self.scenario.ultrasound.images is None:
+            raise InvalidInputError("the ultrasound recording has no images; registration needs them")
+        return self.scenario.ultrasound.images
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+class GatedFrames:
     """Ultrasound frames that can be compared with the model at one moment.
 
-    Indices count from `first`, the first frame of the time that was looked at.
+    Indices count from `first`, the first of the n frames in the time that was gated.
 
     Attributes:
-        first: index in the recording of the first of the n frames in time.
-        gated: which of them were kept and why others were not.
-        used: (k,) the kept frames that registration looks at.
+        first: index of that frame in the recording.
+        gated: which of the n frames were kept, and why others were not.
+        used: (k,) the kept frames that are compared.
         event_s: (n,) event times on the tracker clock.
         model_phase: (n,) places in the model's cycle.
         rotations, translations_mm: (n, 3, 3), (n, 3) tracker_from_probe at the event times.
@@ -73,41 +86,54 @@ class Sight:
     rotations: FloatArray
     translations_mm: FloatArray
 
+    @property
+    def enough(self) -> bool:
+        """Whether a registration can be made from them."""
+        return len(self.used) >= MIN_FRAMES
 
-def look(
-    scenario: Scenario,
-    heart: Heart,
-    peaks: tuple[RPeak, ...],
-    lag_s: float,
+    @property
+    def shortage(self) -> str:
+        """What a user reads where they are not enough."""
+        reasons = ", ".join(f"{count} {reason}" for reason, count in self.gated.rejected.items() if count)
+        return (
+            f"{len(self.used)} ultrasound frames can be compared with the model ({reasons}); "
+            f"needed at least {MIN_FRAMES}: check probe tracking and ECG"
+        )
+
+
+def gate_recording(
+    recording: UltrasoundRecording,
     *,
     from_s: float,
     until_s: float,
     known_s: float | None = None,
     window: float = PHASE_WINDOW,
-) -> Sight:
+) -> GatedFrames:
     """Gate the frames whose event lies in [from_s, until_s).
 
     Args:
         known_s: R peaks that had been detected by then place them; `until_s` unless given.
-        window: see `gate_frames`.
+        window: see `registration.gate_frames`.
     """
-    event_s = scenario.ultrasound.t_s + lag_s
+    ultrasound, model = recording.scenario.ultrasound, recording.heart.model
+    event_s = ultrasound.t_s + recording.lag_s
     first, last = (int(i) for i in np.searchsorted(event_s, [from_s, until_s]))
     here = slice(first, last)
-    rotations, translations, tracked = scenario.ultrasound.stream("tracker", "probe").at_many(event_s[here])
-    known = np.array([p.t_s for p in peaks if p.detected_at_s <= (until_s if known_s is None else known_s)])
+    rotations, translations, tracked = ultrasound.stream("tracker", "probe").at_many(event_s[here])
+    by_s = until_s if known_s is None else known_s
+    known = np.array([p.t_s for p in recording.peaks if p.detected_at_s <= by_s])
     beat = beat_phase(known, event_s[here])
-    model_phase = retimed(heart.model, beat.phi, beat.rr_s)
+    model_phase = retimed(model, beat.phi, beat.rr_s)
     gated = gate_frames(
         model_phase,
-        heart.fine.fractions,
-        image_valid=scenario.ultrasound.image_valid[here],
+        recording.heart.fine.fractions,
+        image_valid=ultrasound.image_valid[here],
         pose_valid=tracked,
         beat_valid=beat.regular,
         window=window,
     )
-    used = gated.index[spread(len(gated.index), SLICES)]
-    return Sight(first, gated, used, event_s[here], model_phase, rotations, translations)
+    used = gated.index[spread(len(gated.index), MAX_FRAMES)]
+    return GatedFrames(first, gated, used, event_s[here], model_phase, rotations, translations)
 
 
 def retimed(model: DvfModel, phi: FloatArray, rr_s: FloatArray) -> FloatArray:
@@ -116,122 +142,31 @@ def retimed(model: DvfModel, phi: FloatArray, rr_s: FloatArray) -> FloatArray:
     return retime(phi, known, model.timing.rr_s, model.es_fraction, mode="two-segment")
 
 
-def start_pose(scenario: Scenario) -> Rigid:
-    """The operator's coarse pose, else the landmark fit.
-
-    Raises:
-        InvalidInputError: the scenario holds neither.
-    """
-    if scenario.start is not None:
-        return scenario.start
-    touched = landmark_pose(scenario)
-    if touched is not None:
-        return touched
-    raise InvalidInputError(
-        "the scenario has neither a start pose nor landmarks; add start.tfm, or landmarks_mr.mrk.json and "
-        "landmarks_tracker.mrk.json"
-    )
-
-
-def landmark_pose(scenario: Scenario) -> Rigid | None:
-    """The landmark fit, where landmarks were touched."""
-    if scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
-        return None
-    return start_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker).mr_from_tracker
-
-
-def _prior(scenario: Scenario) -> LandmarkPrior | None:
-    """Landmarks take part where the start came from them; a start pose takes their place."""
-    if scenario.start is not None or scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
-        return None
-    return prior_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker)
-
-
-def ultrasound_mask(scenario: Scenario, frames: IntArray) -> BoolArray:
-    """(rows, columns) sector, from the scanner's geometry, else from what `frames` show.
+def ultrasound_mask(recording: UltrasoundRecording, frames: GatedFrames) -> BoolArray:
+    """(rows, columns) sector, from the scanner's geometry, else from what the used frames show.
 
     Raises:
         InvalidInputError: the recording has no images.
     """
-    images = _images(scenario)
-    if scenario.fan is not None:
-        return scenario.fan.mask(*images.shape[1:])
-    return fan_mask_from_images(images[frames])
+    images, fan = recording.images, recording.scenario.fan
+    if fan is not None:
+        return fan.mask(*images.shape[1:])
+    return fan_mask_from_images(images[frames.first + frames.used])
 
 
-def _images(scenario: Scenario) -> NDArray[np.uint8]:
-    if scenario.ultrasound.images is None:
-        raise InvalidInputError("the ultrasound recording has no images; registration needs them")
-    return scenario.ultrasound.images
-
-
-def slices_at(
-    scenario: Scenario,
-    heart: Heart,
-    mask: BoolArray,
-    probe_from_image: ImageMap,
-    sight: Sight,
-    *,
-    pitch_mm: float,
+def slices_of(
+    recording: UltrasoundRecording, frames: GatedFrames, mask: BoolArray, *, pitch_mm: float
 ) -> SliceSet:
-    """The used frames of `sight` in the tracker's frame."""
-    used = sight.used
+    """The used frames in the tracker's frame, with the brightness that the heart's channels need."""
+    used = frames.used
     return prepare_slices(
-        _images(scenario)[sight.first + used],
+        recording.images[frames.first + used],
         mask,
-        probe_from_image,
-        sight.rotations[used],
-        sight.translations_mm[used],
-        sight.model_phase[used],
-        sight.event_s[used],
+        recording.probe_from_image,
+        frames.rotations[used],
+        frames.translations_mm[used],
+        frames.model_phase[used],
+        frames.event_s[used],
         pitch_mm=pitch_mm,
-        brightness=heart.brightness,
-    )
-
-
-def locate(
-    scenario: Scenario,
-    heart: Heart,
-    sight: Sight,
-    probe_from_image: ImageMap,
-    start: Rigid,
-    *,
-    seed: int,
-    warm: bool = False,
-    progress: Callable[[float], None] | None = None,
-) -> RegistrationResult:
-    """Register the frames of `sight` to the model from `start`; `warm` trusts it and skips displaced starts.
-
-    Raises:
-        InvalidInputError: the recording has no images.
-        NoOverlapError: too few frames passed the gate; says why.
-    """
-    if len(sight.used) < MIN_SLICES:
-        reasons = ", ".join(f"{count} {reason}" for reason, count in sight.gated.rejected.items() if count)
-        raise NoOverlapError(
-            f"{len(sight.used)} ultrasound frames can be compared with the model ({reasons}); "
-            f"needed at least {MIN_SLICES}: check probe tracking and ECG"
-        )
-    mask = ultrasound_mask(scenario, sight.first + sight.used)
-    levels = [
-        Level(slices_at(scenario, heart, mask, probe_from_image, sight, pitch_mm=pitch), channels, pitch)
-        for pitch, channels in ((COARSE_PITCH_MM, heart.coarse), (FINE_PITCH_MM, heart.fine))
-    ]
-    edges = None
-    if heart.surface is not None:
-        shown = replace(heart, brightness=root_amplitude)
-        borders = slices_at(scenario, shown, mask, probe_from_image, sight, pitch_mm=FINE_PITCH_MM)
-        edges = Edges(boundary_points(borders), heart.surface)
-    return register_rigid(
-        levels[0],
-        levels[1],
-        start,
-        heart.center_mm,
-        rng=np.random.default_rng(seed),
-        prior=_prior(scenario),
-        edges=edges,
-        options=RegistrationOptions(
-            starts=0 if warm else STARTS, even_mm=EVEN_MM, edge_share=heart.edge_share
-        ),
-        progress=progress,
+        brightness=recording.heart.brightness,
     )

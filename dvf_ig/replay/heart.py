@@ -39,11 +39,10 @@ LABEL_VOXEL_MM = 2.0
 LABEL_SMOOTHING_MM = 1.5
 LABEL_MARGIN_MM = 20.0
 
-
-MR_EDGE_SHARE = 0.35
-LABEL_EDGE_SHARE = 0.8
-"""Real surfaces, tuning seeds 101 and 102, windows of 8 to 30 s: borders 1.4 to 2.1 mm off (3.7 once), LC2
-on label maps 1.7 to 3.7 mm."""
+MR_BOUNDARY_SHARE = 0.35
+LABEL_BOUNDARY_SHARE = 0.8
+"""How far a registration goes from LC2's pose to that of the boundary. Real surfaces, tuning seeds 101 and
+102, windows of 8 to 30 s: boundary 1.4 to 2.1 mm off (3.7 once), LC2 on label maps 1.7 to 3.7 mm."""
 
 
 @read_only_arrays
@@ -53,9 +52,9 @@ class Heart:
     model: signed distance per phase.
     coarse, fine: channels at the two pitches of registration.
     center_mm: (3,) centre of the heart box.
-    surface: where blood meets wall, for the borders that ultrasound shows; None without a cavity.
-    edge_share: how far a registration goes from LC2's pose to that of the borders.
-    beats_steer: whether LC2 on these channels is good enough for a single beat to move the pose.
+    surface: the boundary of blood and wall, which ultrasound shows; None without a cavity.
+    boundary_share: how far a registration goes from LC2's pose (0) to that of the boundary (1).
+    beats_update_pose: whether LC2 on these channels is good enough for a single beat to move the pose.
     brightness: of ultrasound that is compared with these channels.
     """
 
@@ -64,15 +63,15 @@ class Heart:
     fine: ModelChannels
     center_mm: FloatArray
     surface: EdgeTarget | None
-    edge_share: float
-    beats_steer: bool = True
+    boundary_share: float
+    beats_update_pose: bool = True
     brightness: Callable[[NDArray[np.uint8]], NDArray[np.float32]] = root_amplitude
 
 
 def build_heart(
     preop: Preop, model: DvfModel | None = None, progress: Callable[[float], None] | None = None
 ) -> Heart:
-    """Build model and channels from a 4-D image with labels, or from surfaces alone.
+    """Build model and channels from a 4-D image with labels, or from a surface-only data set.
 
     Args:
         model: a model of this patient that was built before; saves building it.
@@ -97,9 +96,9 @@ def build_heart(
     surface = target_from_labels(labels, labels.timing.fractions) if seen else None
     if preop.mr is not None:
         channels = channels_from_mr(preop.mr, smoothing_mm=MR_SMOOTHING_MM)
-        return Heart(model, channels, channels, center, surface, MR_EDGE_SHARE)
+        return Heart(model, channels, channels, center, surface, MR_BOUNDARY_SHARE)
     channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
-    return Heart(model, channels, channels, center, surface, LABEL_EDGE_SHARE, False, shown_brightness)
+    return Heart(model, channels, channels, center, surface, LABEL_BOUNDARY_SHARE, False, shown_brightness)
 
 
 def _fixture_surface(preop: Preop) -> SurfaceSeries:

@@ -13,15 +13,15 @@ from dvf_ig.core import FloatArray, PhaseState, Rigid
 from dvf_ig.guidance import Evaluator, Sigmoid
 from dvf_ig.registration import target_errors_mm
 
-from .drift import doubts
-from .registration_monitor import SURPRISE
+from .pose_summary import suspensions
+from .registration_monitor import SUSPEND_LOG_RATIO
 from .result import true_contact, true_phases
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from .engine import Replay
-    from .pose_tracker import Attempt
+    from .pose_history import Attempt
 
 ESTIMATE, START, TRUTH, REFUSED, DOUBT = "#1f6fb4", "#e07b00", "#222222", "#d9d9d9", "#f6d5d2"
 WIDE = (10.5, 2.6)
@@ -37,7 +37,7 @@ def overlay(replay: Replay) -> Figure | None:
     images = replay.scenario.ultrasound.images
     if attempt is None or attempt.result is None or images is None:
         return None
-    chosen = attempt.sight.used[np.linspace(0, len(attempt.sight.used) - 1, 6).astype(int)[1:5]]
+    chosen = attempt.frames.used[np.linspace(0, len(attempt.frames.used) - 1, 6).astype(int)[1:5]]
     figure = Figure(figsize=(10.5, 5.6), layout="constrained")
     axes = figure.subplots(2, len(chosen))
     for column, frame in enumerate(chosen):
@@ -60,12 +60,12 @@ def _overlay_column(
     frame: int,
     axes: NDArray[np.object_],
 ) -> None:
-    sight, step = attempt.sight, 2
+    sight, step = attempt.frames, 2
     image = images[sight.first + frame]
     rows, columns = image.shape
     row, col = np.mgrid[:rows:step, :columns:step]
     pixels = np.column_stack([col.ravel(), row.ravel()]).astype(np.float64)
-    probe = replay.rulers.probe.probe_from_image.apply_pixels(pixels).xyz_mm
+    probe = replay.calibrations.probe.probe_from_image.apply_pixels(pixels).xyz_mm
     tracker = probe @ sight.rotations[frame].T + sight.translations_mm[frame]
     phase = float(sight.model_phase[frame])
     extent = (0, columns, rows, 0)
@@ -96,18 +96,21 @@ def _model_plane(replay: Replay, pose: Rigid, tracker_mm: FloatArray, phase: flo
 
 def pose_over_time(replay: Replay) -> Figure | None:
     """Every beat's answer about the pose, and its error where the truth is known; None without beats."""
-    beats, truth, t_s = replay.course.beats, replay.scenario.truth, replay.tracking.track.t_s
+    beats, truth, t_s = replay.history.beats, replay.scenario.truth, replay.tracking.track.t_s
     if not beats:
         return None
     figure = Figure(figsize=(WIDE[0], 3.8), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     times = np.array([beat.decided_s for beat in beats])
-    guided = np.array([beat.guided for beat in beats])
-    surprise = np.array([beat.look.surprise for beat in beats])
+    guided = np.array([beat.in_use for beat in beats])
+    surprise = np.array([beat.measurement.surprise for beat in beats])
     if truth is not None:
         targets = truth.targets.points
         error = np.array(
-            [target_errors_mm(b.look.pose, truth.mr_from_tracker_at(b.end_s), targets).mean() for b in beats]
+            [
+                target_errors_mm(b.measurement.pose, truth.mr_from_tracker_at(b.end_s), targets).mean()
+                for b in beats
+            ]
         )
         _by_guidance(upper, times, error, guided)
         upper.axhline(2.0, color=TRUTH, lw=0.8, ls=":")
@@ -115,10 +118,10 @@ def pose_over_time(replay: Replay) -> Figure | None:
     upper.margins(y=0.1)
     upper.set_ylim(bottom=0)
     _by_guidance(lower, times, surprise, guided)
-    lower.axhline(SURPRISE, color=TRUTH, lw=0.8, ls=":")
+    lower.axhline(SUSPEND_LOG_RATIO, color=TRUTH, lw=0.8, ls=":")
     lower.set(ylabel="surprise", xlabel="time, s", xlim=(float(t_s[0]), float(t_s[-1])))
     for axis in (upper, lower):
-        for begin_s, end_s in doubts(replay.course.updates, float(t_s[-1])):
+        for begin_s, end_s in suspensions(replay.history.updates, float(t_s[-1])):
             axis.axvspan(begin_s, end_s, color=DOUBT, lw=0, zorder=0)
         for attempt in replay.attempts:
             axis.axvline(attempt.ready_s, color=TRUTH, lw=0.6, ls="-" if attempt.usable else ":")

@@ -1,12 +1,12 @@
-"""Whether a pose may guide: it must agree with what is known without its images, and with every beat since.
+"""Whether a pose may be used: it must agree with touched landmarks, and with every heart beat since.
 
 A wrong probe calibration, a marker that slipped on the probe and a patient who moved all leave images that
 match the model well at some pose. What they do not leave alone is the place: landmarks touched with another
-tool disagree at once, the next heart beat is explained better by another pose, and after a slip no pose
-explains the views of several beats.
+tool disagree at once, the next heart beat matches better at another pose, and after a slip no pose fits the
+views of several beats.
 
-    guiding ── a beat it does not explain, or a registration elsewhere ──► in doubt: no force
-    in doubt ── beats in a row that it, or a registration made since, explains ──► guiding
+    in use ── a beat that disagrees, or a registration elsewhere ──► suspended: no force
+    suspended ── consecutive beats consistent with it, or with a registration made since ──► in use
 """
 
 from dataclasses import dataclass, replace
@@ -14,100 +14,101 @@ from dataclasses import dataclass, replace
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration import BeatLook, Belief, distance_between
 
+from .refusal import Refusal, Refused
+
 LANDMARKS_MM = 4.0
 """Landmark fits of tuning seeds 101–106 lie 0.9 to 1.4 mm from the truth over the heart, good poses 2 mm."""
 JUMP_MM = 2.5
-"""Refreshes of an undisturbed patient move by up to 1.2 mm."""
-SURPRISE = 7.0
-"""Log likelihood ratio of a beat from which another pose is believed instead. On tuning seed 101, calm and
-with poor images, 170 beats reach 4.4; of beats after a shift of 8 mm, 95 % lie above 9."""
-EXPLAINED = 5.0
-"""The same for a pose that is to guide (again): beats of good poses on tuning seeds reach 4.4."""
-CONFIRMING, MOST_CONFIRMING = 3, 10
-"""Beats in a row that confirm a pose, and twice as many after each registration that beats contradicted: a
+"""Repeated registrations of an undisturbed patient move by up to 1.2 mm."""
+SUSPEND_LOG_RATIO = 7.0
+"""Log-likelihood ratio of a beat's best pose against the pose in use that suspends the latter. On tuning seed
+101, calm and with poor images, 170 beats reach 4.4; of beats after a shift of 8 mm, 95 % lie above 9."""
+CONSISTENT_LOG_RATIO = 5.0
+"""The same up to which a beat confirms a pose: beats of good poses on tuning seeds reach 4.4."""
+CONFIRMING_BEATS, MOST_CONFIRMING_BEATS = 3, 10
+"""Consecutive beats that confirm a pose, and twice as many after each registration that beats contradicted: a
 patient who moved lies still again, but a slipped marker is wrong in another way from view to view."""
 
 
-def disagreeing_landmarks(pose: Rigid, landmarks: Rigid | None, center_mm: FloatArray) -> str:
-    """Why a first pose may not guide beside the landmark fit; empty where it may, or none were touched."""
+def landmark_disagreement_mm(pose: Rigid, landmarks: Rigid | None, center_mm: FloatArray) -> float | None:
+    """Distance from the landmark fit that rules out a first pose; None where small, or without a fit."""
     off_mm = 0.0 if landmarks is None else distance_between(pose, landmarks, center_mm)
-    if off_mm <= LANDMARKS_MM:
-        return ""
-    return (
-        f"the touched landmarks lie {off_mm:.1f} mm from where the images put them; check the "
-        "probe's calibration, or touch the landmarks again"
-    )
+    return off_mm if off_mm > LANDMARKS_MM else None
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class Trust:
-    """What the next beat and the next registration are held against.
+class RegistrationMonitor:
+    """What the next beat and the next registration are compared with.
 
     Attributes:
         center_mm: (3,) centre of the heart box, frame "mr".
         landmarks: mr_from_tracker from landmarks touched before the first registration; None without any.
-        belief: the pose that guides, or that did until it came in doubt; None before the first.
-        candidate: a registration that waits for beats which it explains.
-        doubtful: no force may come from `belief`.
-        explained: beats in a row that the pose on trial explains; it guides after `confirming`.
+        estimate: the pose in use, or the one that was until it was suspended; None before the first.
+        pending: a registration that waits for consistent beats.
+        suspended: no force may come from `estimate`.
+        consistent_beats: consecutive beats that agree with the pose under test.
+        needed_beats: so many of them bring it into use.
     """
 
     center_mm: FloatArray
     landmarks: Rigid | None
-    belief: Belief | None = None
-    candidate: Belief | None = None
-    doubtful: bool = True
-    explained: int = 0
-    confirming: int = CONFIRMING
+    estimate: Belief | None = None
+    pending: Belief | None = None
+    suspended: bool = True
+    consistent_beats: int = 0
+    needed_beats: int = CONFIRMING_BEATS
 
     @property
-    def on_trial(self) -> Belief | None:
-        """The pose that a beat is asked about."""
-        return self.candidate or self.belief
+    def under_test(self) -> Belief | None:
+        """The pose that the next beat is compared with."""
+        return self.pending or self.estimate
 
     @property
-    def guiding(self) -> Belief | None:
-        return None if self.doubtful else self.belief
+    def in_use(self) -> Belief | None:
+        """The pose from which force may come."""
+        return None if self.suspended else self.estimate
 
-    def registered(self, found: Belief, beats: float) -> tuple["Trust", str]:
-        """The next state after a registration `beats` old in the middle, and why it does not guide yet."""
-        if self.doubtful or self.belief is None:
-            return self._tried(found)
-        off_mm = distance_between(found.pose, self.belief.pose, self.center_mm)
+    def after_registration(self, found: Belief, beats: float) -> tuple["RegistrationMonitor", Refused | None]:
+        """The next state, and why the registration is not in use yet; its middle is so many beats old."""
+        if self.suspended or self.estimate is None:
+            return self._with_pending(found)
+        off_mm = distance_between(found.pose, self.estimate.pose, self.center_mm)
         if off_mm <= JUMP_MM:
-            return replace(self, belief=self.belief.fused_with(found.aged(beats))), ""
-        doubted = replace(self, candidate=found, doubtful=True, explained=0)
-        return doubted, f"patient or probe moved by {off_mm:.1f} mm; withheld until heart beats confirm it"
+            return replace(self, estimate=self.estimate.fused_with(found.aged(beats))), None
+        suspended = replace(self, pending=found, suspended=True, consistent_beats=0)
+        return suspended, Refused(Refusal.MOVED, off_mm)
 
-    def _tried(self, found: Belief) -> tuple["Trust", str]:
-        """Landmarks are asked about the first pose only: a patient who moved took them along."""
-        disagreement = disagreeing_landmarks(found.pose, self.landmarks, self.center_mm)
-        if self.belief is None and disagreement:
-            return self, disagreement
-        return replace(self, candidate=found, explained=0), "waits for heart beats that confirm it"
+    def _with_pending(self, found: Belief) -> tuple["RegistrationMonitor", Refused]:
+        """Landmarks are compared with the first pose only: a patient who moved took them along."""
+        off_mm = landmark_disagreement_mm(found.pose, self.landmarks, self.center_mm)
+        if self.estimate is None and off_mm is not None:
+            return self, Refused(Refusal.LANDMARKS_DISAGREE, off_mm)
+        return replace(self, pending=found, consistent_beats=0), Refused(Refusal.UNCONFIRMED)
 
-    def saw(self, look: BeatLook) -> "Trust":
-        """After a beat that was asked about the pose on trial."""
-        asked = self.on_trial
-        if asked is None:
+    def after_beat(self, measurement: BeatLook) -> "RegistrationMonitor":
+        """The next state after a beat that was compared with the pose under test."""
+        tested = self.under_test
+        if tested is None:
             return self
-        if not self.doubtful:
-            if look.surprise > SURPRISE:
-                return replace(self, doubtful=True, explained=0)
-            return replace(self, belief=_fused(asked, look))
-        if look.surprise > EXPLAINED:
+        if not self.suspended:
+            if measurement.surprise > SUSPEND_LOG_RATIO:
+                return replace(self, suspended=True, consistent_beats=0)
+            return replace(self, estimate=_updated(tested, measurement))
+        if measurement.surprise > CONSISTENT_LOG_RATIO:
             return self._contradicted()
-        if self.explained + 1 < self.confirming:
-            return replace(self, explained=self.explained + 1)
-        return Trust(self.center_mm, self.landmarks, belief=_fused(asked, look), doubtful=False)
+        if self.consistent_beats + 1 < self.needed_beats:
+            return replace(self, consistent_beats=self.consistent_beats + 1)
+        return RegistrationMonitor(
+            self.center_mm, self.landmarks, estimate=_updated(tested, measurement), suspended=False
+        )
 
-    def _contradicted(self) -> "Trust":
-        if self.candidate is None:
-            return replace(self, explained=0)
-        confirming = min(2 * self.confirming, MOST_CONFIRMING)
-        return replace(self, candidate=None, explained=0, confirming=confirming)
+    def _contradicted(self) -> "RegistrationMonitor":
+        if self.pending is None:
+            return replace(self, consistent_beats=0)
+        needed = min(2 * self.needed_beats, MOST_CONFIRMING_BEATS)
+        return replace(self, pending=None, consistent_beats=0, needed_beats=needed)
 
 
-def _fused(asked: Belief, look: BeatLook) -> Belief:
-    return asked.aged(1.0).fused(look.offset_information_mm, look.information)
+def _updated(tested: Belief, measurement: BeatLook) -> Belief:
+    return tested.aged(1.0).fused(measurement.offset_information_mm, measurement.information)

@@ -1,7 +1,6 @@
 """What a replay reports as `result.json`, and its schema."""
 
 import json
-from dataclasses import asdict
 from importlib import resources
 from typing import Any
 
@@ -9,14 +8,14 @@ import jsonschema
 import numpy as np
 
 from dvf_ig.cardiac import frame_period_s
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, summarise_errors
 from dvf_ig.guidance import Sigmoid, Status
 from dvf_ig.guidance.blend import static_force
-from dvf_ig.registration import RegistrationResult, summarise, target_errors_mm, weak_direction
+from dvf_ig.registration import RegistrationResult, target_errors_mm, weak_direction
 
-from .drift import summarise_following
 from .engine import Replay
-from .pose_tracker import Attempt
+from .pose_history import Attempt
+from .pose_summary import summarise_poses
 from .score import CONTACT_MM, far_corner_error_mm, score_force, score_phase, score_poses
 
 SCHEMA = "dvf_ig.replay/1"
@@ -60,7 +59,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
         },
         "seconds": round(replay.seconds, 3),
         "estimates": _estimates(replay),
-        **_following(replay),
+        **_pose_updates(replay),
         "registrations": [_attempt(a) for a in replay.attempts],
         **dict.fromkeys(
             (
@@ -90,18 +89,18 @@ def _refusals(replay: Replay) -> dict[str, int]:
 
 
 def _estimates(replay: Replay) -> dict[str, Any]:
-    rulers, track = replay.rulers, replay.tracking.track
+    calibrations, track = replay.calibrations, replay.tracking.track
     locked = track.valid
     rr_s = float(np.median(track.rr_s[locked])) if locked.any() else None
     model = replay.heart.model
     poses = replay.poses
     return {
-        "tip_mm": rulers.pivot.tip.xyz_mm[0].tolist(),
-        "pivot_rms_3d_mm": rulers.pivot.rms_3d_mm,
-        "probe_from_image": rulers.probe.probe_from_image.matrix.tolist(),
-        "probe_calibration_mean95_mm": rulers.probe.calibration.mean95_mm,
-        "lag_s": rulers.latency.lag_s,
-        "lag_correlation": rulers.latency.correlation,
+        "tip_mm": calibrations.pivot.tip.xyz_mm[0].tolist(),
+        "pivot_rms_3d_mm": calibrations.pivot.rms_3d_mm,
+        "probe_from_image": calibrations.probe.probe_from_image.matrix.tolist(),
+        "probe_calibration_mean95_mm": calibrations.probe.calibration.summary.mean95,
+        "lag_s": calibrations.latency.lag_s,
+        "lag_correlation": calibrations.latency.correlation,
         "beats": len(replay.tracking.peaks),
         "rr_s": rr_s,
         "frame_period_s": frame_period_s(rr_s, model.phases) if rr_s else None,
@@ -113,10 +112,10 @@ def _estimates(replay: Replay) -> dict[str, Any]:
     }
 
 
-def _following(replay: Replay) -> dict[str, Any]:
-    """How the pose was watched and tracked from beat to beat."""
-    course, t_s = replay.course, replay.tracking.track.t_s
-    done = summarise_following(course.beats, course.updates, replay.heart.center_mm, float(t_s[-1]))
+def _pose_updates(replay: Replay) -> dict[str, Any]:
+    """What beats and registrations did to the pose."""
+    t_s = replay.tracking.track.t_s
+    done = summarise_poses(replay.history, replay.heart.center_mm, float(t_s[-1]))
     return {
         "tracked_beats": done.tracked_beats,
         "drift_mm_per_min": done.drift_mm_per_min,
@@ -124,7 +123,7 @@ def _following(replay: Replay) -> dict[str, Any]:
         if done.update_s_median is None
         else {"median": done.update_s_median, "p95": done.update_s_p95},
         "withheld_s": done.withheld_s,
-        "doubts_s": [list(span) for span in done.doubts_s],
+        "doubts_s": [list(span) for span in done.suspended_s],
     }
 
 
@@ -134,10 +133,10 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
         "asked_s": attempt.asked_s,
         "ready_s": attempt.ready_s,
         "usable": attempt.usable,
-        "frames": len(attempt.sight.used),
-        "frames_rejected": attempt.sight.gated.rejected,
+        "frames": len(attempt.frames.used),
+        "frames_rejected": attempt.frames.gated.rejected,
         "stop": result.stop.name if result else "TOO_FEW_FRAMES",
-        "reason": attempt.refusal or (result.stop.value if result else ""),
+        "reason": attempt.reason,
     }
     if result is not None:
         out |= {"mr_from_tracker": result.mr_from_tracker.matrix.tolist(), **evidence_of(result)}
@@ -168,25 +167,25 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
 
 
 def _errors(replay: Replay) -> dict[str, Any]:
-    """Estimates against the planted truth; empty where there is none."""
+    """Estimates against the ground truth; empty where there is none."""
     truth = replay.scenario.truth
     if truth is None:
         return {}
     track, valid = replay.tracking.track, replay.valid
     start_errors = target_errors_mm(replay.start, truth.mr_from_tracker_at(0.0), truth.targets.points)
     out: dict[str, Any] = {
-        "start_tre_mm": asdict(summarise(start_errors)),
-        "lag_error_s": replay.rulers.latency.lag_s - truth.lag_s,
-        "tip_error_mm": float(np.linalg.norm(replay.rulers.pivot.tip.xyz_mm[0] - truth.tip.xyz_mm[0])),
+        "start_tre_mm": summarise_errors(start_errors).tre_fields(),
+        "lag_error_s": replay.calibrations.latency.lag_s - truth.lag_s,
+        "tip_error_mm": float(np.linalg.norm(replay.calibrations.pivot.tip.xyz_mm[0] - truth.tip.xyz_mm[0])),
     }
     images = replay.scenario.ultrasound.images
     if images is not None:
         out["probe_error_mm"] = far_corner_error_mm(
-            replay.rulers.probe.probe_from_image, truth.probe_from_image, *images.shape[1:]
+            replay.calibrations.probe.probe_from_image, truth.probe_from_image, *images.shape[1:]
         )
     poses = score_poses(replay.poses, track.t_s, valid, truth)
     if poses is not None:
-        out["tre_mm"] = asdict(poses[0])
+        out["tre_mm"] = poses[0].tre_fields()
     phi, model_phase = true_phases(replay)
     locked = track.valid
     if locked.any():
@@ -201,7 +200,7 @@ def _errors(replay: Replay) -> dict[str, Any]:
     out["contact"] = {
         "ticks": int(contact.sum()),
         "share": float(contact.mean()),
-        "served_share": force.served_ticks / force.contact_ticks if force else 0.0,
+        "served_share": force.force_ticks / force.contact_ticks if force else 0.0,
     }
     if force is not None:
         out["force_error_n"] = {"median": force.error_n_median, "p95": force.error_n_p95}

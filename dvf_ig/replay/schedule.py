@@ -1,7 +1,6 @@
 """Which pose is in use when: an update enters guidance by bounded motion, never by a jump."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -9,32 +8,32 @@ from scipy.spatial.transform import Rotation
 from dvf_ig.core import BoolArray, FloatArray, Rigid
 from dvf_ig.registration import distance_between
 
+from .pose_history import PoseUpdates
+
 UPDATE_MM_PER_S = 10.0
-"""Fastest motion of the model by a registration update (theory: safety)."""
+"""Fastest motion of the model by a registration update (dvf_ig/docs/theory/safety.md)."""
 STEP_S = 0.005
 
 
-def pose_schedule(
-    updates: Sequence[tuple[float, Rigid | None]], center_mm: FloatArray
-) -> tuple[tuple[float, Rigid], ...]:
+def pose_schedule(updates: PoseUpdates, center_mm: FloatArray) -> tuple[tuple[float, Rigid], ...]:
     """Poses with the times from which each is in use.
 
     Args:
         updates: (time from which it may be used, mr_from_tracker), in time order; None where the pose in use
-            was put in doubt. The first pose after that is in use at once: no force depends on the one before.
+            was suspended. The first pose after that is in use at once: no force depends on the one before.
         center_mm: (3,) centre of the heart box; the speed bound holds over the heart about it.
     """
     schedule: list[tuple[float, Rigid]] = []
-    doubtful = True
+    suspended = True
     for ready_s, target in updates:
-        before = doubtful
-        doubtful = target is None
+        was_suspended = suspended
+        suspended = target is None
         held = next((pose for from_s, pose in reversed(schedule) if from_s <= ready_s), target)
         while schedule and schedule[-1][0] >= ready_s:
             schedule.pop()
         if target is None or held is None:
             continue
-        way_mm = 0.0 if before else distance_between(held, target, center_mm)
+        way_mm = 0.0 if was_suspended else distance_between(held, target, center_mm)
         steps = max(1, math.ceil(way_mm / UPDATE_MM_PER_S / STEP_S))
         schedule += [
             (ready_s + (i - 1) * STEP_S, _between(held, target, center_mm, i / steps))
@@ -44,14 +43,14 @@ def pose_schedule(
     return tuple(schedule)
 
 
-def withheld(updates: Sequence[tuple[float, Rigid | None]], t_s: FloatArray) -> BoolArray:
-    """(n,) ticks before the first pose, and those at which the pose in use was in doubt."""
+def suspended_at(updates: PoseUpdates, t_s: FloatArray) -> BoolArray:
+    """(n,) ticks before the first pose, and those at which the pose in use was suspended."""
     which = np.searchsorted([from_s for from_s, _ in updates], t_s, side="right")
     return np.array([True, *(pose is None for _, pose in updates)])[which]
 
 
 def _between(first: Rigid, second: Rigid, center_mm: FloatArray, weight: float) -> Rigid:
-    """Part of the way between two poses, turning about the heart so that it moves at a steady speed."""
+    """Part of the way between two poses, rotating about the heart so that it moves at a steady speed."""
     step = second @ first.inverse()
     turn = Rotation.from_matrix(step.rotation).as_rotvec()
     shift = step.apply_array(center_mm) - center_mm

@@ -1,4 +1,4 @@
-"""Estimates against the planted truth. Nothing here runs where a scenario carries none."""
+"""Estimates against the ground truth. Nothing here runs where a scenario carries none."""
 
 import itertools
 from collections.abc import Sequence
@@ -6,8 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, ImageMap, Rigid, ScenarioTruth, SurfaceSeries
-from dvf_ig.registration import ErrorSummary, summarise, target_errors_mm
+from dvf_ig.core import (
+    BoolArray,
+    ErrorSummary,
+    FloatArray,
+    ImageMap,
+    Rigid,
+    ScenarioTruth,
+    SurfaceSeries,
+    summarise_errors,
+)
+from dvf_ig.registration import target_errors_mm
 
 CONTACT_MM = 0.0
 """The tool is in contact where its tip truly is at or inside the true surface."""
@@ -25,12 +34,12 @@ class PhaseScore:
 
 @dataclass(frozen=True, slots=True)
 class ForceScore:
-    """Force error over ticks in contact with valid state, and how many contact ticks were served."""
+    """Force error over ticks in contact with valid state, and how many ticks in contact gave a force."""
 
     error_n_median: float
     error_n_p95: float
     contact_ticks: int
-    served_ticks: int
+    force_ticks: int
 
 
 def score_poses(
@@ -57,7 +66,7 @@ def score_poses(
     if not errors:
         return None
     pooled = np.repeat(np.concatenate(errors), np.repeat(weights, [len(e) for e in errors]))
-    return summarise(pooled), mean_mm
+    return summarise_errors(pooled), mean_mm
 
 
 def score_phase(
@@ -114,10 +123,10 @@ def score_force(
         force_n, true_force_n: (n, 3) in the tracker's frame.
         valid, contact: (n,).
     """
-    served = contact & valid & (np.linalg.norm(force_n, axis=1) > 0)
-    if not served.any():
+    with_force = contact & valid & (np.linalg.norm(force_n, axis=1) > 0)
+    if not with_force.any():
         return None
-    error = np.linalg.norm(force_n[served] - true_force_n[served], axis=1)
+    error = np.linalg.norm(force_n[with_force] - true_force_n[with_force], axis=1)
     return ForceScore(
-        float(np.median(error)), float(np.percentile(error, 95)), int(contact.sum()), int(served.sum())
+        float(np.median(error)), float(np.percentile(error, 95)), int(contact.sum()), int(with_force.sum())
     )

@@ -21,9 +21,9 @@ def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
             f"{1000 * est['lag_s']:.1f} ms",
             _error(None if lag_error_s is None else 1000 * lag_error_s, "{:+.2f} ms"),
         ),
-        *_clock_rows(result),
+        *_phase_rows(result),
         *_pose_rows(result),
-        *_following_rows(result),
+        *_update_rows(result),
         *_force_rows(result),
         ("time", f"{result['seconds']:.1f} s", ""),
     ]
@@ -33,7 +33,7 @@ def _error(value: float | None, form: str) -> str:
     return "" if value is None else form.format(value)
 
 
-def _clock_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
+def _phase_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     est, phase, surface = (
         result["estimates"],
         result["phase_error_percent_rr"],
@@ -80,7 +80,7 @@ def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _following_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
+def _update_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     seconds, drift = result["update_seconds"], result["drift_mm_per_min"]
     if seconds is None:
         return []
@@ -88,8 +88,8 @@ def _following_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     if drift is not None:
         text += f", drift {drift:.1f} mm/min"
     for begin_s, end_s in result["doubts_s"]:
-        text += f"; in doubt from {begin_s:.1f} to {end_s:.1f} s"
-    return [("tracking", text, "")]
+        text += f"; suspended from {begin_s:.1f} to {end_s:.1f} s"
+    return [("pose updates", text, "")]
 
 
 def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:

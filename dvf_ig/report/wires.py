@@ -86,8 +86,8 @@ def _spread(indices: AnyArray, most: int) -> list[int]:
 def _draw(axis: Axes, image: AnyArray, frame: WireFrame, number: int) -> None:
     axis.imshow(image, cmap="gray", vmin=0, vmax=max(32.0, float(np.percentile(image, 99.9))))
     axis.plot(*frame.dots.points_px.T, "o", mfc="none", mec=DOT, mew=0.7, ms=7)
-    if frame.refused is not None:
-        text = fill(f"frame {number}: {frame.refused.reason} ({frame.refused.detail})", 52)
+    if frame.rejected is not None:
+        text = fill(f"frame {number}: {frame.rejected.reason} ({frame.rejected.detail})", 52)
         axis.set_title(text, fontsize=8, color=REFUSED)
     if frame.found is None:
         return

@@ -52,9 +52,9 @@ def run_trials(
     folder: Path,
     *,
     workers: int = 1,
-    together: int = 1,
+    group_size: int = 1,
     scheduler: str | None = None,
-    report: Callable[[float], None] = lambda _: None,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> list[Line]:
     """The lines of all seeds, in their order; those already in the folder are not worked out again.
 
@@ -65,10 +65,10 @@ def run_trials(
         seeds: one a trial, none twice.
         folder: exists; gets study.json and trials.jsonl.
         workers: processes; 1 works in this one. Not used with a scheduler.
-        together: so many consecutive seeds, counted from the first, form a group; for trials that share
+        group_size: so many consecutive seeds, counted from the first, form a group; for trials that share
             costly preparation, which then stays in the process. What is done already is left out of a group.
         scheduler: address of a dask.distributed scheduler ("tcp://HOST:8786") whose workers do the groups.
-        report: told the share of the trials that is done.
+        progress: told the share of the trials that is done.
     Raises:
         InvalidInputError: a seed twice, no worker, an empty group, a folder that holds trials of another
             study, or no scheduler at the address.
@@ -76,25 +76,25 @@ def run_trials(
         DvfIgError: a worker process or the scheduler was lost; the lines done so far are kept.
         OutputError: the folder cannot be written.
     """
-    if len(set(seeds)) < len(seeds) or workers < 1 or together < 1:
+    if len(set(seeds)) < len(seeds) or workers < 1 or group_size < 1:
         raise InvalidInputError(
-            f"{len(seeds)} trials with {len(set(seeds))} different seeds, {together} together on {workers} "
-            "workers; needed different seeds, and at least 1 worker and 1 together"
+            f"{len(seeds)} trials with {len(set(seeds))} different seeds, in groups of {group_size} on "
+            f"{workers} workers; needed different seeds, and at least 1 worker and 1 trial in a group"
         )
-    _claim(study, folder)
+    _bind_folder(study, folder)
     path = folder / "trials.jsonl"
     done = {line["seed"]: line for line in _kept_lines(path)}
     _append(path, [])  # a file that cannot be written is found before the work
-    slices = [seeds[first : first + together] for first in range(0, len(seeds), together)]
-    rests = [[seed for seed in group if seed not in done] for group in slices]
-    groups = [group for group in rests if group]
+    whole = [seeds[first : first + group_size] for first in range(0, len(seeds), group_size)]
+    remaining = [[seed for seed in group if seed not in done] for group in whole]
+    groups = [group for group in remaining if group]
     missing = sum(map(len, groups))
-    report(1 - missing / max(1, len(seeds)))
+    progress(1 - missing / max(1, len(seeds)))
     for lines in _results(study, groups, workers, scheduler):
         _append(path, lines)
         done |= {line["seed"]: line for line in lines}
         missing -= len(lines)
-        report(1 - missing / len(seeds))
+        progress(1 - missing / len(seeds))
     return [done[seed] for seed in seeds]
 
 
@@ -124,9 +124,9 @@ def _local_results(study: Study, groups: Sequence[Seeds], workers: int) -> Itera
     if workers == 1 or len(groups) < 2:
         yield from ([_trial(study, seed)] for group in groups for seed in group)
         return
-    one, context = partial(_trials, study), get_context("spawn")
+    task, context = partial(_trials, study), get_context("spawn")
     with _one_thread_each(), ProcessPoolExecutor(workers, context, _end_with_parent) as pool:
-        waiting = [pool.submit(one, group) for group in groups]
+        waiting = [pool.submit(task, group) for group in groups]
         try:
             for future in as_completed(waiting):
                 yield future.result()
@@ -165,7 +165,7 @@ def _trial(study: Study, seed: int) -> Line:
     return line
 
 
-def _claim(study: Study, folder: Path) -> None:
+def _bind_folder(study: Study, folder: Path) -> None:
     """Write study.json, or make sure that the folder's is of this study."""
     path = folder / "study.json"
     wanted = plain({"study": study.name, "settings": study.settings})

@@ -52,7 +52,7 @@ class Ball:
         points = BALL_CENTER_MM + 50.0 * np.vstack([np.eye(3), -np.eye(3)])
         return Landmarks(tuple("abcdef"), Points("mr", points))
 
-    def preop(self, rng: np.random.Generator) -> Preop:
+    def preop(self) -> Preop:
         series = SurfaceSeries(
             "EPICARDIAL",
             "mr",
@@ -79,6 +79,7 @@ def ball() -> Ball:
 def on_a_ball(monkeypatch: pytest.MonkeyPatch, ball: Ball) -> None:
     """Scenarios are made on the ball, with black images."""
     monkeypatch.setattr(scenario_module, "phantom_anatomy", lambda **_: ball)
+    monkeypatch.setattr(scenario_module, "cine_preop", lambda *_: ball.preop())
     monkeypatch.setattr(scenario_module, "surface_anatomy", lambda *_, **__: ball)
     monkeypatch.setattr(
         live_module,
@@ -87,4 +88,4 @@ def on_a_ball(monkeypatch: pytest.MonkeyPatch, ball: Ball) -> None:
             (len(poses), probe.rows, probe.columns), dtype=np.uint8
         ),
     )
-    monkeypatch.setattr(live_module, "spoiled", lambda images, *_: images)
+    monkeypatch.setattr(live_module, "degraded", lambda images, *_: images)

@@ -47,7 +47,7 @@ def test_gaussian_stiffness_is_its_steepest_slope(m, c):
 
 @given(st.floats(0.5, 20.0))
 def test_both_forms_of_the_steepness_are_one(m):
-    """Theory writes n·u^(1−1/n)·e^(−u); with u = (n−1)/n the exponent 1 − 1/n is u itself."""
+    """c_m = n·u^u·e^(−u) with u = (n−1)/n (dvf_ig/docs/theory/fixtures.md)."""
     n = 2 * m
     u = (n - 1) / n
     assert gaussian_steepness(m) == pytest.approx(n * u ** (1 - 1 / n) * math.exp(-u), rel=1e-12)
@@ -104,7 +104,7 @@ def test_senseless_numbers_are_refused(make):
         make()
 
 
-def test_stiffness_cap_is_the_theory_s_gamma():
+def test_stiffness_cap_is_the_published_gamma():
     limits = DeviceLimits(stiffness_n_per_m=400.0)
     assert limits.checked(Sigmoid(2.66)).gamma_per_mm == 2.66
     with pytest.raises(

@@ -7,7 +7,16 @@ import pytest
 from scipy import ndimage
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import Grid, InvalidInputError, Landmarks, Points, Rigid, Stop, Volume
+from dvf_ig.core import (
+    Grid,
+    InvalidInputError,
+    Landmarks,
+    Points,
+    Rigid,
+    Stop,
+    Volume,
+    summarise_errors,
+)
 from dvf_ig.registration import (
     Level,
     RegistrationOptions,
@@ -18,7 +27,6 @@ from dvf_ig.registration import (
     register_pair,
     register_rigid,
     start_from_landmarks,
-    summarise,
     target_errors_mm,
 )
 
@@ -127,7 +135,7 @@ def test_target_error_of_a_known_shift_composes_and_is_frame_invariant() -> None
     turn, shift = pose_difference(shifted, truth, CENTER_MM)
     assert turn == pytest.approx(0.0, abs=1e-5)
     np.testing.assert_allclose(shift, [0, 3, 4], atol=1e-9)
-    summary = summarise(np.array([1.0, 2.0, 3.0, 10.0]))
+    summary = summarise_errors(np.array([1.0, 2.0, 3.0, 10.0]))
     assert (summary.median, summary.max, summary.n) == (2.5, 10.0, 4)
 
 

@@ -5,7 +5,13 @@ import pytest
 
 from dvf_ig.core import Rigid
 from dvf_ig.registration import BeatLook, Belief
-from dvf_ig.replay.registration_monitor import CONFIRMING, EXPLAINED, SURPRISE, Trust
+from dvf_ig.replay.refusal import Refusal, Refused
+from dvf_ig.replay.registration_monitor import (
+    CONFIRMING_BEATS,
+    CONSISTENT_LOG_RATIO,
+    SUSPEND_LOG_RATIO,
+    RegistrationMonitor,
+)
 
 CENTER = np.array([10.0, -20.0, 30.0])
 
@@ -15,8 +21,8 @@ def at(mm: float, sigma_mm: float = 0.4) -> Belief:
     return Belief(pose, sigma_mm**2 * np.eye(6), CENTER)
 
 
-def look(surprise: float, *, off_mm: float = 0.0) -> BeatLook:
-    """A beat that would have the pose `off_mm` further along x, seen as well as the pose is known."""
+def measured(surprise: float, *, off_mm: float = 0.0) -> BeatLook:
+    """A beat that matches best `off_mm` further along x, as precise as the pose is known."""
     information = np.eye(6) / 0.4**2
     offset = np.array([0, 0, 0, off_mm, 0, 0])
     pose = at(0.0).pose
@@ -34,92 +40,97 @@ def look(surprise: float, *, off_mm: float = 0.0) -> BeatLook:
     )
 
 
-def guided(mm: float = 0.0) -> Trust:
-    trust, reason = Trust(CENTER, landmarks=None).registered(at(mm), 0)
-    assert "waits for heart beats" in reason
-    for _ in range(CONFIRMING):
-        assert trust.guiding is None
-        trust = trust.saw(look(1.0))
-    assert trust.guiding is not None
-    return trust
+def in_use(mm: float = 0.0) -> RegistrationMonitor:
+    monitor, refused = RegistrationMonitor(CENTER, landmarks=None).after_registration(at(mm), 0)
+    assert refused == Refused(Refusal.UNCONFIRMED)
+    for _ in range(CONFIRMING_BEATS):
+        assert monitor.in_use is None
+        monitor = monitor.after_beat(measured(1.0))
+    assert monitor.in_use is not None
+    return monitor
 
 
-def along(trust: Trust) -> float:
-    assert trust.guiding is not None
-    return float(trust.guiding.pose.translation_mm[0])
+def along(monitor: RegistrationMonitor) -> float:
+    assert monitor.in_use is not None
+    return float(monitor.in_use.pose.translation_mm[0])
 
 
-def test_a_first_pose_guides_once_beats_confirm_it() -> None:
-    assert along(guided(1.0)) == pytest.approx(1.0)
+def test_a_first_pose_is_used_once_beats_confirm_it() -> None:
+    assert along(in_use(1.0)) == pytest.approx(1.0)
 
 
 def test_a_contradicted_registration_is_dropped_and_the_next_needs_more() -> None:
-    trust, _ = Trust(CENTER, landmarks=None).registered(at(0.0), 0)
-    for surprise in (1.0, 1.0, EXPLAINED + 0.1):
-        trust = trust.saw(look(surprise))
-    assert trust.on_trial is None
-    trust, _ = trust.registered(at(0.5), 0)
-    for _ in range(2 * CONFIRMING):
-        assert trust.guiding is None
-        trust = trust.saw(look(1.0))
-    assert trust.guiding is not None
-    assert trust.confirming == CONFIRMING
+    monitor, _ = RegistrationMonitor(CENTER, landmarks=None).after_registration(at(0.0), 0)
+    for surprise in (1.0, 1.0, CONSISTENT_LOG_RATIO + 0.1):
+        monitor = monitor.after_beat(measured(surprise))
+    assert monitor.under_test is None
+    monitor, _ = monitor.after_registration(at(0.5), 0)
+    for _ in range(2 * CONFIRMING_BEATS):
+        assert monitor.in_use is None
+        monitor = monitor.after_beat(measured(1.0))
+    assert monitor.in_use is not None
+    assert monitor.needed_beats == CONFIRMING_BEATS
 
 
 @pytest.mark.parametrize("landmarks", [None, at(3.0).pose])
-def test_landmarks_are_asked_where_there_are_any(landmarks: Rigid | None) -> None:
-    trust, reason = Trust(CENTER, landmarks).registered(at(9.0), 0)
-    assert (trust.candidate is None) == (landmarks is not None)
-    assert ("6.0 mm" in reason) == (landmarks is not None)
+def test_landmarks_are_compared_where_there_are_any(landmarks: Rigid | None) -> None:
+    monitor, refused = RegistrationMonitor(CENTER, landmarks).after_registration(at(9.0), 0)
+    assert refused is not None
+    assert (monitor.pending is None) == (landmarks is not None)
+    assert (refused.cause is Refusal.LANDMARKS_DISAGREE) == (landmarks is not None)
+    assert ("6.0 mm" in refused.sentence) == (landmarks is not None)
 
 
-def test_landmarks_are_not_asked_again_after_a_patient_moved() -> None:
-    trust, _ = Trust(CENTER, landmarks=at(0.0).pose).registered(at(0.5), 0)
-    for _ in range(CONFIRMING):
-        trust = trust.saw(look(1.0))
-    trust, reason = trust.saw(look(20.0)).registered(at(9.0), 0)
-    assert "waits for heart beats" in reason
-    assert trust.candidate is not None
+def test_landmarks_are_not_compared_again_after_a_patient_moved() -> None:
+    monitor, _ = RegistrationMonitor(CENTER, landmarks=at(0.0).pose).after_registration(at(0.5), 0)
+    for _ in range(CONFIRMING_BEATS):
+        monitor = monitor.after_beat(measured(1.0))
+    monitor, refused = monitor.after_beat(measured(20.0)).after_registration(at(9.0), 0)
+    assert refused == Refused(Refusal.UNCONFIRMED)
+    assert monitor.pending is not None
 
 
-def test_a_beat_that_is_not_explained_stops_guidance_at_once() -> None:
-    trust = guided().saw(look(SURPRISE + 0.1, off_mm=8.0))
-    assert trust.guiding is None
-    assert trust.on_trial is not None
-    assert trust.on_trial.pose.translation_mm[0] == pytest.approx(0.0, abs=1e-9)
-    assert guided().saw(look(SURPRISE - 0.1)).guiding is not None
+def test_a_beat_that_disagrees_suspends_the_pose_at_once() -> None:
+    monitor = in_use().after_beat(measured(SUSPEND_LOG_RATIO + 0.1, off_mm=8.0))
+    assert monitor.in_use is None
+    assert monitor.under_test is not None
+    assert monitor.under_test.pose.translation_mm[0] == pytest.approx(0.0, abs=1e-9)
+    assert in_use().after_beat(measured(SUSPEND_LOG_RATIO - 0.1)).in_use is not None
 
 
-def test_a_false_alarm_ends_when_beats_explain_the_pose_again() -> None:
-    trust = guided().saw(look(SURPRISE + 1.0))
-    for _ in range(CONFIRMING):
-        assert trust.guiding is None
-        trust = trust.saw(look(0.5))
-    assert along(trust) == pytest.approx(0.0, abs=1e-9)
+def test_a_false_alarm_ends_when_beats_agree_with_the_pose_again() -> None:
+    monitor = in_use().after_beat(measured(SUSPEND_LOG_RATIO + 1.0))
+    for _ in range(CONFIRMING_BEATS):
+        assert monitor.in_use is None
+        monitor = monitor.after_beat(measured(0.5))
+    assert along(monitor) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_patient_who_moved_is_found_and_confirmed() -> None:
-    trust, reason = guided().saw(look(20.0, off_mm=8.0)).registered(at(8.0), 0)
-    assert "waits for heart beats" in reason
-    for _ in range(CONFIRMING):
-        trust = trust.saw(look(1.0))
-    assert along(trust) == pytest.approx(8.0)
+    suspended = in_use().after_beat(measured(20.0, off_mm=8.0))
+    monitor, refused = suspended.after_registration(at(8.0), 0)
+    assert refused == Refused(Refusal.UNCONFIRMED)
+    for _ in range(CONFIRMING_BEATS):
+        monitor = monitor.after_beat(measured(1.0))
+    assert along(monitor) == pytest.approx(8.0)
 
 
-def test_a_registration_elsewhere_stops_guidance_until_confirmed() -> None:
-    trust, reason = guided().registered(at(3.0), 0)
-    assert "moved by 3.0 mm" in reason
-    assert trust.guiding is None
-    for _ in range(CONFIRMING):
-        trust = trust.saw(look(1.0))
-    assert along(trust) == pytest.approx(3.0)
+def test_a_registration_elsewhere_suspends_the_pose_until_confirmed() -> None:
+    monitor, refused = in_use().after_registration(at(3.0), 0)
+    assert refused is not None
+    assert refused.cause is Refusal.MOVED
+    assert "moved by 3.0 mm" in refused.sentence
+    assert monitor.in_use is None
+    for _ in range(CONFIRMING_BEATS):
+        monitor = monitor.after_beat(measured(1.0))
+    assert along(monitor) == pytest.approx(3.0)
 
 
 def test_beats_and_registrations_move_the_pose_by_their_weight() -> None:
     """Equal covariances meet half-way; an older registration counts for less."""
-    trust = Trust(CENTER, None, belief=at(0.0), doubtful=False)
-    now, reason = trust.registered(at(1.0), 0)
-    assert reason == ""
+    monitor = RegistrationMonitor(CENTER, None, estimate=at(0.0), suspended=False)
+    now, refused = monitor.after_registration(at(1.0), 0)
+    assert refused is None
     assert along(now) == pytest.approx(0.5)
-    assert 0.0 < along(trust.registered(at(1.0), 20)[0]) < 0.5
-    assert 0.5 < along(trust.saw(look(2.0, off_mm=1.0))) < 0.55
+    assert 0.0 < along(monitor.after_registration(at(1.0), 20)[0]) < 0.5
+    assert 0.5 < along(monitor.after_beat(measured(2.0, off_mm=1.0))) < 0.55

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from dvf_ig.core import Rigid
 from dvf_ig.registration import distance_between
-from dvf_ig.replay.schedule import STEP_S, UPDATE_MM_PER_S, pose_schedule, withheld
+from dvf_ig.replay.schedule import STEP_S, UPDATE_MM_PER_S, pose_schedule, suspended_at
 
 CENTER_MM = np.array([20.0, -30.0, 100.0])
 START = Rigid.from_rotation_vector([0.5, 0.2, -0.4], [300.0, -200.0, 500.0], "mr", "tracker")
@@ -37,16 +37,16 @@ def test_the_first_pose_is_used_at_once() -> None:
     assert pose_schedule([], CENTER_MM) == ()
 
 
-def test_after_doubt_a_pose_is_in_use_at_once() -> None:
+def test_after_a_suspension_a_pose_is_in_use_at_once() -> None:
     moved = START.perturbed_left([0.0, 0.0, 0.0], [8.0, 0.0, 0.0], CENTER_MM)
     updates = [(3.0, START), (10.0, None), (15.0, moved)]
     assert pose_schedule(updates, CENTER_MM) == ((3.0, START), (15.0, moved))
     ticks = np.array([2.9, 3.0, 9.9, 10.0, 14.9, 15.0])
-    np.testing.assert_array_equal(withheld(updates, ticks), [True, False, False, True, True, False])
-    assert withheld([], ticks).all()
+    np.testing.assert_array_equal(suspended_at(updates, ticks), [True, False, False, True, True, False])
+    assert suspended_at([], ticks).all()
 
 
-def test_doubt_stops_a_motion_under_way() -> None:
+def test_a_suspension_stops_a_motion_under_way() -> None:
     moved = START.perturbed_left([0.0, 0.0, 0.0], [8.0, 0.0, 0.0], CENTER_MM)
     poses = pose_schedule([(3.0, START), (10.0, moved), (10.1, None)], CENTER_MM)
     assert max(start_s for start_s, _ in poses) < 10.1

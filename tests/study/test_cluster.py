@@ -45,7 +45,7 @@ def test_the_lines_are_those_of_this_machine(cluster: Any, tmp_path: Path) -> No
     run_trials(study, [3], remote)
     shares: list[float] = []
     lines = run_trials(
-        study, range(1, 9), remote, together=4, scheduler=cluster.scheduler_address, report=shares.append
+        study, range(1, 9), remote, group_size=4, scheduler=cluster.scheduler_address, progress=shares.append
     )
     assert lines == run_trials(study, range(1, 9), local)
     assert lines[4] == {"seed": 5, "refused": "seed 5 is refused"}
@@ -67,7 +67,9 @@ def test_a_worker_killed_in_the_middle_loses_nothing(cluster: Any, tmp_path: Pat
 
     study = Study("whereabouts", {"seconds": 0.05}, whereabouts)
     address = cluster.scheduler_address
-    lines = run_trials(study, range(48), tmp_path, together=3, scheduler=address, report=kill_in_the_middle)
+    lines = run_trials(
+        study, range(48), tmp_path, group_size=3, scheduler=address, progress=kill_in_the_middle
+    )
     assert [line["seed"] for line in lines] == list(range(48))
     assert sorted(line["seed"] for line in lines_on_disk(tmp_path)) == list(range(48))
     groups = [{line["process"] for line in lines[first : first + 3]} for first in range(0, 48, 3)]
@@ -98,7 +100,7 @@ def test_a_lost_scheduler_is_told_and_what_was_done_is_kept(tmp_path: Path) -> N
                 cluster.close()
 
         with pytest.raises(DvfIgError, match="was lost; the trials done so far are kept"):
-            run_trials(study, range(40), tmp_path, scheduler=cluster.scheduler_address, report=stop)
+            run_trials(study, range(40), tmp_path, scheduler=cluster.scheduler_address, progress=stop)
     assert len(lines_on_disk(tmp_path)) >= 4
 
 

@@ -18,7 +18,7 @@ def forbidden(settings: Settings, seed: int) -> Line:
 
 def test_lines_come_in_the_order_of_the_seeds_and_refusals_are_lines(tmp_path: Path) -> None:
     shares: list[float] = []
-    lines = run_trials(STUDY, [7, 5, 6], tmp_path, report=shares.append)
+    lines = run_trials(STUDY, [7, 5, 6], tmp_path, progress=shares.append)
     assert lines == [
         {"seed": 7, "value": 21},
         {"seed": 5, "refused": "seed 5 is refused"},
@@ -43,7 +43,7 @@ def test_a_group_stays_in_one_process_also_after_a_kill(tmp_path: Path) -> None:
     study = Study("whereabouts", {"seconds": 0.01}, whereabouts)
     run_trials(study, [1, 4], tmp_path)
     shares: list[float] = []
-    lines = run_trials(study, range(8), tmp_path, workers=2, together=4, report=shares.append)
+    lines = run_trials(study, range(8), tmp_path, workers=2, group_size=4, progress=shares.append)
     assert [line["seed"] for line in lines] == list(range(8))
     processes = [line["process"] for line in lines]
     assert processes[1] == processes[4]
@@ -77,8 +77,8 @@ def test_a_folder_holds_one_study(tmp_path: Path) -> None:
 def test_misuse_and_damage_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="different seeds"):
         run_trials(STUDY, [1, 1], tmp_path)
-    with pytest.raises(InvalidInputError, match="0 together"):
-        run_trials(STUDY, [1], tmp_path, together=0)
+    with pytest.raises(InvalidInputError, match="groups of 0"):
+        run_trials(STUDY, [1], tmp_path, group_size=0)
     (tmp_path / "trials.jsonl").write_text("{broken\n")
     with pytest.raises(InvalidInputError, match="damaged"):
         run_trials(STUDY, [1], tmp_path)

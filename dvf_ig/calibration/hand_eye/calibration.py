@@ -10,6 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.random import Generator
 
+from dvf_ig.calibration.inliers import Consensus, InlierRule, fit_inliers
 from dvf_ig.calibration.pivot.pivot import rotation_span_deg
 from dvf_ig.core import (
     BoolArray,
@@ -23,7 +24,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.rigid import nearest_rotation
 
-from .fit import Chain, refine
+from .fit import Chain, ChainFit, refine
 
 HandEyeMethod = Literal["tsai", "park", "horaud", "andreff", "daniilidis", "shah", "li"]
 HAND_EYE_METHODS: tuple[HandEyeMethod, ...] = get_args(HandEyeMethod)
@@ -42,10 +43,10 @@ class HandEyeOptions:
             shah, li (robot–world and hand–eye together).
         consensus_mm, consensus_deg: a pose supports a hypothesis that places the target within both.
         hypotheses: four-pose samples drawn.
-        keep_sigma: poses within this many robust sigmas take part in the last fit.
+        keep_sigma: pairs within this many robust standard deviations are inliers.
         min_span_deg: smallest accepted largest rotation between two poses of the hand.
         min_axis_spread: smallest accepted ratio of the second to the first principal size of the hand's
-            rotation vectors; 0 where all turns are about one axis, which leaves the shift along it open.
+            rotation vectors; 0 where all rotations are about one axis, which leaves the shift along it open.
         min_inlier_share: smallest accepted share of pairs that agree.
     """
 
@@ -117,7 +118,8 @@ def calibrate_hand_eye(
     options = options or HandEyeOptions()
     chain, t_s = _paired(base_from_hand, camera_from_target)
     _refuse_still(chain, base_from_hand.name, options)
-    keep = _agreeing(chain, _closed_form(options.method), rng, options)
+    agreed = _inliers(chain, _closed_form(options.method), rng, options)
+    keep, fitted = agreed.inliers, agreed.model
     if keep.sum() < max(3, options.min_inlier_share * len(t_s)):
         raise QualityGateError(
             f"only {int(keep.sum())} of {len(t_s)} pairs agree on one place of '{camera_from_target.target}' "
@@ -125,8 +127,12 @@ def calibrate_hand_eye(
             f"{options.min_inlier_share:.0%}; check that the target stood still and that both clocks are one"
         )
     span, spread = _refuse_still(chain.part(keep), base_from_hand.name, options)
-    fitted = refine(chain.part(keep), _closed_form(options.method)(chain.part(keep)))
-    mm, degrees = chain.misses(fitted.hand_from_camera, fitted.base_from_target)
+    if fitted is None:
+        raise QualityGateError(
+            f"method '{options.method}' finds no place of '{camera_from_target.target}' from the "
+            f"{int(keep.sum())} pairs that agree; try another method"
+        )
+    mm, degrees = chain.residuals(fitted.hand_from_camera, fitted.base_from_target)
     return HandEyeResult(
         hand_from_camera=Rigid.from_matrix(
             fitted.hand_from_camera, base_from_hand.source, camera_from_target.target
@@ -192,10 +198,10 @@ def _refuse_still(chain: Chain, name: str, options: HandEyeOptions) -> tuple[flo
     return span, spread
 
 
-def _agreeing(
+def _inliers(
     chain: Chain, solve: Callable[[Chain], FloatArray], rng: Generator, options: HandEyeOptions
-) -> BoolArray:
-    """(n,) pairs that agree with the best-supported hypothesis, refitted until the set stands still."""
+) -> Consensus[ChainFit]:
+    """The fit to all inliers, from those of the best-supported of the closed forms of random samples."""
     best, lowest = np.ones(len(chain), dtype=np.bool_), np.inf
     for _ in range(options.hypotheses if len(chain) > _SAMPLE else 1):
         sample = rng.permutation(len(chain))[:_SAMPLE]
@@ -209,35 +215,26 @@ def _agreeing(
         cost = float(np.minimum(excess, 1.0).sum())
         if cost < lowest:
             best, lowest = excess <= 1.0, cost
-    keep = best
-    for _ in range(20):
-        if keep.sum() < 3 or chain.part(keep).axis_spread() < options.min_axis_spread:
-            break
-        start = solve(chain.part(keep))
-        if not np.isfinite(start).all():
-            return np.zeros(len(chain), dtype=np.bool_)
-        fitted = refine(chain.part(keep), start)
-        again = _near(chain, fitted.hand_from_camera, fitted.base_from_target, keep, options)
-        if np.array_equal(again, keep):
-            break
-        keep = again
-    return keep
+
+    def fit(keep: BoolArray, _: ChainFit | None) -> ChainFit | None:
+        part = chain.part(keep)
+        if part.axis_spread() < options.min_axis_spread:
+            return None
+        start = solve(part)
+        return refine(part, start) if np.isfinite(start).all() else None
+
+    return fit_inliers(
+        fit,
+        lambda fitted: chain.residuals(fitted.hand_from_camera, fitted.base_from_target),
+        best,
+        InlierRule(options.keep_sigma, scale_from_inliers=True),
+    )
 
 
 def _excess(chain: Chain, hand_from_camera: FloatArray, options: HandEyeOptions) -> FloatArray:
-    """(n,) squared miss of each pair over the consensus limits; 1 at the limit."""
-    mm, degrees = chain.misses(hand_from_camera, chain.middle_target(hand_from_camera))
+    """(n,) squared residual of each pair over the consensus limits; 1 at the limit."""
+    mm, degrees = chain.residuals(hand_from_camera, chain.middle_target(hand_from_camera))
     return np.maximum(mm / options.consensus_mm, degrees / options.consensus_deg) ** 2
-
-
-def _near(
-    chain: Chain, hand_from_camera: FloatArray, base_from_target: FloatArray, keep: BoolArray,
-    options: HandEyeOptions,
-) -> BoolArray:  # fmt: skip
-    mm, degrees = chain.misses(hand_from_camera, base_from_target)
-    # a median of 3-D lengths is 1.5382 sigma of one coordinate
-    limits = [max(options.keep_sigma * float(np.median(miss[keep])) / 1.5382, 1e-6) for miss in (mm, degrees)]
-    return (mm <= limits[0]) & (degrees <= limits[1])
 
 
 def _closed_form(method: HandEyeMethod) -> Callable[[Chain], FloatArray]:
@@ -265,12 +262,12 @@ def _opencv(chain: Chain, method: HandEyeMethod) -> tuple[FloatArray, FloatArray
     try:
         if method not in _ROBOT_WORLD:
             kind = getattr(cv2, f"CALIB_HAND_EYE_{method.upper()}")
-            turn, shift = cv2.calibrateHandEye(*held, *seen, method=kind)
-            return np.asarray(turn), np.ravel(shift)
-        turned = np.swapaxes(chain.hand_rotations, 1, 2)
-        shifted = -np.einsum("nij,nj->ni", turned, chain.hand_translations)
+            rotation, shift = cv2.calibrateHandEye(*held, *seen, method=kind)
+            return np.asarray(rotation), np.ravel(shift)
+        inverse = np.swapaxes(chain.hand_rotations, 1, 2)
+        shifted = -np.einsum("nij,nj->ni", inverse, chain.hand_translations)
         kind = getattr(cv2, f"CALIB_ROBOT_WORLD_HAND_EYE_{method.upper()}")
-        found = cv2.calibrateRobotWorldHandEye(*seen, list(turned), list(shifted), method=kind)
+        found = cv2.calibrateRobotWorldHandEye(*seen, list(inverse), list(shifted), method=kind)
     except cv2.error:
         return np.full((3, 3), np.nan), np.full(3, np.nan)
     hand_from_camera = np.asarray(found[2]).T

@@ -1,4 +1,4 @@
-"""The chain base ← hand ← camera ← target of a hand–eye calibration: its misses and its fit."""
+"""The chain base ← hand ← camera ← target of a hand–eye calibration: its residuals and its fit."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -59,21 +59,21 @@ class Chain:
         out[:3, 3] = center
         return out
 
-    def misses(
+    def residuals(
         self, hand_from_camera: FloatArray, base_from_target: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """(n,) distance, mm, and angle, degrees, of each pair's target from base_from_target."""
-        turn, shift = self.errors(hand_from_camera, base_from_target)
-        return np.linalg.norm(shift, axis=1), np.degrees(np.linalg.norm(turn, axis=1))
+        rotation, shift = self.errors(hand_from_camera, base_from_target)
+        return np.linalg.norm(shift, axis=1), np.degrees(np.linalg.norm(rotation, axis=1))
 
     def errors(
         self, hand_from_camera: FloatArray, base_from_target: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """(n, 3) rotation vectors, rad, and (n, 3) shifts, mm, of each pair's target, in its axes."""
         rotations, translations = self.targets(hand_from_camera)
-        turn = base_from_target[:3, :3].T @ rotations
+        rotation = base_from_target[:3, :3].T @ rotations
         shift = (translations - base_from_target[:3, 3]) @ base_from_target[:3, :3]
-        return Rotation.from_matrix(turn).as_rotvec(), shift
+        return Rotation.from_matrix(rotation).as_rotvec(), shift
 
 
 @read_only_arrays
@@ -93,8 +93,8 @@ def refine(chain: Chain, hand_from_camera: FloatArray) -> ChainFit:
     """
     camera, target = hand_from_camera, chain.middle_target(hand_from_camera)
     for _ in range(2):
-        turn, shift = chain.errors(camera, target)
-        scales = [max(float(np.sqrt((error**2).mean())), 1e-9) for error in (turn, shift)]
+        errors = chain.errors(camera, target)
+        scales = [max(float(np.sqrt((error**2).mean())), 1e-9) for error in errors]
         solved = least_squares(_stacked, np.zeros(12), args=(chain, camera, target, scales), x_scale="jac")
         camera, target = _moved(camera, solved.x[:6]), _moved(target, solved.x[6:])
     freedom = max(1, solved.fun.size - 12)
@@ -106,8 +106,8 @@ def refine(chain: Chain, hand_from_camera: FloatArray) -> ChainFit:
 def _stacked(
     step: FloatArray, chain: Chain, camera: FloatArray, target: FloatArray, scales: list[float]
 ) -> FloatArray:
-    turn, shift = chain.errors(_moved(camera, step[:6]), _moved(target, step[6:]))
-    return np.concatenate([turn.ravel() / scales[0], shift.ravel() / scales[1]])
+    rotation, shift = chain.errors(_moved(camera, step[:6]), _moved(target, step[6:]))
+    return np.concatenate([rotation.ravel() / scales[0], shift.ravel() / scales[1]])
 
 
 def _moved(matrix: FloatArray, step: FloatArray) -> FloatArray:

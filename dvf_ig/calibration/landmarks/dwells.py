@@ -1,10 +1,10 @@
-"""Dwell detection: where a stylus rested on a landmark, or pivoted in its divot."""
+"""Dwell detection: where a stylus was held still on a landmark, or pivoted in its divot."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.calibration.probe.nwire_geometry import MEDIAN_NORM_PER_SIGMA
+from dvf_ig.calibration.inliers import MEDIAN_LENGTH, InlierRule, fit_inliers
 from dvf_ig.core import (
     BoolArray,
     FloatArray,
@@ -17,35 +17,35 @@ from dvf_ig.core import (
 )
 
 KEEP_SIGMA = 3.0
-"""Samples within this many robust sigmas of their dwell's pivot take part in the check of a tip."""
+"""Samples within this many robust standard deviations of their dwell's pivot take part in `check_tip`."""
 
 
 @dataclass(frozen=True, slots=True)
 class DwellOptions:
-    """When a stylus counts as resting on a landmark.
+    """When a stylus dwells on a landmark.
 
     Attributes:
         radius_mm: the tip stays within this distance of its running mean (PLUS: 1.5 mm).
         min_s: for at least this long.
         merge_mm: dwells closer than this, one after the other, are one landmark.
-        keep_medians: samples up to this many median distances from a dwell's centre belong to it; 2.5 are
-            3.8 standard deviations of isotropic noise, and take in all of a wobble but not the approach.
+        keep_sigma: samples within this many robust standard deviations of a dwell's centre belong to it; 3.8
+            (2.5 median distances) take in all of a wobble but not the approach.
     """
 
     radius_mm: float = 1.5
     min_s: float = 1.5
     merge_mm: float = 5.0
-    keep_medians: float = 2.5
+    keep_sigma: float = 2.5 * MEDIAN_LENGTH
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Dwells:
-    """Places where a tip rested.
+    """Places where a tip dwelt.
 
     Attributes:
         points: (n, 3) mean tip positions, in order of time.
-        start_s, stop_s: (n,) when each rest began and ended.
+        start_s, stop_s: (n,) when each dwell began and ended.
         samples: (n,) samples in each.
         spread_mm: (n,) root mean square distance of those samples from the point.
     """
@@ -91,7 +91,7 @@ def tip_positions(poses: PoseStream, tip: Points) -> tuple[FloatArray, Points]:
 
 
 def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = None) -> Dwells:
-    """Where a tip rested, one after the other.
+    """Dwells of a tip, one after the other.
 
     A dwell's position is the mean, not the median, of its samples: while a stylus pivots in a divot an error
     of its tip moves the tip on an orbit, and the mean over the orbit is where that error cancels.
@@ -100,7 +100,7 @@ def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = 
         t_s: (n,) times; tip: (n, 3) positions in a frame in which the landmarks stand still.
         options: see DwellOptions.
     Raises:
-        QualityGateError: the tip never rested.
+        QualityGateError: the tip never dwelt.
     """
     options = options or DwellOptions()
     runs = _merged(_still_runs(t_s, tip.xyz_mm, options), tip.xyz_mm, options)
@@ -109,7 +109,7 @@ def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = 
             f"the tip never rested within {options.radius_mm:g} mm for {options.min_s:g} s; hold it on each "
             "landmark for a few seconds"
         )
-    kept = [_settled(k, runs, tip.xyz_mm, options) for k in range(len(runs))]
+    kept = [_samples(k, runs, tip.xyz_mm, options) for k in range(len(runs))]
     centers = np.array([tip.xyz_mm[run].mean(axis=0) for run in kept])
     spread = [_spread(tip.xyz_mm[run] - c) for run, c in zip(kept, centers, strict=True)]
     return Dwells(
@@ -128,38 +128,44 @@ def check_tip(poses: PoseStream, tip: Points, dwells: Dwells) -> TipCheck:
     one pivot a dwell. Samples of the approach, further than KEEP_SIGMA from their pivot, are left out. Of a
     stylus that was hardly turned the smallest shift that explains the samples is taken.
     """
-    pieces = []
+    dwelt = []
     for start, stop in zip(dwells.start_s, dwells.stop_s, strict=True):
         inside = poses.valid & (poses.t_s >= start) & (poses.t_s <= stop)
         rotations = poses.rotations[inside]
-        pieces.append((rotations, rotations @ tip.xyz_mm[0] + poses.translations_mm[inside]))
-    keep = [np.ones(len(placed), dtype=np.bool_) for _, placed in pieces]
-    for _ in range(20):
-        shift, left = _common_shift(pieces, keep)
-        sigma = float(np.median(np.concatenate(left)[np.concatenate(keep)])) / MEDIAN_NORM_PER_SIGMA
-        again = [distance <= max(KEEP_SIGMA * sigma, 1e-6) for distance in left]
-        if all(np.array_equal(a, b) for a, b in zip(again, keep, strict=True)):
-            break
-        keep = again
-    before = _common_shift(pieces, keep, solve=False)[1]
-    spreads = [float(np.sqrt((np.concatenate(d)[np.concatenate(keep)] ** 2).mean())) for d in (before, left)]
+        dwelt.append((rotations, rotations @ tip.xyz_mm[0] + poses.translations_mm[inside]))
+    ends = np.cumsum([len(placed) for _, placed in dwelt])
+
+    def fit(keep: BoolArray, _: _Pivots | None) -> _Pivots:
+        return _common_shift(dwelt, np.split(keep, ends[:-1]))
+
+    rule = InlierRule(KEEP_SIGMA, scale_from_inliers=True)
+    agreed = fit_inliers(fit, lambda found: [found[1]], np.ones(ends[-1], dtype=np.bool_), rule)
+    keep = agreed.inliers
+    shift, after = fit(keep, None) if agreed.model is None else agreed.model
+    before = _common_shift(dwelt, np.split(keep, ends[:-1]), solve=False)[1]
+    spreads = [float(np.sqrt((distance[keep] ** 2).mean())) for distance in (before, after)]
     return TipCheck(shift, spreads[0], spreads[1])
 
 
+_Pivots = tuple[FloatArray, FloatArray]
+"""(3,) shift of the tip, and (n,) distance of each sample from the pivot of its dwell."""
+
+
 def _common_shift(
-    pieces: list[tuple[FloatArray, FloatArray]], keep: list[BoolArray], *, solve: bool = True
-) -> tuple[FloatArray, list[FloatArray]]:
-    """(3,) shift of the tip (zero unless solved for) and each sample's distance from its dwell's pivot."""
+    dwelt: list[tuple[FloatArray, FloatArray]], keep: list[BoolArray], *, solve: bool = True
+) -> _Pivots:
+    """Shift of the tip (zero unless solved for) from the kept samples, and the distances of all."""
     # each pivot is eliminated by taking the kept samples of its dwell from their mean
-    means = [(r[k].mean(axis=0), p[k].mean(axis=0)) for (r, p), k in zip(pieces, keep, strict=True)]
-    turned = [r - mean for (r, _), (mean, _) in zip(pieces, means, strict=True)]
-    placed = [p - mean for (_, p), (_, mean) in zip(pieces, means, strict=True)]
+    means = [(r[k].mean(axis=0), p[k].mean(axis=0)) for (r, p), k in zip(dwelt, keep, strict=True)]
+    rotated = [r - mean for (r, _), (mean, _) in zip(dwelt, means, strict=True)]
+    placed = [p - mean for (_, p), (_, mean) in zip(dwelt, means, strict=True)]
     shift = np.zeros(3)
     if solve:
-        matrix = np.concatenate([r[k].reshape(-1, 3) for r, k in zip(turned, keep, strict=True)])
+        matrix = np.concatenate([r[k].reshape(-1, 3) for r, k in zip(rotated, keep, strict=True)])
         side = np.concatenate([p[k].ravel() for p, k in zip(placed, keep, strict=True)])
         shift = np.linalg.lstsq(matrix, -side, rcond=0.02)[0]
-    return shift, [np.linalg.norm(r @ shift + p, axis=1) for r, p in zip(turned, placed, strict=True)]
+    distances = [np.linalg.norm(r @ shift + p, axis=1) for r, p in zip(rotated, placed, strict=True)]
+    return shift, np.concatenate(distances)
 
 
 def _spread(offsets_mm: FloatArray) -> float:
@@ -167,7 +173,7 @@ def _spread(offsets_mm: FloatArray) -> float:
 
 
 def _still_runs(t_s: FloatArray, xyz_mm: FloatArray, options: DwellOptions) -> list[IntArray]:
-    """Maximal stretches that stay within the radius of their own running mean."""
+    """Maximal runs of samples that stay within the radius of their own running mean."""
     runs: list[IntArray] = []
     start, total = 0, xyz_mm[0].copy()
     for i in range(1, len(xyz_mm) + 1):
@@ -195,20 +201,18 @@ def _merged(runs: list[IntArray], xyz_mm: FloatArray, options: DwellOptions) -> 
     return out
 
 
-def _settled(k: int, runs: list[IntArray], xyz_mm: FloatArray, options: DwellOptions) -> IntArray:
-    """Samples of dwell k, between its neighbours, once centre and reach agree with one another.
+def _samples(k: int, runs: list[IntArray], xyz_mm: FloatArray, options: DwellOptions) -> IntArray:
+    """Samples of dwell k, between its neighbours: the inliers about their own mean.
 
     A run depends on where its running mean began; this set does not.
     """
     first = runs[k - 1][-1] + 1 if k else 0
     stop = runs[k + 1][0] if k + 1 < len(runs) else len(xyz_mm)
     candidates = np.arange(first, stop)
-    keep = np.isin(candidates, runs[k])
-    for _ in range(50):
-        center = xyz_mm[candidates[keep]].mean(axis=0)
-        distance = np.linalg.norm(xyz_mm[candidates] - center, axis=1)
-        again = distance <= options.keep_medians * float(np.median(distance[keep]))
-        if not again.any() or np.array_equal(again, keep):
-            break
-        keep = again
-    return candidates[keep]
+    found = fit_inliers(
+        lambda keep, _: xyz_mm[candidates[keep]].mean(axis=0),
+        lambda center: [np.linalg.norm(xyz_mm[candidates] - center, axis=1)],
+        np.isin(candidates, runs[k]),
+        InlierRule(options.keep_sigma, scale_from_inliers=True),
+    )
+    return candidates[found.inliers]

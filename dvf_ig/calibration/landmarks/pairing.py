@@ -32,7 +32,7 @@ def second_pairing_rms_mm(target: Points, source: Points) -> float:
             )
         except InvalidInputError:  # the three lie on one line, as the base triple does not
             continue
-        order = _settled_order(guess, target, source)
+        order = _nearest_order(guess, target, source)
         if (order == np.arange(len(source))).all():
             continue
         best = min(best, _rms(target.xyz_mm[order], source, target.frame))
@@ -50,12 +50,12 @@ def _widest_triple(xyz_mm: FloatArray) -> tuple[int, ...]:
 def _likely_images(target_mm: FloatArray, base_mm: FloatArray) -> list[tuple[int, ...]]:
     triples = list(permutations(range(len(target_mm)), 3))
     sides = np.array([pdist(target_mm[list(triple)]) for triple in triples])
-    misses = np.abs(sides - pdist(base_mm)).sum(axis=1)
-    return [triples[i] for i in np.argsort(misses, kind="stable")[:MOST_TRIPLES]]
+    differences = np.abs(sides - pdist(base_mm)).sum(axis=1)
+    return [triples[i] for i in np.argsort(differences, kind="stable")[:MOST_TRIPLES]]
 
 
-def _settled_order(guess: Rigid, target: Points, source: Points) -> FloatArray:
-    """(n,) target index of each source point, by assignment and refit in turns."""
+def _nearest_order(guess: Rigid, target: Points, source: Points) -> FloatArray:
+    """(n,) target index of each source point, by assignment and refit in alternation, as in ICP."""
     fitted, order = guess, np.full(len(source), -1)
     for _ in range(10):
         costs = cdist(fitted.apply_array(source.xyz_mm), target.xyz_mm) ** 2

@@ -21,7 +21,7 @@ from .dwells import Dwells
 from .pairing import second_pairing_rms_mm
 
 MAX_CHOICES = 20_000
-"""Most assignments of rests to landmarks that are tried."""
+"""Most assignments of dwells to landmarks that are tried."""
 
 AMBIGUOUS_RATIO, AMBIGUOUS_MM = 3.0, 1.0
 """Landmarks are ambiguous where the RMS of another pairing is within this factor of theirs, or below this."""
@@ -103,41 +103,41 @@ def map_difference(first: Rigid, second: Rigid, landmarks: Points) -> MapDiffere
 
 
 def match_dwells(dwells: Dwells, landmarks: Points) -> tuple[LandmarkResult, tuple[int, ...]]:
-    """Landmarks touched in their order, among rests that may include others (before, between, after).
+    """Landmarks touched in their order, among dwells that may include others (before, between, after).
 
     Args:
-        dwells: rests in order of time.
+        dwells: in order of time.
         landmarks: (n, 3) in the order in which they were touched.
     Returns:
-        target_from_source with target = frame of the rests, source = frame of the landmarks, and which rest
+        target_from_source with target = frame of the dwells, source = frame of the landmarks, and which dwell
         is which landmark: the choice with the smallest residual.
     Raises:
-        InvalidInputError: fewer rests than landmarks, too many to try, or landmarks on one line.
+        InvalidInputError: fewer dwells than landmarks, too many to try, or landmarks on one line.
         QualityGateError: another choice, that moves the map by more than 2 mm, fits as well.
     """
     count, need = len(dwells.points), len(landmarks)
     if count < need or comb(count, need) > MAX_CHOICES:
         raise InvalidInputError(
-            f"the tip rested in {count} places for {need} landmarks; needed {need} or a few more: touch "
-            "each landmark once, in order, and hold still"
+            f"the tip was held still in {count} places for {need} landmarks; needed {need} or a few more: "
+            "touch each landmark once, in order, and hold still"
         )
     tried = []
     for choice in combinations(range(count), need):
-        rests = Points(dwells.points.frame, dwells.points.xyz_mm[list(choice)])
-        fitted = fit_paired_points(rests, landmarks)
-        misses = fitted.apply(landmarks).xyz_mm - rests.xyz_mm
-        tried.append((float(np.sqrt((misses**2).sum(axis=1).mean())), choice, fitted))
+        touched = Points(dwells.points.frame, dwells.points.xyz_mm[list(choice)])
+        fitted = fit_paired_points(touched, landmarks)
+        residuals = fitted.apply(landmarks).xyz_mm - touched.xyz_mm
+        tried.append((float(np.sqrt((residuals**2).sum(axis=1).mean())), choice, fitted))
     tried.sort(key=lambda t: (t[0], t[1]))
     rms, best, chosen = tried[0]
     for other_rms, _, other in tried[1:]:
         moved = chosen.apply(landmarks).xyz_mm - other.apply(landmarks).xyz_mm
         if other_rms <= max(1.5 * rms, rms + 0.2) and np.linalg.norm(moved, axis=1).max() > 2.0:
             raise QualityGateError(
-                f"two assignments of rests to landmarks fit equally well ({rms:.2f} and {other_rms:.2f} mm "
-                "RMS); touch each landmark once and rest nowhere else"
+                f"two assignments of dwells to landmarks fit equally well ({rms:.2f} and {other_rms:.2f} mm "
+                "RMS); touch each landmark once and hold still nowhere else"
             )
-    rests = Points(dwells.points.frame, dwells.points.xyz_mm[list(best)])
-    return register_landmarks(rests, landmarks), best
+    touched = Points(dwells.points.frame, dwells.points.xyz_mm[list(best)])
+    return register_landmarks(touched, landmarks), best
 
 
 def _leave_one_out(target: Points, source: Points) -> FloatArray:
@@ -146,10 +146,10 @@ def _leave_one_out(target: Points, source: Points) -> FloatArray:
         return np.full(n, np.nan)
     errors = np.empty(n)
     for i in range(n):
-        rest = np.delete(np.arange(n), i)
+        others = np.delete(np.arange(n), i)
         try:
             fitted = fit_paired_points(
-                Points(target.frame, target.xyz_mm[rest]), Points(source.frame, source.xyz_mm[rest])
+                Points(target.frame, target.xyz_mm[others]), Points(source.frame, source.xyz_mm[others])
             )
         except InvalidInputError:
             errors[i] = np.nan  # the other landmarks lie on one line

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.calibration.probe.nwire_geometry import MEDIAN_NORM_PER_SIGMA
+from dvf_ig.calibration.inliers import InlierRule, fit_inliers
 from dvf_ig.core import (
     BoolArray,
     FloatArray,
@@ -20,12 +20,12 @@ from dvf_ig.core import (
 
 @dataclass(frozen=True, slots=True)
 class PivotOptions:
-    """How outliers are found and what is refused (limits: theory, calibration, Pivot).
+    """How outliers are found and what is refused (dvf_ig/docs/theory/calibration.md).
 
     Attributes:
         consensus_mm: 3-D residual within which a pose supports a hypothesis.
         hypotheses: three-pose samples drawn.
-        keep_sigma: poses within this many robust sigmas take part in the last fit.
+        keep_sigma: poses within this many robust standard deviations are inliers.
         min_span_deg: smallest accepted largest pairwise rotation.
         max_condition: largest accepted condition number of the linear system.
         min_inlier_share: smallest accepted share of poses that agree.
@@ -92,7 +92,7 @@ def calibrate_pivot(poses: PoseStream, *, rng: Generator, options: PivotOptions 
         )
     rotations, translations = poses.rotations[valid], poses.translations_mm[valid]
     _refuse_still(poses.name, rotation_span_deg(rotations), options)
-    keep = _agreeing(rotations, translations, rng, options)
+    keep = _inliers(rotations, translations, rng, options)
     if keep.sum() < max(3, options.min_inlier_share * len(valid)):
         raise QualityGateError(
             f"only {int(keep.sum())} of {len(valid)} poses of {poses.name} turn about one point within "
@@ -155,24 +155,17 @@ def _result(
     )
 
 
-def _agreeing(
+def _inliers(
     rotations: FloatArray, translations: FloatArray, rng: Generator, options: PivotOptions
 ) -> BoolArray:
-    """(n,) poses that agree with the best-supported pivot, after refitting until the set stands still."""
+    """(n,) inliers, from those of the best-supported pivot of random three-pose samples."""
     best = _best_hypothesis(rotations, translations, rng, options)
-    keep = _residual_lengths(best[None], rotations, translations)[0] <= options.consensus_mm
-    for _ in range(50):
-        if keep.sum() < 3:
-            break
-        solution = _solve(rotations[keep], translations[keep])
-        lengths = _residual_lengths(solution[None], rotations, translations)[0]
-        near = lengths[lengths <= 2 * options.consensus_mm]
-        sigma = float(np.median(near)) / MEDIAN_NORM_PER_SIGMA if len(near) else 0.0
-        again = lengths <= max(options.keep_sigma * sigma, 1e-6)
-        if np.array_equal(again, keep):
-            break
-        keep = again
-    return np.asarray(keep)
+    return fit_inliers(
+        lambda keep, _: _solve(rotations[keep], translations[keep]),
+        lambda solution: [_residual_lengths(solution[None], rotations, translations)[0]],
+        _residual_lengths(best[None], rotations, translations)[0] <= options.consensus_mm,
+        InlierRule(options.keep_sigma, scale_below=2 * options.consensus_mm),
+    ).inliers
 
 
 def _best_hypothesis(

@@ -1,9 +1,10 @@
-"""How sure an image calibration is, when neither dots nor frames but stretches of time are the witnesses.
+"""Uncertainty of an image calibration by a jackknife over blocks of time, and what the motion leaves open.
 
-What one frame shows shares one pose error, and neighbouring frames of a sweep share much of what no model
-holds (a bent wire, a beam's thickness, a wrong placement of the phantom): on PLUS's N-wire recording, halves
-differ by up to 14 of the standard deviations that independent frames would have. Leaving out a stretch of
-time at a time needs no model of it: the estimate's scatter is read off the influence of each stretch.
+Neither dots nor frames are independent samples: the dots of one frame share one pose error, and neighbouring
+frames of a sweep share much of what no model holds (a bent wire, a beam's thickness, a wrong placement of the
+phantom). On PLUS's N-wire recording, halves differ by up to 14 of the standard deviations that independent
+frames would have. Leaving out one block of time at a time needs no model of it: the estimate's scatter
+follows from the influence of each block.
 """
 
 from dataclasses import dataclass
@@ -14,11 +15,10 @@ from scipy.stats import t as student_t
 from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, QualityGateError, read_only_arrays
 
 from .map_parameters import MapParameters
+from .tracked_points import IndexArray
 
-IndexArray = np.ndarray[tuple[int], np.dtype[np.intp]]
-
-PIECES = 10
-"""Stretches of a recording that are left out in turn."""
+BLOCKS = 10
+"""Blocks of time of a recording that are left out in turn."""
 SHOWN_NAMES = {
     "about_lateral_rad": "rotation about the lateral axis",
     "about_axial_rad": "rotation about the axial direction",
@@ -41,7 +41,7 @@ class MapUncertainty:
         parameters: the estimate, the pixel that its shifts are of, and what was free.
         covariance: (count, count) in the units of `parameters.names`.
         frames: frames behind it.
-        held_out_mm: (frames,) RMS miss of each frame by the calibration made without it.
+        held_out_mm: (frames,) RMS residual of each frame under the calibration made without it.
     """
 
     parameters: MapParameters
@@ -50,14 +50,14 @@ class MapUncertainty:
     held_out_mm: FloatArray
 
     @property
-    def reach(self) -> float:
-        """Standard deviations to either side in a 95 % interval (Student's t over stretches)."""
-        return float(student_t.ppf(0.975, min(PIECES, self.frames) - 1))
+    def coverage_factor(self) -> float:
+        """Standard deviations to either side in a 95 % interval (Student's t over blocks; k of the GUM)."""
+        return float(student_t.ppf(0.975, min(BLOCKS, self.frames) - 1))
 
     @property
     def half_width(self) -> FloatArray:
         """(count,) 95 % half-widths in the units of `parameters.names`."""
-        return np.asarray(self.reach * np.sqrt(np.diag(self.covariance)))
+        return np.asarray(self.coverage_factor * np.sqrt(np.diag(self.covariance)))
 
     @property
     def rotation_deg(self) -> FloatArray:
@@ -93,7 +93,7 @@ class MapUncertainty:
         """(3,) 95 % half-widths of the position of one pixel (2,), along the image's axes."""
         slope = self.parameters.jacobian(np.asarray(pixel, dtype=np.float64))
         spread = np.einsum("ij,jk,ik->i", slope, self.covariance, slope)
-        return np.asarray(self.reach * np.sqrt(spread))
+        return np.asarray(self.coverage_factor * np.sqrt(spread))
 
     def covers(self, truth: ImageMap) -> FloatArray:
         """(8,) deviation of `truth` from the estimate over the 95 % half-width; within ±1 where covered."""
@@ -103,13 +103,13 @@ class MapUncertainty:
         return np.asarray(self.parameters.away(truth) / width)
 
 
-def time_pieces(frames: int) -> list[IndexArray]:
-    """Stretches of time that are taken as independent, each with the indices of its frames."""
-    return np.array_split(np.arange(frames), min(PIECES, frames))
+def time_blocks(frames: int) -> list[IndexArray]:
+    """Blocks of time that are taken as independent samples, each with the indices of its frames."""
+    return np.array_split(np.arange(frames), min(BLOCKS, frames))
 
 
-def piece_jackknife(jacobian: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Covariance of a least-squares estimate by leaving out one stretch of time at a time, to first order.
+def block_jackknife(jacobian: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariance of a least-squares estimate by leaving out one block of time at a time, to first order.
 
     Args:
         jacobian: (frames, k, p) of each frame's weighted residuals, in order of time.
@@ -117,7 +117,7 @@ def piece_jackknife(jacobian: FloatArray, residuals: FloatArray) -> tuple[FloatA
     Returns:
         (p, p) covariance, and (frames, k) residuals that each frame has under the estimate without it.
     Raises:
-        InvalidInputError: fewer frames than unknowns, or an unknown that one stretch alone determines.
+        InvalidInputError: fewer frames than unknowns, or an unknown that one block alone determines.
     Source: Bell & McCaffrey 2002 ("CR3": the cluster jackknife), with H_ii = J_i (JᵀJ)⁻¹ J_iᵀ.
     """
     frames, _, unknowns = jacobian.shape
@@ -125,25 +125,25 @@ def piece_jackknife(jacobian: FloatArray, residuals: FloatArray) -> tuple[FloatA
         raise InvalidInputError(
             f"{frames} frames for {unknowns} unknowns; needed at least {max(3, unknowns)}"
         )
-    bread = np.linalg.pinv(np.einsum("fki,fkj->ij", jacobian, jacobian), hermitian=True)
+    inverse = np.linalg.pinv(np.einsum("fki,fkj->ij", jacobian, jacobian), hermitian=True)
     influence = []
-    for piece in time_pieces(frames):
-        rows, misses = jacobian[piece].reshape(-1, unknowns), residuals[piece].ravel()
-        influence.append(bread @ rows.T @ _left_out(bread, rows, misses))
+    for block in time_blocks(frames):
+        rows, own = jacobian[block].reshape(-1, unknowns), residuals[block].ravel()
+        influence.append(inverse @ rows.T @ _held_out(inverse, rows, own))
     spread = np.stack(influence) - np.mean(influence, axis=0)
-    held_out = [_left_out(bread, rows, misses) for rows, misses in zip(jacobian, residuals, strict=True)]
+    held_out = [_held_out(inverse, rows, own) for rows, own in zip(jacobian, residuals, strict=True)]
     count = len(influence)
     return np.asarray((count - 1) / count * spread.T @ spread), np.stack(held_out)
 
 
-def _left_out(bread: FloatArray, rows: FloatArray, misses: FloatArray) -> FloatArray:
-    """(k,) residuals of some rows under the estimate without them: (I − H)⁻¹ r."""
-    gap = np.eye(len(rows)) - rows @ bread @ rows.T
-    if np.linalg.eigvalsh(gap).min() < 1e-9:
+def _held_out(inverse: FloatArray, rows: FloatArray, residuals: FloatArray) -> FloatArray:
+    """(k,) residuals of some rows under the estimate without them: (I − H)⁻¹ r, H = J (JᵀJ)⁻¹ Jᵀ."""
+    remainder = np.eye(len(rows)) - rows @ inverse @ rows.T
+    if np.linalg.eigvalsh(remainder).min() < 1e-9:
         raise InvalidInputError(
-            "one stretch of the recording alone determines an unknown; repeat each movement several times"
+            "one block of the recording alone determines an unknown; repeat each movement several times"
         )
-    return np.asarray(np.linalg.solve(gap, misses))
+    return np.asarray(np.linalg.solve(remainder, residuals))
 
 
 def refuse_unconstrained(
@@ -153,16 +153,16 @@ def refuse_unconstrained(
     limits: tuple[float, float, float],
     advice: dict[str, str],
 ) -> None:
-    """Refuse data whose motion leaves a part of the map open, whatever the residuals say.
+    """Refuse data whose motion does not determine a part of the map, whatever the residuals say.
 
     Args:
         parameters: of the map; they come first among the unknowns.
         jacobian: (frames, k, p) of residuals in mm, p >= parameters.count.
-        noise_mm: SD of one residual; what the motion could tell is judged by it.
+        noise_mm: SD of one residual; the standard deviations follow from it.
         limits: largest SD of a rotation (rad), of a position (mm), of the log of a pixel size.
         advice: what to do, by parameter name.
     Raises:
-        QualityGateError: naming the open parameters and the motion that would determine them.
+        QualityGateError: naming the undetermined parameters and the motion that would determine them.
     """
     flat = jacobian.reshape(-1, jacobian.shape[2])
     length = np.linalg.norm(flat, axis=0)
@@ -170,10 +170,10 @@ def refuse_unconstrained(
     inverse = rows / np.maximum(values, 1e-9 * values[0])[:, None]
     sd = noise_mm * np.linalg.norm(inverse, axis=0) / np.maximum(length, 1e-12)
     limit = np.repeat(limits, 3)[: parameters.count]
-    open_names = [n for n, s, top in zip(parameters.names, sd, limit, strict=False) if s > top]
-    if open_names:
-        worst = [f"{SHOWN_NAMES[n]} (SD {_shown(n, sd[parameters.names.index(n)])})" for n in open_names]
-        actions = ", and ".join(dict.fromkeys(advice[n] for n in open_names))
+    undetermined = [n for n, s, top in zip(parameters.names, sd, limit, strict=False) if s > top]
+    if undetermined:
+        worst = [f"{SHOWN_NAMES[n]} (SD {_shown(n, sd[parameters.names.index(n)])})" for n in undetermined]
+        actions = ", and ".join(dict.fromkeys(advice[n] for n in undetermined))
         needed = f"{np.degrees(limits[0]):.1f}°, {limits[1]:g} mm, {100 * limits[2]:g} %"
         raise QualityGateError(
             f"the recorded motion does not determine the image calibration's {', '.join(worst)}; needed "

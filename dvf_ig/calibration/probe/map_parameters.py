@@ -1,7 +1,8 @@
-"""An image calibration as eight numbers about an estimate: turns, shift of one image point, pixel sizes.
+"""An image calibration as eight numbers about an estimate: rotation, position of one pixel, pixel sizes.
 
 Axes are the image's own: lateral along columns, axial along rows, elevation out of the plane. Shifts are
-those of a chosen pixel, so that a turn does not move it: the numbers are as independent as the data allow.
+those of a chosen pixel, so that a rotation does not move it: the numbers are as independent as the data
+allow.
 """
 
 from dataclasses import dataclass
@@ -59,10 +60,10 @@ class MapParameters:
     def away(self, other: ImageMap) -> FloatArray:
         """(8,) step that leads from the estimate to `other`, whatever the pixel sizes."""
         rigid = self.estimate.rigid
-        turn = Rotation.from_matrix(rigid.rotation.T @ other.rigid.rotation).as_rotvec()
+        rotation = Rotation.from_matrix(rigid.rotation.T @ other.rigid.rotation).as_rotvec()
         moved = other.apply_pixels(self.center_px[None]).xyz_mm[0] - self.center_mm
         sizes = np.log(other.scale_mm_per_px / self.estimate.scale_mm_per_px)
-        return np.concatenate([turn, rigid.rotation.T @ moved, sizes])
+        return np.concatenate([rotation, rigid.rotation.T @ moved, sizes])
 
     @property
     def center_mm(self) -> FloatArray:

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
+from dvf_ig.calibration.inliers import InlierRule, fit_inliers
+from dvf_ig.calibration.rejection import RejectedFrame
 from dvf_ig.core import (
     BoolArray,
     FloatArray,
@@ -16,44 +18,39 @@ from dvf_ig.core import (
 )
 
 from .covariance import MapUncertainty
-from .nwire_geometry import (
-    MEDIAN_NORM_PER_SIGMA,
-    NWireFrames,
-    WireErrors,
-    measure_errors,
-    middle_errors_mm,
-    usable_frames,
-)
+from .errors import CalibrationErrors
+from .nwire_residuals import MiddleWires, columns_of, wire_errors
 from .nwire_solve import (
-    PROBE_METHODS,
-    ProbeMethod,
-    columns_of,
+    NWIRE_METHODS,
+    NWireMethod,
     fit_map,
     linear_covariance,
     linear_map,
     map_uncertainty,
     shear_deg,
 )
+from .tracked_points import TrackedPoints, rejected_frames, require_same_probe, usable_points
 
 
 @dataclass(frozen=True, slots=True)
-class ProbeOptions:
+class NWireOptions:
     """How the map is fitted and what is refused.
 
     Attributes:
         method: "linear" fits nine free numbers to the middle wires and then takes the nearest rotation
             times scale; "orthogonal" fits rotation, translation and two scales to the middle wires;
-            "isotropic" the same with one scale; "all-wires" fits them to the in-plane misses of every
+            "isotropic" the same with one scale; "all-wires" fits them to the in-plane residuals of every
             wire, each direction weighed by its scatter.
         hypotheses: random subsets of frames tried before the fit.
         subset: frames a subset.
-        keep_sigma: frames whose worst middle wire lies within this many robust sigmas take part.
+        keep_sigma: frames whose worst middle wire lies within this many robust standard deviations are
+            inliers.
         min_frames: fewest frames accepted.
-        max_mean_mm: largest accepted mean 3-D error of the frames that take part.
+        max_mean_mm: largest accepted mean 3-D error of the inliers.
         max_edge_sd_mm: largest accepted standard deviation of the map over the region the dots covered.
     """
 
-    method: ProbeMethod = "orthogonal"
+    method: NWireMethod = "orthogonal"
     hypotheses: int = 200
     subset: int = 6
     keep_sigma: float = 5.0
@@ -64,7 +61,7 @@ class ProbeOptions:
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class ProbeResult:
+class NWireResult:
     """An image calibration with its evidence.
 
     Attributes:
@@ -76,181 +73,158 @@ class ProbeResult:
         shear_deg: how far from orthogonal the free linear fit was; large values mean bad data.
         edge_sd_mm: standard deviation of the map at the worst corner of the region the dots covered.
         covariance: (9, 9) of the linear map [u-column, v-column, origin] in mm per px, mm per px, mm.
-        uncertainty: 95 % intervals of the map, from the frames' own scatter.
+        uncertainty: 95 % intervals of the map, from blocks of frames.
         rejected: (frame, reason) of every frame that took no part.
     """
 
     probe_from_image: ImageMap
     matrix: FloatArray
-    calibration: WireErrors
+    calibration: CalibrationErrors
     inliers: BoolArray
-    method: ProbeMethod
+    method: NWireMethod
     shear_deg: float
     edge_sd_mm: float
     covariance: FloatArray
     uncertainty: MapUncertainty
-    rejected: tuple[tuple[int, str], ...]
-
-
-def calibrate_probe(
-    recording: NWireRecording, *, rng: Generator, options: ProbeOptions | None = None
-) -> ProbeResult:
-    """Fit probe_from_image to the wires seen, leaving out frames that disagree with the rest.
-
-    Args:
-        recording: wire dots (px) and phantom_from_probe (mm) of each frame.
-        rng: draws subsets of frames.
-        options: see ProbeOptions.
-    Raises:
-        InvalidInputError: too few usable frames, or wires that do not form N patterns.
-        QualityGateError: dots that do not spread over the image, image axes far from orthogonal, or a
-            large error.
-        NotConvergedError: the refinement did not settle.
-    Source: Comeau 1998 / Chen 2009 (N-wire, linear); Carbajal 2013 (all wires, in plane).
-    """
-    options = options or ProbeOptions()
-    return calibrate_agreed(recording, agree_on_frames(recording, rng, options), options)
+    rejected: tuple[tuple[int, RejectedFrame], ...]
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class AgreedFrames:
-    """The usable frames of a recording, and which of them agree with one free linear map.
+class LinearFit:
+    """The usable frames of a recording, which of them are inliers, and the free linear map of these.
 
     Attributes:
-        seen: usable frames; `keep` (f,) the agreeing ones.
-        linear: (3, 3) [u, v, 1] -> probe mm from those.
-        covariance, edge_sd_mm: see ProbeResult.
+        points: dots of the usable frames.
+        inliers: (f,) of those frames.
+        linear: (3, 3) [u, v, 1] -> mm at the probe.
+        covariance, edge_sd_mm: see NWireResult.
     """
 
-    seen: NWireFrames
-    keep: BoolArray
+    points: TrackedPoints
+    inliers: BoolArray
     linear: FloatArray
     covariance: FloatArray
     edge_sd_mm: float
 
 
-def agree_on_frames(recording: NWireRecording, rng: Generator, options: ProbeOptions) -> AgreedFrames:
-    """The frames that every method is fitted to; raises as `calibrate_probe` does."""
-    seen = _checked(recording, options)
-    keep = _agreeing_frames(seen, rng, options)
-    if keep.sum() < max(options.min_frames, len(keep) // 2):
-        raise QualityGateError(
-            f"only {int(keep.sum())} of {len(keep)} N-wire frames agree on one probe calibration, needed "
-            f"half and at least {options.min_frames}; check phantom, sensor and wire order"
-        )
-    chosen = seen.part(keep)
-    linear = linear_map(chosen)
-    covariance, edge_sd = linear_covariance(chosen, linear)
-    if edge_sd > options.max_edge_sd_mm:
-        raise QualityGateError(
-            f"the wires leave the probe calibration uncertain by {edge_sd:.2f} mm where they were seen, "
-            f"needed at most {options.max_edge_sd_mm:g} mm; let the dots wander over the image"
-        )
-    return AgreedFrames(seen, keep, linear, covariance, edge_sd)
+def calibrate_nwire(
+    recording: NWireRecording, *, rng: Generator, options: NWireOptions | None = None
+) -> NWireResult:
+    """Fit probe_from_image to the wires seen, leaving out frames that disagree with the rest.
+
+    Args:
+        recording: wire dots (px) and phantom_from_probe (mm) of each frame.
+        rng: draws subsets of frames.
+        options: see NWireOptions.
+    Raises:
+        InvalidInputError: too few usable frames, or wires that do not form N patterns.
+        QualityGateError: dots that do not spread over the image, image axes far from orthogonal, or a
+            large error.
+        NotConvergedError: the fit did not converge.
+    Source: Comeau 1998 / Chen 2009 (N-wire, linear); Carbajal 2013 (all wires, in plane).
+    """
+    options = options or NWireOptions()
+    return calibrate_method(recording, fit_linear(recording, rng, options), options)
 
 
-def calibrate_agreed(recording: NWireRecording, agreed: AgreedFrames, options: ProbeOptions) -> ProbeResult:
-    """Fit one method to frames that agree; raises as `calibrate_probe` does."""
-    chosen, sensor = agreed.seen.part(agreed.keep), recording.phantom_from_probe.source
-    image_map = fit_map(chosen, agreed.linear, sensor, recording.phantom, options.method)
-    columns = columns_of(image_map)
-    mean = float(middle_errors_mm(columns, chosen).mean())
-    if mean > options.max_mean_mm:
-        raise QualityGateError(
-            f"the middle wires miss by {mean:.2f} mm on average, needed at most {options.max_mean_mm:g} mm; "
-            "check the phantom's wiring, its registration and the tracker's latency"
-        )
-    return ProbeResult(
-        probe_from_image=image_map,
-        matrix=image_map.matrix,
-        calibration=measure_errors(columns, agreed.seen, recording),
-        inliers=_inlier_flags(len(recording.phantom_from_probe), agreed.seen, agreed.keep),
-        method=options.method,
-        shear_deg=shear_deg(agreed.linear),
-        edge_sd_mm=agreed.edge_sd_mm,
-        covariance=agreed.covariance,
-        uncertainty=map_uncertainty(image_map, chosen, recording.phantom, options.method),
-        rejected=_rejections(recording, agreed.seen, agreed.keep, columns),
-    )
-
-
-def _checked(recording: NWireRecording, options: ProbeOptions) -> NWireFrames:
-    """The usable frames, or the reason why there can be no calibration."""
-    if options.method not in PROBE_METHODS:
-        listed = ", ".join(PROBE_METHODS)
-        raise InvalidInputError(f"probe method '{options.method}' is unknown; choose {listed}")
-    seen = usable_frames(recording)
-    if len(seen.frames) < options.min_frames:
-        raise InvalidInputError(
-            f"{len(seen.frames)} usable N-wire frames of {len(recording.phantom_from_probe)}; needed at "
-            f"least {options.min_frames}: record more of the phantom"
-        )
-    return seen
-
-
-def validate_probe(probe_from_image: ImageMap, recording: NWireRecording) -> WireErrors:
+def validate_nwire(probe_from_image: ImageMap, recording: NWireRecording) -> CalibrationErrors:
     """Errors of a given calibration on a recording; every usable frame counts, none is rejected.
 
     Raises:
         InvalidInputError: no usable frame, or a calibration of another sensor.
     """
-    sensor = recording.phantom_from_probe.source
-    if probe_from_image.rigid.target != sensor:
-        raise InvalidInputError(
-            f"the image calibration belongs to sensor '{probe_from_image.rigid.target}', the recording "
-            f"tracks '{sensor}'; use the calibration of the same probe"
+    require_same_probe(probe_from_image, recording.phantom_from_probe)
+    return wire_errors(columns_of(probe_from_image), usable_wires(recording, 1), recording)
+
+
+def usable_wires(recording: NWireRecording, least: int) -> TrackedPoints:
+    """Frames whose pose is valid and whose wires were all segmented; refuses fewer than `least`."""
+    shown = f"all {len(recording.phantom.wires)} wires"
+    return usable_points(recording.phantom_from_probe, recording.points_px, least, shown)
+
+
+def fit_linear(recording: NWireRecording, rng: Generator, options: NWireOptions) -> LinearFit:
+    """The inliers that every method is fitted to; raises as `calibrate_nwire` does."""
+    if options.method not in NWIRE_METHODS:
+        listed = ", ".join(NWIRE_METHODS)
+        raise InvalidInputError(f"probe method '{options.method}' is unknown; choose {listed}")
+    points, wires = usable_wires(recording, options.min_frames), MiddleWires.of(recording.phantom)
+    inliers = _inliers(points, wires, rng, options)
+    if inliers.sum() < max(options.min_frames, len(inliers) // 2):
+        raise QualityGateError(
+            f"only {int(inliers.sum())} of {len(inliers)} N-wire frames agree on one probe calibration, "
+            f"needed half and at least {options.min_frames}; check phantom, sensor and wire order"
         )
-    return measure_errors(columns_of(probe_from_image), usable_frames(recording), recording)
+    chosen = points.part(inliers)
+    linear = linear_map(chosen, wires)
+    covariance, edge_sd = linear_covariance(chosen, wires, linear)
+    if edge_sd > options.max_edge_sd_mm:
+        raise QualityGateError(
+            f"the wires leave the probe calibration uncertain by {edge_sd:.2f} mm where they were seen, "
+            f"needed at most {options.max_edge_sd_mm:g} mm; let the dots wander over the image"
+        )
+    return LinearFit(points, inliers, linear, covariance, edge_sd)
 
 
-def _agreeing_frames(seen: NWireFrames, rng: Generator, options: ProbeOptions) -> BoolArray:
-    """(f,) frames that agree: least truncated error over random subsets, then refit until it stands still."""
-    count = len(seen.frames)
+def calibrate_method(recording: NWireRecording, start: LinearFit, options: NWireOptions) -> NWireResult:
+    """Fit one method to the inliers of the linear fit; raises as `calibrate_nwire` does."""
+    points, wires = start.points, MiddleWires.of(recording.phantom)
+    chosen = points.part(start.inliers)
+    image_map = fit_map(chosen, recording.phantom, start.linear, options.method)
+    columns = columns_of(image_map)
+    mean = float(wires.errors_mm(columns, chosen).mean())
+    if mean > options.max_mean_mm:
+        raise QualityGateError(
+            f"the middle wires miss by {mean:.2f} mm on average, needed at most {options.max_mean_mm:g} mm; "
+            "check the phantom's wiring, its registration and the tracker's latency"
+        )
+    return NWireResult(
+        probe_from_image=image_map,
+        matrix=image_map.matrix,
+        calibration=wire_errors(columns, points, recording),
+        inliers=points.recorded(start.inliers, len(recording.phantom_from_probe)),
+        method=options.method,
+        shear_deg=shear_deg(start.linear),
+        edge_sd_mm=start.edge_sd_mm,
+        covariance=start.covariance,
+        uncertainty=map_uncertainty(image_map, chosen, recording.phantom, options.method),
+        rejected=_rejected(recording, points, start.inliers, wires.errors_mm(columns, points).max(axis=1)),
+    )
+
+
+def _inliers(points: TrackedPoints, wires: MiddleWires, rng: Generator, options: NWireOptions) -> BoolArray:
+    """(f,) inliers of the free linear map, from the best of the maps of random subsets of frames."""
+    count, rule = len(points), InlierRule(options.keep_sigma)
     size = min(options.subset, count)
     candidates = [
-        linear_map(seen.part(np.sort(rng.permutation(count)[:size]))) for _ in range(options.hypotheses)
+        linear_map(points.part(np.sort(rng.permutation(count)[:size])), wires)
+        for _ in range(options.hypotheses)
     ]
-    worst = np.stack([middle_errors_mm(m, seen).max(axis=1) for m in candidates])
+    worst = np.stack([wires.errors_mm(columns, points).max(axis=1) for columns in candidates])
     best = worst[int(np.median(worst, axis=1).argmin())]
-    keep = best <= options.keep_sigma * float(np.median(best)) / MEDIAN_NORM_PER_SIGMA
-    for _ in range(50):
-        errors = middle_errors_mm(linear_map(seen.part(keep)), seen)
-        sigma = float(np.median(errors)) / MEDIAN_NORM_PER_SIGMA
-        again = (errors <= max(options.keep_sigma * sigma, 1e-9)).all(axis=1)
-        if np.array_equal(again, keep) or again.sum() < 3:
-            break
-        keep = again
-    return np.asarray(keep)
+    start, _ = rule.select([best], np.ones(count, dtype=np.bool_))
+    return fit_inliers(
+        lambda inliers, _: linear_map(points.part(inliers), wires),
+        lambda columns: [wires.errors_mm(columns, points)],
+        start,
+        rule,
+    ).inliers
 
 
-def _inlier_flags(count: int, seen: NWireFrames, keep: BoolArray) -> BoolArray:
-    flags = np.zeros(count, dtype=np.bool_)
-    flags[seen.frames[keep]] = True
-    return flags
-
-
-def _rejections(
-    recording: NWireRecording, seen: NWireFrames, keep: BoolArray, probe_from_pixel: FloatArray
-) -> tuple[tuple[int, str], ...]:
-    """(frame, reason) of every frame that took no part in the fit."""
-    poses = recording.phantom_from_probe
-    found = np.isfinite(recording.points_px).all(axis=(1, 2))
+def _rejected(
+    recording: NWireRecording, points: TrackedPoints, inliers: BoolArray, worst_mm: FloatArray
+) -> tuple[tuple[int, RejectedFrame], ...]:
+    """(frame, reason) of every frame that took no part in the fit; `worst_mm` (f,) of the middle wires."""
     names = [wire.name for wire in recording.phantom.wires]
-    out = []
-    for i in np.flatnonzero(~found):
-        missing = [
-            n for n, lost in zip(names, np.isnan(recording.points_px[i]).any(axis=1), strict=True) if lost
-        ]
-        what = "no wire was found" if len(missing) == len(names) else f"not found: {', '.join(missing)}"
-        out.append((int(i), what))
-    out += [(int(i), f"{poses.name} is not valid") for i in np.flatnonzero(found & ~poses.valid)]
-    worst = middle_errors_mm(probe_from_pixel, seen).max(axis=1)
-    out += [
-        (
-            int(i),
-            f"a middle wire misses by {miss:.2f} mm, frames that took part by {worst[keep].max():.2f} mm",
-        )
-        for i, miss in zip(seen.frames[~keep], worst[~keep], strict=True)
-    ]
-    return tuple(sorted(out))
+
+    def missing(dots: FloatArray) -> str:
+        lost = [name for name, dot in zip(names, dots, strict=True) if np.isnan(dot).any()]
+        return "no wire was found" if len(lost) == len(names) else f"not found: {', '.join(lost)}"
+
+    most = worst_mm[inliers].max()
+    outliers = {
+        int(frame): f"a middle wire misses by {miss:.2f} mm, frames that took part by {most:.2f} mm"
+        for frame, miss in zip(points.frames[~inliers], worst_mm[~inliers], strict=True)
+    }
+    return rejected_frames(recording.phantom_from_probe, recording.points_px, outliers, missing)

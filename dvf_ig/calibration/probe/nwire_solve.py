@@ -1,6 +1,5 @@
-"""Least-squares fits of an image map to the wires that an N-wire phantom shows, and how sure they are."""
+"""The N-wire solve: least-squares fits of probe_from_image to the wires seen, and their uncertainty."""
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -12,79 +11,33 @@ from dvf_ig.core import (
     NotConvergedError,
     NWirePhantom,
     QualityGateError,
-    read_only_arrays,
 )
 
-from .covariance import MapUncertainty, piece_jackknife
-from .map_parameters import MapParameters, with_square_pixels
-from .nwire_geometry import NWireFrames, in_plane_misses_mm, wire_directions
+from .covariance import MapUncertainty, block_jackknife
+from .map_fit import P, levenberg_marquardt, start_fit
+from .map_parameters import MapParameters
+from .nwire_residuals import AllWires, MiddleWires, weighted_all_wires
+from .tracked_points import TrackedPoints
 
-ProbeMethod = Literal["linear", "orthogonal", "isotropic", "all-wires"]
-PROBE_METHODS: tuple[ProbeMethod, ...] = ("linear", "orthogonal", "isotropic", "all-wires")
-
-MAX_STEPS = 50
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MiddleWires:
-    """3-D misses of the diagonals' dots in mm, along the image's axes; (f, 3·patterns) a frame."""
-
-    seen: NWireFrames
-
-    def residuals(self, image_map: ImageMap) -> FloatArray:
-        met = self.seen.middle_probe_mm
-        misses = middle_design(self.seen) @ columns_of(image_map).T - met.reshape(-1, 3)
-        return np.asarray(misses @ image_map.rigid.rotation).reshape(len(met), -1)
-
-    def jacobian(self, parameters: MapParameters) -> FloatArray:
-        """(f, 3·patterns, count), the image's axes held fixed."""
-        slope = parameters.jacobian(self.seen.middle_pixels)
-        return slope.reshape(len(slope), -1, parameters.count)
+NWireMethod = Literal["linear", "orthogonal", "isotropic", "all-wires"]
+NWIRE_METHODS: tuple[NWireMethod, ...] = ("linear", "orthogonal", "isotropic", "all-wires")
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class AllWires:
-    """In-plane misses of every wire's dot over the noise along columns and rows; (f, 2·wires) a frame."""
+def linear_map(points: TrackedPoints, wires: MiddleWires) -> FloatArray:
+    """(3, 3) [u, v, 1] -> mm at the probe by linear least squares on the middle wires.
 
-    seen: NWireFrames
-    phantom: NWirePhantom
-    noise_mm: FloatArray
-
-    def misses_mm(self, image_map: ImageMap) -> FloatArray:
-        """(f, wires, 2)."""
-        return in_plane_misses_mm(columns_of(image_map), self.seen, self.phantom)
-
-    def residuals(self, image_map: ImageMap) -> FloatArray:
-        misses = self.misses_mm(image_map) / self.noise_mm
-        return misses.reshape(len(misses), -1)
-
-    def jacobian(self, parameters: MapParameters) -> FloatArray:
-        """(f, 2·wires, count): a wire's crossing slides along the wire as the image plane moves."""
-        image_map = parameters.estimate
-        misses = self.misses_mm(image_map)
-        slope = parameters.jacobian(self.seen.pixels + misses / image_map.scale_mm_per_px)
-        along_probe = np.einsum("fji,wj->fwi", self.seen.rotations, wire_directions(self.phantom))
-        along = along_probe @ image_map.rigid.rotation
-        slide = slope[:, :, 2:] / along[:, :, 2, None, None]
-        crossing = along[:, :, :2, None] * slide - slope[:, :, :2]
-        # misses are lengths: they grow with the pixel
-        sizes = np.zeros_like(crossing)
-        sizes[..., [0, 1], [6, parameters.count - 1]] = misses
-        out = (crossing + sizes) / self.noise_mm[:, None]
-        return np.asarray(out.reshape(len(out), -1, parameters.count))
+    Source: Comeau 1998, Chen 2009.
+    """
+    design = _design(points)
+    return np.asarray(np.linalg.lstsq(design, wires.met_mm(points).reshape(-1, 3), rcond=None)[0].T)
 
 
-def linear_map(seen: NWireFrames) -> FloatArray:
-    """(3, 3) [u, v, 1] -> probe mm by least squares on the middle wires."""
-    design = middle_design(seen)
-    return np.asarray(np.linalg.lstsq(design, seen.middle_probe_mm.reshape(-1, 3), rcond=None)[0].T)
-
-
-def linear_covariance(seen: NWireFrames, linear: FloatArray) -> tuple[FloatArray, float]:
+def linear_covariance(
+    points: TrackedPoints, wires: MiddleWires, linear: FloatArray
+) -> tuple[FloatArray, float]:
     """Covariance of the linear map and its worst standard deviation at the corners of the dots' region."""
-    design = middle_design(seen)
-    residual = seen.middle_probe_mm.reshape(-1, 3) - design @ linear.T
+    design = _design(points)
+    residual = wires.met_mm(points).reshape(-1, 3) - design @ linear.T
     freedom = max(1, len(design) - 3)
     noise = residual.T @ residual / freedom
     inverse = np.linalg.pinv(design.T @ design)
@@ -95,18 +48,18 @@ def linear_covariance(seen: NWireFrames, linear: FloatArray) -> tuple[FloatArray
 
 
 def fit_map(
-    seen: NWireFrames, linear: FloatArray, sensor: str, phantom: NWirePhantom, method: ProbeMethod
+    points: TrackedPoints, phantom: NWirePhantom, linear: FloatArray, method: NWireMethod
 ) -> ImageMap:
     """The map of the chosen method, started from the free linear one.
 
     Raises:
         QualityGateError: the linear map's axes are far from orthogonal.
-        NotConvergedError: the refinement did not settle.
+        NotConvergedError: the fit did not converge.
     """
     matrix = np.eye(4)
     matrix[:3, [0, 1, 3]] = linear
     try:
-        start = ImageMap.from_matrix(matrix, sensor)
+        start = ImageMap.from_matrix(matrix, points.source)
     except InvalidInputError as exc:
         raise QualityGateError(
             f"the wires give image axes {shear_deg(linear):.2f}° off orthogonal, needed at most 1°; "
@@ -116,38 +69,32 @@ def fit_map(
     if method == "linear":
         return start
     if method != "all-wires":
-        return _refined(start, MiddleWires(seen), isotropic=method == "isotropic")
+        return _fitted(start, MiddleWires.of(phantom), points, isotropic=method == "isotropic")
     # axial and lateral dots differ in noise: fit, weigh each direction by its scatter, fit again
-    found = _refined(start, AllWires(seen, phantom, np.ones(2)), isotropic=False)
-    return _refined(found, _weighed(found, seen, phantom), isotropic=False)
+    found = _fitted(start, AllWires(phantom, np.ones(2)), points, isotropic=False)
+    return _fitted(found, weighted_all_wires(found, points, phantom), points, isotropic=False)
 
 
 def map_uncertainty(
-    image_map: ImageMap, seen: NWireFrames, phantom: NWirePhantom, method: ProbeMethod
+    image_map: ImageMap, points: TrackedPoints, phantom: NWirePhantom, method: NWireMethod
 ) -> MapUncertainty:
-    """Spread of the fitted map over frames; for "linear" that of the same fit with orthogonal axes.
+    """Uncertainty of the fitted map from blocks of frames; for "linear" that of a fit with orthogonal axes.
 
     Raises:
-        InvalidInputError: one frame alone determines an unknown.
+        InvalidInputError: one block of frames alone determines an unknown.
     """
-    wires = _weighed(image_map, seen, phantom) if method == "all-wires" else MiddleWires(seen)
-    unit = wires.noise_mm if isinstance(wires, AllWires) else np.ones(3)
-    parameters = MapParameters(image_map, _center_px(seen), method == "isotropic")
-    covariance, held_out = piece_jackknife(wires.jacobian(parameters), wires.residuals(image_map))
-    misses = held_out.reshape(len(held_out), -1, len(unit)) * unit
-    rms = np.sqrt((misses**2).sum(axis=2).mean(axis=1))
-    return MapUncertainty(parameters, covariance, len(seen.frames), rms)
-
-
-def columns_of(image_map: ImageMap) -> FloatArray:
-    """(3, 3) columns u, v and origin of the map's matrix."""
-    return np.asarray(image_map.matrix[:3, [0, 1, 3]])
-
-
-def middle_design(seen: NWireFrames) -> FloatArray:
-    """(f·patterns, 3) rows [u, v, 1] of the middle wires."""
-    flat = seen.middle_pixels.reshape(-1, 2)
-    return np.column_stack([flat, np.ones(len(flat))])
+    parameters = MapParameters(image_map, points.center_px, method == "isotropic")
+    wires: MiddleWires | AllWires = MiddleWires.of(phantom)
+    unit = np.ones(3)
+    if method == "all-wires":
+        wires = weighted_all_wires(image_map, points, phantom)
+        unit = wires.noise_mm
+    covariance, held_out = block_jackknife(
+        wires.jacobian(parameters, points), wires.residuals(image_map, points)
+    )
+    residuals = held_out.reshape(len(held_out), -1, len(unit)) * unit
+    rms = np.sqrt((residuals**2).sum(axis=2).mean(axis=1))
+    return MapUncertainty(parameters, covariance, len(points), rms)
 
 
 def shear_deg(linear: FloatArray) -> float:
@@ -157,34 +104,15 @@ def shear_deg(linear: FloatArray) -> float:
     return abs(90.0 - float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))))
 
 
-def _refined(start: ImageMap, wires: MiddleWires | AllWires, *, isotropic: bool) -> ImageMap:
-    """Gauss-Newton with halved steps, linearised anew about every map."""
-    center = _center_px(wires.seen)
-    current = MapParameters(with_square_pixels(start, center) if isotropic else start, center, isotropic)
-    misses = wires.residuals(current.estimate).ravel()
-    for _ in range(MAX_STEPS):
-        jacobian = wires.jacobian(current).reshape(-1, current.count)
-        step = np.asarray(np.linalg.lstsq(jacobian, -misses, rcond=None)[0], dtype=np.float64)
-        for _ in range(20):
-            trial = MapParameters(current.stepped(step), center, isotropic)
-            moved = wires.residuals(trial.estimate).ravel()
-            if moved @ moved <= misses @ misses * (1 + 1e-12):
-                break
-            step = step / 2
-        current, misses = trial, moved
-        if np.linalg.norm(step) < 1e-9:
-            return current.estimate
-    raise NotConvergedError(f"the probe calibration did not settle in {MAX_STEPS} steps; record more frames")
+def _fitted(start: ImageMap, wires: P, points: TrackedPoints, *, isotropic: bool) -> ImageMap:
+    first = start_fit(start, wires, points, isotropic=isotropic)
+    fit = levenberg_marquardt(first, points, damping=0.0)
+    if not fit.converged:
+        raise NotConvergedError("the probe calibration did not converge; record more frames")
+    return fit.parameters.estimate
 
 
-def _weighed(image_map: ImageMap, seen: NWireFrames, phantom: NWirePhantom) -> AllWires:
-    """All wires, each direction over its robust SD under `image_map`."""
-    misses = in_plane_misses_mm(columns_of(image_map), seen, phantom)
-    noise = np.maximum(1.4826 * np.median(np.abs(misses), axis=(0, 1)), 1e-6)
-    return AllWires(seen, phantom, np.asarray(noise))
-
-
-def _center_px(seen: NWireFrames) -> FloatArray:
-    """(2,) middle of the region that the wires covered."""
-    flat = seen.pixels.reshape(-1, 2)
-    return np.asarray(0.5 * (flat.min(axis=0) + flat.max(axis=0)))
+def _design(points: TrackedPoints) -> FloatArray:
+    """(f·patterns, 3) rows [u, v, 1] of the middle wires."""
+    flat = points.pixels[:, 1::3].reshape(-1, 2)
+    return np.column_stack([flat, np.ones(len(flat))])

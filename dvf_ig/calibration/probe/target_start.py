@@ -1,54 +1,29 @@
-"""Where the search for image map and target begins: free linear solutions, and the best fit from them."""
-
-from collections.abc import Iterable
+"""Where the search for image map and target begins: free linear solutions made into image maps."""
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, ImageMap, Rigid
 
-from .map_parameters import MapParameters, with_square_pixels
-from .target_fit import Fit, T, TargetOptions, concentrate
-from .target_views import Views
+from .tracked_points import TrackedPoints
 
 PIXEL_UNIT = 100.0
 """Pixels by which columns and rows are divided in linear solutions, so that all unknowns have one size."""
 
 
-def best_start(
-    starts: Iterable[tuple[ImageMap, T, FloatArray]], views: Views, options: TargetOptions
-) -> Fit[T]:
-    """The fit of least cost on its better half of the frames, from several starts.
-
-    Args:
-        starts: at least one map with its target and the misses (f,) of the frames under it.
-    """
-    fits = (
-        concentrate(_started(start, target, views, options.isotropic), views, misses <= np.median(misses))
-        for start, target, misses in starts
-    )
-    return min(fits, key=lambda fit: fit.cost)
-
-
-def centred_pixels(views: Views) -> FloatArray:
+def centred_pixels(points: TrackedPoints) -> FloatArray:
     """(f, k, 2) column, row from the middle of the region where the target was seen, in PIXEL_UNIT."""
-    return np.asarray((views.pixels - views.center_px) / PIXEL_UNIT)
+    return np.asarray((points.pixels - points.center_px) / PIXEL_UNIT)
 
 
-def map_from_solution(solution: FloatArray, views: Views) -> ImageMap:
+def map_from_solution(solution: FloatArray, points: TrackedPoints) -> ImageMap:
     """Image map of a free linear solution: its first nine numbers are the axes a, b and the origin o.
 
     Args:
         solution: (9 or more,) mm, for `centred_pixels`.
     """
     columns = solution[:9].reshape(3, 3).T / np.array([PIXEL_UNIT, PIXEL_UNIT, 1.0])
-    columns[:, 2] -= columns[:, :2] @ views.center_px
-    return _map_from_columns(columns, views.source)
-
-
-def _started(start: ImageMap, target: T, views: Views, isotropic: bool) -> Fit[T]:
-    center = views.center_px
-    image_map = with_square_pixels(start, center) if isotropic else start
-    return Fit(MapParameters(image_map, center, isotropic), target, np.inf)
+    columns[:, 2] -= columns[:, :2] @ points.center_px
+    return _map_from_columns(columns, points.source)
 
 
 def _map_from_columns(columns: FloatArray, sensor: str) -> ImageMap:

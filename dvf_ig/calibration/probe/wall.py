@@ -15,9 +15,12 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 
-from .target_fit import Fit, ProbeTargetResult, TargetOptions, agreeing, finished
-from .target_start import best_start, centred_pixels, map_from_solution
-from .target_views import TargetErrors, Views, same_sensor, target_errors, usable_views
+from .errors import CalibrationErrors, calibration_errors
+from .map_fit import MapFit
+from .map_parameters import MapParameters
+from .target_fit import TargetOptions, TargetRecording, TargetResult, best_start, calibrate_target
+from .target_start import centred_pixels, map_from_solution
+from .tracked_points import TrackedPoints, require_same_probe, usable_points
 
 NORMALS = 240
 """Directions tried for the wall's normal: a hemisphere in steps of about 9°."""
@@ -41,7 +44,7 @@ ADVICE = {
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneTarget:
-    """A plane in the poses' target frame; the misses are the signed distances of the line's two points.
+    """A plane in the poses' target frame; residuals are the signed distances of the line's two points.
 
     Attributes:
         normal: (3,) unit.
@@ -56,15 +59,17 @@ class PlaneTarget:
         """normal · x on the plane."""
         return float(self.normal @ self.point_mm)
 
-    def misses_mm(self, placed_mm: FloatArray) -> FloatArray:
+    def distances_mm(self, placed_mm: FloatArray) -> FloatArray:
+        """(…,) signed distances of points (…, 3)."""
         return np.asarray((placed_mm - self.point_mm) @ self.normal)
 
-    def slope(self, placed_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        frames, count = placed_mm.shape[:2]
-        by_point = np.zeros((frames, count, count, 3))
-        by_point[:, np.arange(count), np.arange(count)] = self.normal
-        tilts = (placed_mm - self.point_mm) @ self._tangents.T
-        return by_point, np.concatenate([tilts, np.full((frames, count, 1), -1.0)], axis=2)
+    def residuals(self, image_map: ImageMap, points: TrackedPoints) -> FloatArray:
+        return self.distances_mm(points.placed_mm(image_map))
+
+    def jacobian(self, parameters: MapParameters, points: TrackedPoints) -> FloatArray:
+        by_map = np.einsum("i,fkip->fkp", self.normal, points.placed_jacobian(parameters))
+        tilts = (points.placed_mm(parameters.estimate) - self.point_mm) @ self._tangents.T
+        return np.concatenate([by_map, tilts, np.full((*tilts.shape[:2], 1), -1.0)], axis=2)
 
     def stepped(self, step: FloatArray) -> Self:
         tilted = self.normal + step[:2] @ self._tangents
@@ -81,12 +86,12 @@ class PlaneTarget:
 
 def calibrate_wall(
     poses: PoseStream, points_px: FloatArray, *, rng: Generator, options: TargetOptions | None = None
-) -> ProbeTargetResult[PlaneTarget]:
+) -> TargetResult[PlaneTarget]:
     """Fit probe_from_image and the wall together; no initial guess is needed.
 
     For a given normal n, n·(R_i (a u + b v + o) + t_i) = d is linear in the image's axes a, b, its origin o
     and the wall's offset d: normals all round, with random subsets of frames, start a search on the better
-    half of the frames, then all frames that agree count.
+    half of the frames, then all inliers are fitted.
 
     Args:
         poses: (n frames) tracker_from_probe, or against any frame in which the wall stands still.
@@ -95,20 +100,20 @@ def calibrate_wall(
         options: see TargetOptions.
     Raises:
         InvalidInputError: points of another recording, or too few usable frames.
-        QualityGateError: frames that do not agree, a large error, or a motion that leaves a parameter open.
+        QualityGateError: frames that do not agree, a large error, or a motion that does not determine a
+            parameter.
     Source: Prager 1998 (single wall).
     """
     options = options or TargetOptions()
-    views = _checked(poses, points_px, options.min_frames)
-    best = best_start(_starts(views, rng, options), views, options)
-    _refuse_collapsed(best, views)
-    fit, keep, limit = agreeing(best, views, options)
-    return finished(fit, poses, points_px, views, keep, limit, options, ADVICE)
+    points = _checked(poses, points_px, options.min_frames)
+    best = best_start(_starts(points, rng, options), points, options)
+    _refuse_collapsed(best, points)
+    return calibrate_target(best, TargetRecording(poses, points_px, points), options, ADVICE)
 
 
 def validate_wall(
     probe_from_image: ImageMap, poses: PoseStream, points_px: FloatArray
-) -> tuple[TargetErrors, PlaneTarget]:
+) -> tuple[CalibrationErrors, PlaneTarget]:
     """Flatness of the wall reconstructed from every usable frame of another recording; none is rejected.
 
     Returns:
@@ -116,28 +121,28 @@ def validate_wall(
     Raises:
         InvalidInputError: no usable frame, or a calibration of another sensor.
     """
-    same_sensor(probe_from_image, poses)
+    require_same_probe(probe_from_image, poses)
     placed = _checked(poses, points_px, 3).placed_mm(probe_from_image)
     flat = placed.reshape(-1, 3)
     middle = flat.mean(axis=0)
     plane = PlaneTarget(np.linalg.svd(flat - middle, full_matrices=False)[2][2], middle)
-    misses = np.sqrt((plane.misses_mm(placed) ** 2).mean(axis=1))
-    return target_errors(misses, len(poses)), plane
+    rms = np.sqrt((plane.distances_mm(placed) ** 2).mean(axis=1))
+    return calibration_errors(rms, len(poses)), plane
 
 
-def _checked(poses: PoseStream, points_px: FloatArray, least: int) -> Views:
-    views = usable_views(poses, points_px, least)
-    if views.pixels.shape[1] != 2:
+def _checked(poses: PoseStream, points_px: FloatArray, least: int) -> TrackedPoints:
+    points = usable_points(poses, points_px, least)
+    if points.pixels.shape[1] != 2:
         raise InvalidInputError(
-            f"each frame has {views.pixels.shape[1]} points; a wall's line is given by 2 "
+            f"each frame has {points.pixels.shape[1]} points; a wall's line is given by 2 "
             "(column1_px, row1_px, column2_px, row2_px)"
         )
-    return views
+    return points
 
 
-def _refuse_collapsed(fit: Fit[PlaneTarget], views: Views) -> None:
+def _refuse_collapsed(fit: MapFit[PlaneTarget], points: TrackedPoints) -> None:
     """An image without size fits any motion that keeps one point of the sensor in a plane."""
-    extent = np.ptp(views.pixels.reshape(-1, 2), axis=0) * fit.parameters.estimate.scale_mm_per_px
+    extent = np.ptp(points.pixels.reshape(-1, 2), axis=0) * fit.parameters.estimate.scale_mm_per_px
     if extent.max() < 1.0:
         raise QualityGateError(
             "the probe's motion fits an image without any size as well as the wall: a point of the sensor "
@@ -146,45 +151,45 @@ def _refuse_collapsed(fit: Fit[PlaneTarget], views: Views) -> None:
 
 
 def _starts(
-    views: Views, rng: Generator, options: TargetOptions
+    points: TrackedPoints, rng: Generator, options: TargetOptions
 ) -> list[tuple[ImageMap, PlaneTarget, FloatArray]]:
-    """The best free linear solutions over normals and subsets, with the misses (f,) of their frames."""
+    """The best free linear solutions over normals and subsets, with their (f,) residual lengths."""
     normals = _hemisphere(NORMALS)
-    design, right = _linear_rows(views, normals)
-    size = min(options.subset, len(views))
-    member = np.zeros((options.hypotheses, len(views)))
+    design, right = _linear_rows(points, normals)
+    size = min(options.subset, len(points))
+    member = np.zeros((options.hypotheses, len(points)))
     for row in member:
-        row[rng.permutation(len(views))[:size]] = 1.0
+        row[rng.permutation(len(points))[:size]] = 1.0
     normal = np.einsum("nfki,nfkj->nfij", design, design)
     gradient = np.einsum("nfki,nfk->nfi", design, right)
     matrices = np.einsum("hf,nfij->nhij", member, normal, optimize=True)
     vectors = np.einsum("hf,nfi->nhi", member, gradient, optimize=True)
     ridge = 1e-9 * np.trace(matrices, axis1=2, axis2=3)[..., None, None] * np.eye(10)
     solved = np.linalg.solve(matrices + ridge, vectors[..., None])[..., 0]
-    misses = np.linalg.norm(
+    lengths = np.linalg.norm(
         np.einsum("nfki,nhi->nhfk", design, solved, optimize=True) - right[:, None], axis=3
     )
-    score = np.median(misses, axis=2)
+    score = np.median(lengths, axis=2)
     best_subset = score.argmin(axis=1)
     ranked = np.argsort(score[np.arange(len(normals)), best_subset])[:4]
     out = []
     for n in ranked:
         h = int(best_subset[n])
-        image_map = map_from_solution(solved[n, h], views)
-        seen = views.placed_mm(image_map).reshape(-1, 3)
+        image_map = map_from_solution(solved[n, h], points)
+        seen = points.placed_mm(image_map).reshape(-1, 3)
         middle = np.median(seen, axis=0)
         point = middle + (solved[n, h, 9] - normals[n] @ middle) * normals[n]
-        out.append((image_map, PlaneTarget(normals[n], point), misses[n, h]))
+        out.append((image_map, PlaneTarget(normals[n], point), lengths[n, h]))
     return out
 
 
-def _linear_rows(views: Views, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _linear_rows(points: TrackedPoints, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n, f, 2, 10) rows of nᵀR a u + nᵀR b v + nᵀR o − d = −nᵀt, pixels centred and in hundreds."""
-    facing = np.einsum("ni,fij->nfj", normals, views.rotations)[:, :, None]
-    u, v = np.moveaxis(centred_pixels(views), 2, 0)[..., None]
-    shape = (len(normals), *views.pixels.shape[:2])
+    facing = np.einsum("ni,fij->nfj", normals, points.rotations)[:, :, None]
+    u, v = np.moveaxis(centred_pixels(points), 2, 0)[..., None]
+    shape = (len(normals), *points.pixels.shape[:2])
     rows = [facing * u, facing * v, np.broadcast_to(facing, (*shape, 3)), np.full((*shape, 1), -1.0)]
-    right = -np.einsum("ni,fi->nf", normals, views.translations_mm)
+    right = -np.einsum("ni,fi->nf", normals, points.translations_mm)
     return np.concatenate(rows, axis=3), np.broadcast_to(right[:, :, None], shape)
 
 

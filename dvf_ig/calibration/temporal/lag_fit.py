@@ -67,8 +67,8 @@ def lag_interval(motions: Motions, lag_s: float, memory_s: float) -> tuple[float
     count, unknowns = sensitivity.shape
     total = _long_run_sum(sensitivity * residual[:, None], memory) * count / (count - unknowns)
     error = float(np.sqrt((inverse @ total @ inverse)[0, 0]))
-    reach = float(student_t.ppf(0.975, max(1.0, 1.5 * count / memory - 1))) * error
-    return lag_s - reach, lag_s + reach
+    half_width = float(student_t.ppf(0.975, max(1.0, 1.5 * count / memory - 1))) * error
+    return lag_s - half_width, lag_s + half_width
 
 
 def misfit_sigmas(motions: Motions, lag_s: float, other_s: float, memory_s: float) -> float:

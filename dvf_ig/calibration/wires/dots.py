@@ -21,18 +21,18 @@ class DotOptions:
     Attributes:
         dot_mm: SD of the Gaussian that stands for a dot, about a pulse length.
         background_mm: SD of the Gaussian that stands for what surrounds it.
-        reach_mm: a dot's echo lies within this distance of its peak along rows and columns...
+        window_mm: a dot's echo lies within this distance of its peak along rows and columns...
         apart_mm: of peaks closer than this along rows and columns the strongest is kept.
         echo_share: ...and is what is joined to the peak and above this share of it...
-        one_echo_share: ...or above the lowest share, from this one down, that keeps it within reach and apart
-            from its neighbours.
+        one_echo_share: ...or above the lowest share, from this one down, that keeps it within the window and
+            apart from its neighbours.
         min_contrast: smallest peak above its surroundings, grey values after smoothing.
         most: dots kept, the strongest first.
     """
 
     dot_mm: float = 0.5
     background_mm: float = 2.0
-    reach_mm: float = 5.0
+    window_mm: float = 5.0
     apart_mm: float = 0.5
     echo_share: float = 0.35
     one_echo_share: float = 0.9
@@ -86,8 +86,8 @@ def find_dots(
     smooth = gaussian_filter(blocks, options.dot_mm / pitch_mm, truncate=3.0)
     contrast = smooth - gaussian_filter(blocks, options.background_mm / pitch_mm, truncate=3.0)
     peaks = _peaks(contrast, pitch_mm, options)
-    reach = max(1, round(options.reach_mm / pitch_mm))
-    centers = [_echo_center(smooth, peaks, i, reach, options) for i in range(len(peaks))]
+    half_window = max(1, round(options.window_mm / pitch_mm))
+    centers = [_echo_center(smooth, peaks, i, half_window, options) for i in range(len(peaks))]
     points = np.array(centers, dtype=np.float64).reshape(-1, 2) * block + 0.5 * (block - 1) + left_top
     return Dots(points, contrast[peaks[:, 0], peaks[:, 1]].astype(np.float64))
 
@@ -121,12 +121,12 @@ def _peaks(contrast: AnyArray, spacing_mm: float, options: DotOptions) -> IntArr
 
 
 def _echo_center(
-    smooth: AnyArray, peaks: IntArray, which: int, reach: int, options: DotOptions
+    smooth: AnyArray, peaks: IntArray, which: int, half_window: int, options: DotOptions
 ) -> FloatArray:
     """(2,) column, row of the centre of intensity of one peak's echo, apart from its neighbours' echoes."""
     row, column = peaks[which].tolist()
-    first = np.maximum(peaks[which] - reach, 0)
-    window = smooth[first[0] : row + reach + 1, first[1] : column + reach + 1].astype(np.float64)
+    first = np.maximum(peaks[which] - half_window, 0)
+    window = smooth[first[0] : row + half_window + 1, first[1] : column + half_window + 1].astype(np.float64)
     inside = peaks - first
     inside = inside[((inside >= 0) & (inside < window.shape)).all(axis=1)]
     levels = np.linspace(options.one_echo_share, options.echo_share, 5) * smooth[row, column]
@@ -139,7 +139,7 @@ def _echo_center(
         rows, columns = np.flatnonzero(wider.any(axis=1)), np.flatnonzero(wider.any(axis=0))
         ends = np.array([[rows[0], columns[0]], [rows[-1], columns[-1]]])
         away = np.abs(ends + first - peaks[which]).max()
-        if step and (joined > own or away >= reach):
+        if step and (joined > own or away >= half_window):
             break
         # above the level, so that pixels at the edge of the echo come in gradually
         weight, own = np.where(wider, window - level, 0.0), joined

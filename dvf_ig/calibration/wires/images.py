@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvf_ig.calibration.rejection import RejectedFrame, Rejection
 from dvf_ig.core import (
     FloatArray,
     IntArray,
@@ -19,7 +20,7 @@ from dvf_ig.core import (
 )
 
 from .dots import Clip, DotOptions, Dots, find_dots
-from .pattern import FoundWires, PatternOptions, RefusedFrame, Rejection, find_wires
+from .pattern import FoundWires, PatternOptions, find_wires
 from .plan import WirePlan, plan_wires
 
 SCALE_FRAMES = 10
@@ -52,15 +53,15 @@ class WireFrame:
     """What was seen in one frame: candidate dots, and the wires among them or why there are none."""
 
     dots: Dots
-    wires: FoundWires | RefusedFrame
+    wires: FoundWires | RejectedFrame
 
     @property
     def found(self) -> FoundWires | None:
         return self.wires if isinstance(self.wires, FoundWires) else None
 
     @property
-    def refused(self) -> RefusedFrame | None:
-        return self.wires if isinstance(self.wires, RefusedFrame) else None
+    def rejected(self) -> RejectedFrame | None:
+        return self.wires if isinstance(self.wires, RejectedFrame) else None
 
 
 @read_only_arrays
@@ -86,7 +87,7 @@ class WireSegmentation:
     @property
     def reasons(self) -> dict[str, int]:
         """How many frames were left out for which reason, the most frequent first."""
-        return dict(Counter(f.refused.reason.value for f in self.frames if f.refused).most_common())
+        return dict(Counter(f.rejected.reason.value for f in self.frames if f.rejected).most_common())
 
 
 def segment_wires(
@@ -179,6 +180,8 @@ def _frame(
 ) -> WireFrame:
     if not valid:
         none = Dots(np.zeros((0, 2)), np.zeros(0))
-        return WireFrame(none, RefusedFrame(Rejection.IMAGE_INVALID, "the recorder marked the image invalid"))
+        return WireFrame(
+            none, RejectedFrame(Rejection.IMAGE_INVALID, "the recorder marked the image invalid")
+        )
     dots = find_dots(image, spacing_mm, clip=options.clip, options=options.dots)
     return WireFrame(dots, find_wires(dots, plan, spacing_mm, options=options.pattern))

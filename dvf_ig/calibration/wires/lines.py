@@ -79,8 +79,8 @@ def find_lines(
     length = np.linalg.norm(step, axis=2)
     longest = width * (1 + options.scale_share) / np.cos(np.radians(options.max_tilt_deg))
     fits = (length >= width * (1 - options.scale_share)) & (length <= longest)
-    turn = np.arctan2(step[..., 1], forward * step[..., 0])
-    ends = np.argwhere(fits & (np.abs(turn) <= np.radians(options.max_turn_deg)))
+    angle = np.arctan2(step[..., 1], forward * step[..., 0])
+    ends = np.argwhere(fits & (np.abs(angle) <= np.radians(options.max_turn_deg)))
     unit = (step / np.where(length > 0, length, 1.0)[..., None])[ends[:, 0], ends[:, 1]]
     offset = xy_mm[None] - xy_mm[ends[:, 0], None]
     beside = np.abs(offset[..., 1] * unit[:, None, 0] - offset[..., 0] * unit[:, None, 1])
@@ -107,12 +107,12 @@ def line_sets(
     if labelling[0] * labelling[1] > 0:
         plane = plane.conj()
     start, end = spots[lines[0].ends].T
-    turn = (end - start) / (plane[0, 1] - plane[0, 0])
+    similarity = (end - start) / (plane[0, 1] - plane[0, 0])
     near = []
     for k in range(1, len(lines)):
-        predicted = start[:, None] + turn[:, None] * (plane[k] - plane[0, 0])
-        miss = np.abs(predicted[:, None] - spots[lines[k].ends][None]).max(axis=2)
-        near.append(miss <= options.place_mm + 0.1 * np.abs(plane[k] - plane[0].mean()).max())
+        predicted = start[:, None] + similarity[:, None] * (plane[k] - plane[0, 0])
+        offset = np.abs(predicted[:, None] - spots[lines[k].ends][None]).max(axis=2)
+        near.append(offset <= options.place_mm + 0.1 * np.abs(plane[k] - plane[0].mean()).max())
     for i in range(len(lines[0])):
         for others in product(*(np.flatnonzero(n[i]).tolist() for n in near)):
             chosen = list(zip(lines, (i, *others), strict=True))

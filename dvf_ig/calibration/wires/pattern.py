@@ -1,11 +1,11 @@
 """Which dots of an image are which wires of an N-wire phantom, by geometry alone."""
 
 from dataclasses import dataclass, field
-from enum import StrEnum
 from itertools import product
 
 import numpy as np
 
+from dvf_ig.calibration.rejection import RejectedFrame, Rejection
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
 
 from .dots import Dots
@@ -13,18 +13,7 @@ from .lines import LineOptions, Lines, LineSet, find_lines, line_sets
 from .plan import Labelling, WirePlan
 
 MIN_SPREAD_MM = 5.0
-"""Diagonals' dots must spread this far in a direction (root sum of squares) to tell the tilt along it."""
-
-
-class Rejection(StrEnum):
-    """Why no wires were found in a frame, the sooner in the search the earlier."""
-
-    IMAGE_INVALID = "image marked invalid"
-    TOO_FEW_DOTS = "too few dots"
-    NO_LINE = "no line of three dots"
-    LINES_APART = "lines do not lie as in the phantom"
-    MISFIT = "dots miss the phantom's shape"
-    STEEP = "image too far from across the wires"
+"""Diagonals' dots must spread this far in a direction (root sum of squares) to show the tilt along it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,14 +49,6 @@ class FoundWires:
     labelling: Labelling
 
 
-@dataclass(frozen=True, slots=True)
-class RefusedFrame:
-    """Why a frame shows no wires: the kind of reason, and what was seen."""
-
-    reason: Rejection
-    detail: str
-
-
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Match:
@@ -76,7 +57,7 @@ class _Match:
     Attributes:
         wires: (wires,) dots in the phantom's order.
         cost: squared misfit in units of the dot's SD, less twice the log of the dots' contrast.
-        fault: what forbids it, or None.
+        fault: why it cannot be the phantom, or None.
     """
 
     wires: IntArray
@@ -84,12 +65,12 @@ class _Match:
     scale: float
     labelling: Labelling
     cost: float
-    fault: RefusedFrame | None
+    fault: RejectedFrame | None
 
 
 def find_wires(
     dots: Dots, plan: WirePlan, spacing_mm: float, *, options: PatternOptions | None = None
-) -> FoundWires | RefusedFrame:
+) -> FoundWires | RejectedFrame:
     """The choice of dots that best repeats the phantom, or why there is none.
 
     Pairs of dots at the distance of two outer wires, with a third between them, are lines. A line of the
@@ -117,7 +98,7 @@ def find_wires(
     ]
     best = min(matches, key=lambda m: (m.fault is not None, m.cost), default=None)
     if best is None:
-        return _refused(len(dots), [lines for _, lines in tried])
+        return _rejected(len(dots), [lines for _, lines in tried])
     if best.fault is not None:
         return best.fault
     return FoundWires(dots.points_px[best.wires], best.misfit_mm, best.scale, best.labelling)
@@ -137,8 +118,8 @@ def _matches(
     with_one = np.column_stack([xy_mm, np.ones(len(xy_mm))])
     plan_from_image = np.linalg.lstsq(with_one[ends], shape, rcond=None)[0].T
     placed = with_one @ plan_from_image.T
-    misses = np.square(placed[ends] - shape).sum(axis=1)
-    misfit = float(np.sqrt(misses.mean()))
+    residuals = np.square(placed[ends] - shape).sum(axis=1)
+    misfit = float(np.sqrt(residuals.mean()))
     large, small = np.linalg.svd(plan_from_image[:, :2])[1].tolist()
     fault = _shape_fault(misfit, large, small, options)
     out = []
@@ -146,7 +127,7 @@ def _matches(
         wires = np.column_stack([chosen.ends[:, 0], middle, chosen.ends[:, 1]]).ravel()
         at = placed[list(middle)]
         off_line = at[:, 1] - plan.outer_mm[:, :, 1].mean(axis=1)
-        cost = (misses.sum() + off_line @ off_line) / options.dot_sd_mm**2
+        cost = (residuals.sum() + off_line @ off_line) / options.dot_sd_mm**2
         cost -= 2.0 * np.log(dots.strength[wires]).sum()
         slope = _slope_fault(xy_mm[list(middle)], at[:, 0], plan, options)
         out.append(_Match(wires, misfit, large, labelling, float(cost), fault or slope))
@@ -155,16 +136,16 @@ def _matches(
 
 def _shape_fault(
     misfit_mm: float, large: float, small: float, options: PatternOptions
-) -> RefusedFrame | None:
-    """What is wrong with the outer wires: their shape, or the tilt that their foreshortening tells."""
+) -> RejectedFrame | None:
+    """What is wrong with the outer wires: their shape, or the tilt that follows from their foreshortening."""
     if misfit_mm > options.max_misfit_mm:
-        return RefusedFrame(
+        return RejectedFrame(
             Rejection.MISFIT,
             f"outer wires miss the phantom's shape by {misfit_mm:.2f} mm, at most {options.max_misfit_mm:g}",
         )
     share = options.lines.scale_share
     if not 1 - share <= large <= 1 + share:
-        return RefusedFrame(
+        return RejectedFrame(
             Rejection.MISFIT,
             f"the phantom appears {large:.2f} times its size, between {1 - share:.2f} and {1 + share:.2f} "
             "expected of this pixel size",
@@ -176,46 +157,46 @@ def _shape_fault(
 
 def _slope_fault(
     middle_mm: FloatArray, across_mm: FloatArray, plan: WirePlan, options: PatternOptions
-) -> RefusedFrame | None:
-    """What is wrong with the diagonals: the tilt told by the places along the wires where they are met.
+) -> RejectedFrame | None:
+    """What is wrong with the diagonals: the tilt that follows from where they are met along the wires.
 
     The image is a plane, so the place along the wires is linear over the image and its gradient is the sine
-    of the tilt. Two diagonals, or three nearly in line, tell a part of the gradient.
+    of the tilt. Two diagonals, or three nearly in line, give a part of the gradient.
     """
     start, end = plan.across_mm.T
     share = (across_mm - start) / (end - start)
     along = plan.along_mm[:, 0] + share * (plan.along_mm[:, 1] - plan.along_mm[:, 0])
     into_axes, spread_mm, _ = np.linalg.svd(middle_mm - middle_mm.mean(axis=0), full_matrices=False)
-    told = spread_mm >= MIN_SPREAD_MM
-    sine = float(np.linalg.norm((into_axes.T @ along)[told] / spread_mm[told]))
+    known = spread_mm >= MIN_SPREAD_MM
+    sine = float(np.linalg.norm((into_axes.T @ along)[known] / spread_mm[known]))
     if sine > np.sin(np.radians(options.lines.max_tilt_deg)) * (1 + options.lines.scale_share):
         return _steep(float(np.degrees(np.arcsin(min(1.0, sine)))), options)
     return None
 
 
-def _steep(tilt_deg: float, options: PatternOptions) -> RefusedFrame:
+def _steep(tilt_deg: float, options: PatternOptions) -> RejectedFrame:
     limit = options.lines.max_tilt_deg
-    return RefusedFrame(
+    return RejectedFrame(
         Rejection.STEEP, f"the image lies {tilt_deg:.0f}° off across the wires, at most {limit:g}°"
     )
 
 
-def _refused(dots: int, tried: list[list[Lines]]) -> RefusedFrame:
+def _rejected(dots: int, tried: list[list[Lines]]) -> RejectedFrame:
     """Why no set of lines was found, from the lines of each labelling and pattern."""
     patterns = len(tried[0])
     seen = max(_separate_lines(lines) for lines in tried)
     if dots < 3 * patterns:
         on_lines = f" on {_count(seen, 'line')}" if seen else ""
-        return RefusedFrame(
+        return RejectedFrame(
             Rejection.TOO_FEW_DOTS, f"{3 * patterns} wires expected, {_count(dots, 'dot')} found{on_lines}"
         )
     if seen == 0:
-        return RefusedFrame(Rejection.NO_LINE, f"no line of three dots among {dots}")
+        return RejectedFrame(Rejection.NO_LINE, f"no line of three dots among {dots}")
     if seen < patterns:
-        return RefusedFrame(
+        return RejectedFrame(
             Rejection.LINES_APART, f"{patterns} lines expected, {dots} dots form {_count(seen, 'line')}"
         )
-    return RefusedFrame(
+    return RejectedFrame(
         Rejection.LINES_APART, f"no {patterns} lines among {dots} dots lie at the phantom's distances"
     )
 

@@ -11,12 +11,12 @@ import typer
 from dvf_ig.cli.shell import wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import TargetErrors, WireErrors
+    from dvf_ig.calibration import CalibrationErrors
     from dvf_ig.core import FloatArray
 
 OutputOption = Annotated[
     Path | None,
-    typer.Option("-o", "--output", help="Write JSON here; PLUS XML and a picture go beside it."),
+    typer.Option("-o", "--out", help="Write JSON here; PLUS XML and a picture go beside it."),
 ]
 DeviceSetOption = Annotated[
     Path, typer.Option("--device-set", help="PLUS device-set XML with the phantom and its placement.")
@@ -72,29 +72,31 @@ def vector(values: Sequence[float]) -> str:
     return "(" + ", ".join(f"{v:.3f}" for v in values) + ")"
 
 
-def wire_errors(errors: "TargetErrors | WireErrors") -> dict[str, float | int]:
+def error_fields(errors: "CalibrationErrors | None") -> dict[str, float | int] | None:
+    """JSON of the errors of one recording; null where there is none."""
+    if errors is None:
+        return None
+    found = errors.summary
     return {
-        "mean_mm": errors.mean_mm,
-        "sd_mm": errors.sd_mm,
-        "mean95_mm": errors.mean95_mm,
-        "sd95_mm": errors.sd95_mm,
+        "mean_mm": found.mean,
+        "sd_mm": found.sd,
+        "mean95_mm": found.mean95,
+        "sd95_mm": found.sd95,
         "frames_used": errors.frames_used,
         "frames": errors.frames,
     }
 
 
-def error_row(errors: "TargetErrors | WireErrors") -> str:
+def error_row(errors: "CalibrationErrors") -> str:
+    found = errors.summary
     return (
-        f"{errors.mean_mm:.3f} ± {errors.sd_mm:.3f} mm, lowest 95 %: {errors.mean95_mm:.3f} ± "
-        f"{errors.sd95_mm:.3f} mm, {errors.frames_used} of {errors.frames} frames"
+        f"{found.mean:.3f} ± {found.sd:.3f} mm, lowest 95 %: {found.mean95:.3f} ± "
+        f"{found.sd95:.3f} mm, {errors.frames_used} of {errors.frames} frames"
     )
 
 
-def wire_rows(errors: "WireErrors") -> list[tuple[str, str]]:
-    return [
-        (f"wire {name}", f"{miss:.3f} mm in plane")
-        for name, miss in zip(errors.wire_names, errors.in_plane_mm, strict=True)
-    ]
+def wire_rows(errors: "CalibrationErrors") -> list[tuple[str, str]]:
+    return [(f"wire {name}", f"{length:.3f} mm in plane") for name, length in errors.in_plane_mm.items()]
 
 
 def _digest(path: Path) -> str | None:

@@ -2,18 +2,19 @@
 
 from enum import StrEnum
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit
 
-from .output import OutputOption, error_row, save, wire_errors, wire_rows
-from .uncertainty import map_rows, rejected_list, uncertainty
+from .output import OutputOption, error_fields, error_row, save, wire_rows
+from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
 from .wires import read_wires, segmentation_json, segmentation_rows
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import ProbeResult, ProbeVariants, WireErrors
+    from dvf_ig.calibration import CalibrationErrors, NWireResult, NWireVariants
 
 
 class Phantom(StrEnum):
@@ -93,7 +94,7 @@ def _nwire(
     rng: Any,
 ) -> tuple[dict[str, Any], list[tuple[str, ...]], float]:
     """JSON, rows to print and the error to save."""
-    from dvf_ig.calibration import compare_methods, validate_probe
+    from dvf_ig.calibration import compare_nwire_methods, validate_nwire
     from dvf_ig.core import InvalidInputError
 
     if device_set is None:
@@ -103,10 +104,10 @@ def _nwire(
     if validate is not None:
         validated = read_wires(validate, device_set, tables[1], "ValidationData")
     recording, held_out = seen.recording, None if validated is None else validated.recording
-    variants = compare_methods(recording, rng=rng)
+    variants = compare_nwire_methods(recording, rng=rng)
     found = _chosen(variants, method)
     checked = {
-        name: None if held_out is None else validate_probe(r.probe_from_image, held_out)
+        name: None if held_out is None else validate_nwire(r.probe_from_image, held_out)
         for name, r in variants.results.items()
     }
     result = _probe_result(found, checked[found.method])
@@ -116,30 +117,30 @@ def _nwire(
     result["validation_segmentation"] = segmentation_json(validated)
     rows: list[tuple[str, ...]] = [*segmentation_rows(seen, validated)]
     rows += [*_probe_rows(found, checked[found.method]), *_variant_rows(result)]
-    return result, rows, (checked[found.method] or found.calibration).mean95_mm
+    return result, rows, (checked[found.method] or found.calibration).summary.mean95
 
 
-def _chosen(variants: "ProbeVariants", method: str | None) -> "ProbeResult":
-    from dvf_ig.calibration import PROBE_METHODS
+def _chosen(variants: "NWireVariants", method: str | None) -> "NWireResult":
+    from dvf_ig.calibration import NWIRE_METHODS
     from dvf_ig.core import InvalidInputError, QualityGateError
 
     if method is None:
         return variants.best
-    for name in PROBE_METHODS:
+    for name in NWIRE_METHODS:
         if name == method:
             if name in variants.refused:
                 raise QualityGateError(f"method {name}: {variants.refused[name]}")
             return variants.results[name]
-    raise InvalidInputError(f"probe method '{method}' is unknown; choose {', '.join(PROBE_METHODS)}")
+    raise InvalidInputError(f"probe method '{method}' is unknown; choose {', '.join(NWIRE_METHODS)}")
 
 
-def _probe_result(found: "ProbeResult", checked: "WireErrors | None") -> dict[str, Any]:
+def _probe_result(found: "NWireResult", checked: "CalibrationErrors | None") -> dict[str, Any]:
     return {
         "sensor_from_image": found.matrix.tolist(),
         "sensor_frame": found.probe_from_image.rigid.target,
         "phantom": Phantom.nwire.value,
-        "calibration": wire_errors(found.calibration),
-        "validation": None if checked is None else wire_errors(checked),
+        "calibration": error_fields(found.calibration),
+        "validation": error_fields(checked),
         "method": found.method,
         "inlier_frames": int(found.inliers.sum()),
         "rejected": rejected_list(found.rejected),
@@ -151,26 +152,26 @@ def _probe_result(found: "ProbeResult", checked: "WireErrors | None") -> dict[st
 
 
 def _variants(
-    variants: "ProbeVariants", checked: "dict[Any, WireErrors | None]"
+    variants: "NWireVariants", checked: "dict[Any, CalibrationErrors | None]"
 ) -> dict[str, dict[str, Any]]:
-    from dvf_ig.calibration import PROBE_METHODS
+    from dvf_ig.calibration import NWIRE_METHODS
 
     table: dict[str, dict[str, Any]] = {}
-    for name in PROBE_METHODS:
+    for name in NWIRE_METHODS:
         if name in variants.refused:
             table[name] = {"refused": variants.refused[name]}
             continue
         errors = checked[name]
         table[name] = {
-            "calibration": wire_errors(variants.results[name].calibration),
-            "validation": None if errors is None else wire_errors(errors),
+            "calibration": error_fields(variants.results[name].calibration),
+            "validation": error_fields(errors),
             "cross_validated_mean95_mm": variants.cross_validated_mm[name],
-            "in_plane_mm": float((errors or variants.results[name].calibration).in_plane_mm.mean()),
+            "in_plane_mm": fmean((errors or variants.results[name].calibration).in_plane_mm.values()),
         }
     return table
 
 
-def _probe_rows(found: "ProbeResult", checked: "WireErrors | None") -> list[tuple[str, ...]]:
+def _probe_rows(found: "NWireResult", checked: "CalibrationErrors | None") -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [
         ("frames used", f"{int(found.inliers.sum())} of {found.calibration.frames}"),
         *map_rows(found.uncertainty),
@@ -178,7 +179,7 @@ def _probe_rows(found: "ProbeResult", checked: "WireErrors | None") -> list[tupl
     ]
     if checked is not None:
         rows.append(("validation", error_row(checked)))
-    rows += [(f"frame {frame}", reason) for frame, reason in found.rejected]
+    rows += rejected_rows(found.rejected)
     return rows + list(wire_rows(checked or found.calibration))
 
 

@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .output import error_row, vector, wire_errors
-from .uncertainty import map_rows, rejected_list, uncertainty
+from .output import error_fields, error_row, vector
+from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import ProbeTargetResult, TargetErrors
+    from dvf_ig.calibration import CalibrationErrors, TargetResult
     from dvf_ig.core import FloatArray, PoseStream
 
 METHODS = ("orthogonal", "isotropic")
@@ -40,12 +40,12 @@ def calibrate_target(
         "sensor_from_image": found.probe_from_image.matrix.tolist(),
         "sensor_frame": found.probe_from_image.rigid.target,
         "phantom": phantom,
-        "calibration": wire_errors(found.calibration),
-        "validation": None if checked is None else wire_errors(checked),
+        "calibration": error_fields(found.calibration),
+        "validation": error_fields(checked),
         "method": method or METHODS[0],
         "inlier_frames": int(found.inliers.sum()),
         "rejected": rejected_list(found.rejected),
-        "leave_one_out": wire_errors(found.held_out),
+        "leave_one_out": error_fields(found.held_out),
         **place,
         "uncertainty": uncertainty(found.uncertainty),
     }
@@ -58,12 +58,12 @@ def calibrate_target(
     ]
     if checked is not None:
         table.append(("validation", error_row(checked)))
-    table += [(f"frame {frame}", reason) for frame, reason in found.rejected]
-    return result, table, (checked or found.held_out).mean95_mm
+    table += rejected_rows(found.rejected)
+    return result, table, (checked or found.held_out).summary.mean95
 
 
 Solved = tuple[
-    "ProbeTargetResult[Any]", "TargetErrors | None", dict[str, Any], list[tuple[str, ...]]
+    "TargetResult[Any]", "CalibrationErrors | None", dict[str, Any], list[tuple[str, ...]]
 ]  # fmt: skip
 Seen = tuple["PoseStream", "FloatArray"]
 

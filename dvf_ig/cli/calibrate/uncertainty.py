@@ -1,4 +1,4 @@
-"""How the spread of an image calibration is printed and saved."""
+"""How the uncertainty of an image calibration, and the frames it rejected, are printed and saved."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from .output import vector
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import MapUncertainty
+    from dvf_ig.calibration import MapUncertainty, RejectedFrame
 
 AXES = ("lateral", "axial", "elevation")
 
@@ -31,8 +31,12 @@ def uncertainty(spread: "MapUncertainty") -> dict[str, Any]:
     }
 
 
-def rejected_list(rejected: Sequence[tuple[int, str]]) -> list[dict[str, Any]]:
-    return [{"frame": frame, "reason": reason} for frame, reason in rejected]
+def rejected_list(rejected: "Sequence[tuple[int, RejectedFrame]]") -> list[dict[str, Any]]:
+    return [{"frame": frame, "reason": why.detail} for frame, why in rejected]
+
+
+def rejected_rows(rejected: "Sequence[tuple[int, RejectedFrame]]") -> list[tuple[str, ...]]:
+    return [(f"frame {frame}", why.detail) for frame, why in rejected]
 
 
 def map_rows(spread: "MapUncertainty") -> list[tuple[str, ...]]:
@@ -41,7 +45,7 @@ def map_rows(spread: "MapUncertainty") -> list[tuple[str, ...]]:
     scale, sensor = estimate.scale_mm_per_px, estimate.rigid.target
     half = 0.5 * (spread.scale_mm_per_px[:, 1] - spread.scale_mm_per_px[:, 0])
     widths = ", ".join(f"{v:.2f}" for v in spread.center_mm)
-    turns = ", ".join(f"{v:.2f}" for v in spread.rotation_deg)
+    angles = ", ".join(f"{v:.2f}" for v in spread.rotation_deg)
     column, row = spread.parameters.center_px
     return [
         ("pixel size", f"{scale[0]:.5f} ± {half[0]:.5f} x {scale[1]:.5f} ± {half[1]:.5f} mm"),
@@ -50,5 +54,5 @@ def map_rows(spread: "MapUncertainty") -> list[tuple[str, ...]]:
             f"pixel {column:.0f}, {row:.0f}",
             f"{vector(spread.parameters.center_mm.tolist())} mm ± {widths} (lateral, axial, elevation)",
         ),
-        ("rotation", f"± {turns} deg about lateral, axial, elevation (95 %)"),
+        ("rotation", f"± {angles} deg about lateral, axial, elevation (95 %)"),
     ]

@@ -1,14 +1,14 @@
 """Wires of an N-wire recording for `dvf-ig calibrate probe`: from a table, or from the images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dvf_ig.cli.shell import wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import WireSegmentation
-    from dvf_ig.core import NWireRecording
+    from dvf_ig.calibration import WireImageOptions, WireSegmentation
+    from dvf_ig.core import NWireRecording, WireSearch
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,12 +49,26 @@ def read_wires(
     phantom = read_nwire_phantom(device_set)
     recorded = read_sequence(sequence)
     poses = phantom_from_probe(sequence, recorded, device_set)
-    found = segment_wires(recorded, phantom, options=read_wire_search(device_set))
+    found = segment_wires(recorded, phantom, options=wire_image_options(read_wire_search(device_set)))
     if picture is not None:
         title = f"{sequence.name}: wires found in {found.used} of {len(found.frames)} frames"
         write_wire_picture(picture, recorded, found, title=title)
         wrote(picture, "image")
     return SeenWires(recording_of(found, phantom, poses), found)
+
+
+def wire_image_options(search: "WireSearch") -> "WireImageOptions":
+    """What a device set says of the search; what it does not say keeps its default."""
+    from dvf_ig.calibration import WireImageOptions
+
+    options = WireImageOptions()
+    dots, pattern = options.dots, options.pattern
+    if search.candidates is not None:
+        # more cost little, and a bright wall can take many places
+        dots = replace(dots, most=max(dots.most, search.candidates))
+    if search.collinear_mm is not None:
+        pattern = replace(pattern, lines=replace(pattern.lines, collinear_mm=search.collinear_mm))
+    return replace(options, spacing_mm=search.spacing_mm, clip=search.clip, dots=dots, pattern=pattern)
 
 
 def segmentation_json(seen: SeenWires | None) -> dict[str, Any] | None:

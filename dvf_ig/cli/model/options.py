@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-OutputOption = Annotated[Path, typer.Option("-o", "--output", help="Model file to write (.npz).")]
+OutputOption = Annotated[Path, typer.Option("-o", "--out", help="Model file to write (.npz).")]
 SurfacesOption = Annotated[
     Path | None, typer.Option("--surfaces", help="Folder (or archive) of surfaces, one mesh a phase.")
 ]

@@ -5,10 +5,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
+from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, emit, progress, wrote
+
+from .options import FirstSeedOption, SeedsOption, worker_count
 
 if TYPE_CHECKING:
-    from dvf_ig.study.blending.study import BlendError, BlendStudy
+    from dvf_ig.study.blending.blend_errors import BlendError, BlendStudy
 
 COUNTS = "10,15,20,30,40,50"
 
@@ -18,19 +20,19 @@ def blending(
     phases: Annotated[str, typer.Option("--phases", help="Numbers of phases to compare.")] = COUNTS,
     knot_mm: Annotated[float, typer.Option("--knot-mm", help="Spline knot pitch in mm.")] = 3.6,
     threads: ThreadsOption = None,
-    seed: SeedOption = 1,
+    seeds: SeedsOption = 1,
+    seed: FirstSeedOption = 1,
     as_json: JsonFlag = False,
 ) -> None:
     """Blends between phases, against the phantom's exact motion: 5 mm (the paper's) and physiological."""
     with command(threads):
-        import os
         from dataclasses import asdict
 
         from data_synth.heart.motion import MotionPreset
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
         from dvf_ig.report.study.blending import blending_png
-        from dvf_ig.study.blending.study import blending_errors
+        from dvf_ig.study.blending.blend_errors import blending_errors
 
         counts = _counts(phases)
         presets: tuple[MotionPreset, ...] = ("paper5mm", "physiological")
@@ -38,18 +40,22 @@ def blending(
         with output_folder(out):
             for motion in presets:
                 with progress(f"{motion} phases") as report:
-                    workers = threads or os.cpu_count() or 1
                     studies.append(
                         blending_errors(
                             motion,
                             counts,
                             knot_spacing_mm=knot_mm,
-                            threads=workers,
-                            seed=seed,
-                            report=report,
+                            threads=worker_count(threads),
+                            seeds=range(seed, seed + seeds),
+                            progress=report,
                         )
                     )
-            summary = {"seed": seed, "knot_mm": knot_mm, "studies": [asdict(study) for study in studies]}
+            summary = {
+                "seed": seed,
+                "seeds": seeds,
+                "knot_mm": knot_mm,
+                "studies": [asdict(study) for study in studies],
+            }
             write_json(out / "summary.json", summary)
             write_bytes(out / "blending.png", blending_png(studies))
         emit(summary, _rows(studies), as_json=as_json)

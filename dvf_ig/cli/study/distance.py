@@ -1,11 +1,14 @@
-"""`dvf-ig study distance`: ways to make a distance map, side by side."""
+"""`dvf-ig study distance`: methods that make a distance map, side by side."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, progress, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, progress, wrote
+
+from .options import FirstSeedOption, SeedsOption
 
 if TYPE_CHECKING:
     from dvf_ig.core import Mesh
@@ -16,10 +19,11 @@ def distance_maps(
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for summary.json and the picture.")],
     surface: Annotated[
         Path | None,
-        typer.Argument(help="Closed surface (.stl .ply .vtp .obj); default: the phantom's heart of --seed."),
+        typer.Argument(help="Closed surface (.stl .ply .vtp .obj); default: the phantom's hearts."),
     ] = None,
     voxels: Annotated[int, typer.Option("--voxels", min=24, help="Along the longest side.")] = 128,
-    seed: SeedOption = 1,
+    seeds: SeedsOption = 1,
+    seed: FirstSeedOption = 1,
     as_json: JsonFlag = False,
 ) -> None:
     """Dilation, Euclidean maps, smoothed masks and exact distances, held against the exact one."""
@@ -31,15 +35,17 @@ def distance_maps(
         from dvf_ig.report.study.distance_maps import distance_png
         from dvf_ig.study.distance.maps import compare_distance_maps
 
-        mesh, name = _surface(surface, seed)
+        meshes, name = _surfaces(surface, range(seed, seed + seeds))
+        rngs = [np.random.default_rng(seed + k) for k in range(len(meshes))]
         with output_folder(out), progress("distance maps") as report:
-            found = compare_distance_maps(mesh, voxels=voxels, rng=np.random.default_rng(seed), report=report)
+            found = compare_distance_maps(meshes, rngs, voxels=voxels, progress=report)
             summary = {
                 "surface": name,
-                "vertices": len(mesh.vertices_mm),
+                "vertices": len(meshes[0].vertices_mm),
                 "voxel_mm": float(found.grid.spacing_mm[0]),
                 "shape": list(found.grid.shape),
                 "seed": seed,
+                "seeds": seeds,
                 "rows": [_entry(score) for score in found.scores],
             }
             write_json(out / "summary.json", summary)
@@ -50,7 +56,8 @@ def distance_maps(
         wrote(out / "distance.png")
 
 
-def _surface(path: Path | None, seed: int) -> "tuple[Mesh, str]":
+def _surfaces(path: Path | None, seeds: Sequence[int]) -> "tuple[list[Mesh], str]":
+    """The file's surface, or the phantom's of each seed, and what to call them."""
     from dvf_ig.core import InvalidInputError, Mesh
     from dvf_ig.io import read_mesh
     from dvf_ig.preop import count_edges
@@ -58,15 +65,18 @@ def _surface(path: Path | None, seed: int) -> "tuple[Mesh, str]":
     if path is None:
         from data_synth.heart.anatomy import phantom_anatomy
 
-        phantom = phantom_anatomy(motion="paper5mm", mismatch_mm=0.0, seed=seed)
-        return Mesh("mr", phantom.ed_vertices_mm, phantom.triangles), f"phantom {seed}, end-diastole"
+        phantoms = [phantom_anatomy(motion="paper5mm", mismatch_mm=0.0, seed=seed) for seed in seeds]
+        which = f"phantom {seeds[0]}" if len(seeds) == 1 else f"phantoms {seeds[0]} to {seeds[-1]}"
+        return [Mesh("mr", p.ed_vertices_mm, p.triangles) for p in phantoms], f"{which}, end-diastole"
+    if len(seeds) > 1:
+        raise typer.BadParameter(f"--seeds is {len(seeds)}, but {path} is one surface; leave out one of them")
     mesh = read_mesh(path)
     census = count_edges(mesh.triangles)
     if not census.closed:
         raise InvalidInputError(f"{path} is not a closed surface: {census}; close it first")
     if mesh.volume_mm3() < 0.0:
         mesh = Mesh(mesh.frame, mesh.vertices_mm, mesh.triangles[:, ::-1])
-    return mesh, path.name
+    return [mesh], path.name
 
 
 def _entry(score: "MapScore") -> dict[str, str | float]:

@@ -11,7 +11,7 @@ import typer
 from dvf_ig.cli.shell import JsonFlag, command, emit, progress, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.study.gating.study import PhaseErrors, PhaseSummary, RecordGating
+    from dvf_ig.study.gating.records import PhaseErrors, PhaseSummary, RecordGating
 
 HEADER = (
     "record", "rhythm", "beats", "Se150", "PPV150", "Se50", "PPV50", "timing ms", "latency p95 ms",
@@ -23,8 +23,8 @@ def gating(
     records: Annotated[
         Path, typer.Option("--records", help="Folder of WFDB records with annotations (.hea .dat .atr).")
     ],
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write summary.json and risk_coverage.png here.")
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Write summary.json and risk_coverage.png here.")
     ] = None,
     only: Annotated[str | None, typer.Option("--only", help="Records to use, separated by commas.")] = None,
     as_json: JsonFlag = False,
@@ -35,17 +35,17 @@ def gating(
         from dvf_ig.study.gating.summary import summarise_study
 
         names = _names(records, only)
-        if output is None:
+        if out is None:
             scored = _score(records, names)
             summary = summarise_study(scored)
         else:
-            with output_folder(output) as folder:
+            with output_folder(out) as folder:
                 scored = _score(records, names)
                 summary = summarise_study(scored)
                 write_json(folder / "summary.json", summary)
                 _draw(scored, folder / "risk_coverage.png")
-            wrote(output / "summary.json")
-            wrote(output / "risk_coverage.png")
+            wrote(out / "summary.json")
+            wrote(out / "risk_coverage.png")
         if as_json:
             for record in summary["records"]:
                 sys.stdout.write(json.dumps(plain(record), allow_nan=False) + "\n")
@@ -71,7 +71,7 @@ def _names(folder: Path, only: str | None) -> list[str]:
 
 def _score(folder: Path, names: Sequence[str]) -> "list[RecordGating]":
     from dvf_ig.io import read_annotations, read_ecg
-    from dvf_ig.study.gating.study import score_record
+    from dvf_ig.study.gating.records import score_record
 
     scored = []
     with progress("records") as report:
@@ -131,7 +131,7 @@ def _cells(phase: dict[str, float]) -> tuple[str, str, str, str]:
 
 def _draw(scored: "Sequence[RecordGating]", path: Path) -> None:
     from dvf_ig.report.study.gating_study import risk_coverage_figure
-    from dvf_ig.study.gating.study import pool
+    from dvf_ig.study.gating.records import pool
 
     classes: dict[str, PhaseErrors] = {}
     for rhythm in ("sinus", "ectopic", "fibrillation"):

@@ -1,9 +1,10 @@
 """Options that several studies share."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 WorkersOption = Annotated[
     int | None, typer.Option("--workers", min=1, help="Processes (default: one for each core).")
@@ -16,3 +17,27 @@ FolderOption = Annotated[
     Path,
     typer.Option("-o", "--out", help="Folder; a study that was stopped goes on where it was."),
 ]
+SeedsOption = Annotated[
+    int,
+    typer.Option("--seeds", min=1, help="How many seeds, counted up from --seed; one trial or heart each."),
+]
+FirstSeedOption = Annotated[int, typer.Option("--seed", help="The first seed.")]
+
+RENAMED = {"--pairs": "--seeds", "--trials": "--seeds"}
+
+
+class TrialsCommand(TyperCommand):
+    """A study of many trials; it tells users of an earlier option its new name."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        for name in (arg.partition("=")[0] for arg in args):
+            if name in RENAMED:
+                raise typer.BadParameter(f"{name} is now called {RENAMED[name]}", ctx=ctx)
+        return super().parse_args(ctx, args)
+
+
+def worker_count(workers: int | None) -> int:
+    """Processes to use: what was asked for, or one for each core."""
+    import os
+
+    return workers or os.cpu_count() or 1

@@ -1,21 +1,32 @@
 """`dvf-ig study same-image|capture|gating-error|planes|failures`: registration from known starts."""
 
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, progress, warn, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, progress, warn, wrote
+from dvf_ig.study.registration.experiments import CAPTURE, EXPERIMENTS, CaptureOptions, Experiment
 
-from .options import FolderOption, SchedulerOption, WorkersOption
+from .options import (
+    FirstSeedOption,
+    FolderOption,
+    SchedulerOption,
+    SeedsOption,
+    TrialsCommand,
+    WorkersOption,
+    worker_count,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dvf_ig.study.registration.summary import Group
 
-PairsOption = Annotated[int, typer.Option("--pairs", min=1, help="Image pairs; seeds count up from --seed.")]
+NEAR_MM = 12.0
+"""Starts up to here have a summary of their own: what a registration is given after touched landmarks."""
 
 
 class Quality(StrEnum):
@@ -26,21 +37,30 @@ class Quality(StrEnum):
     poor = "poor-image"
 
 
-def same_image(
-    out: FolderOption,
-    pairs: PairsOption = 3,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    seed: SeedOption = 1,
-    as_json: JsonFlag = False,
-) -> None:
-    """Arm A: the MR against itself; what is left is the harness's own error."""
-    _study("A", (), out, pairs, 3, 20.0, False, workers, scheduler, seed, as_json)
+def add_registration_commands(app: typer.Typer) -> None:
+    """A command for each experiment of the protocol."""
+    for experiment in EXPERIMENTS:
+        run = _capture if experiment is CAPTURE else _command_of(experiment)
+        app.command(experiment.name, help=experiment.title, cls=TrialsCommand)(run)
 
 
-def capture(
+def _command_of(experiment: Experiment) -> Callable[..., None]:
+    def run(
+        out: FolderOption,
+        seeds: SeedsOption = experiment.seeds,
+        workers: WorkersOption = None,
+        scheduler: SchedulerOption = None,
+        seed: FirstSeedOption = 1,
+        as_json: JsonFlag = False,
+    ) -> None:
+        _study(experiment, CaptureOptions(), out, seeds, workers, scheduler, seed, as_json)
+
+    return run
+
+
+def _capture(
     out: FolderOption,
-    pairs: PairsOption = 10,
+    seeds: SeedsOption = CAPTURE.seeds,
     quality: Annotated[
         list[Quality] | None, typer.Option("--quality", help="May be given again (default: calm).")
     ] = None,
@@ -53,99 +73,58 @@ def capture(
     ] = False,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
-    seed: SeedOption = 1,
+    seed: FirstSeedOption = 1,
     as_json: JsonFlag = False,
 ) -> None:
-    """Arm B: gated 3-D ultrasound to the phase-matched MR, without landmarks."""
-    chosen = tuple(q.value for q in quality or [Quality.calm])
-    _study("B", chosen, out, pairs, per_bin, to_mm, baseline, workers, scheduler, seed, as_json)
-
-
-def gating_error(
-    out: FolderOption,
-    pairs: PairsOption = 3,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    seed: SeedOption = 1,
-    as_json: JsonFlag = False,
-) -> None:
-    """Arm D: ultrasound gated up to 10 % of RR early or late, and at other heart rates."""
-    _study("D", (), out, pairs, 3, 20.0, False, workers, scheduler, seed, as_json)
-
-
-def planes(
-    out: FolderOption,
-    pairs: PairsOption = 5,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    seed: SeedOption = 1,
-    as_json: JsonFlag = False,
-) -> None:
-    """Arm E: one to five tracked planes, with errors of the probe's calibration and clock."""
-    _study("E", (), out, pairs, 3, 20.0, False, workers, scheduler, seed, as_json)
-
-
-def failures(
-    out: FolderOption,
-    pairs: PairsOption = 10,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    seed: SeedOption = 1,
-    as_json: JsonFlag = False,
-) -> None:
-    """Arm F: starts up to 90 mm off, deformed and wrong hearts; are failures known as such?"""
-    _study("F", (), out, pairs, 3, 20.0, False, workers, scheduler, seed, as_json)
+    qualities = tuple(q.value for q in quality or [Quality.calm])
+    options = CaptureOptions(qualities, per_bin, to_mm, baseline)
+    _study(CAPTURE, options, out, seeds, workers, scheduler, seed, as_json)
 
 
 def _study(
-    arm: str,
-    qualities: tuple[str, ...],
+    experiment: Experiment,
+    options: CaptureOptions,
     out: Path,
-    pairs: int,
-    per_bin: int,
-    to_mm: float,
-    baseline: bool,
+    seeds: int,
     workers: int | None,
     scheduler: str | None,
     seed: int,
     as_json: bool,
 ) -> None:
     with command():
-        import os
-
-        from dvf_ig.io import output_folder, plain, write_json
+        from dvf_ig.io import output_folder, write_json
         from dvf_ig.report.study.registration_page import write_capture_page
-        from dvf_ig.study.registration.experiments import (
-            registration_trial,
-            settings_of,
-            trial_numbers,
-            trials_together,
-        )
-        from dvf_ig.study.registration.summary import summarise_capture
+        from dvf_ig.study.registration.experiments import settings_of, trial_numbers, trials_per_heart
+        from dvf_ig.study.registration.summary import group_entry, summarise_trials
+        from dvf_ig.study.registration.trial import registration_trial
         from dvf_ig.study.trials import Study, run_trials
 
-        settings = settings_of(arm, qualities, per_bin, to_mm, baseline)
-        with output_folder(out), progress(f"arm {arm}") as report:
+        settings = settings_of(experiment, options)
+        with output_folder(out), progress(experiment.name) as report:
             lines = run_trials(
                 Study("registration", settings, registration_trial),
-                trial_numbers(settings, seed, pairs),
+                trial_numbers(settings, seed, seeds),
                 out,
-                workers=workers or os.cpu_count() or 1,
-                together=trials_together(settings),
+                workers=worker_count(workers),
+                group_size=trials_per_heart(settings),
                 scheduler=scheduler,
-                report=report,
+                progress=report,
             )
-            near = summarise_capture(lines, up_to_mm=12.0)
-            groups = summarise_capture(lines)
-            summary: dict[str, Any] = plain(
-                {"arm": arm, "pairs": pairs, "seed": seed, "groups": groups, "starts_up_to_12_mm": near}
-            )
+            near = summarise_trials(lines, up_to_mm=NEAR_MM)
+            groups = summarise_trials(lines)
+            summary: dict[str, Any] = {
+                "arm": experiment.letter,
+                "pairs": seeds,
+                "seed": seed,
+                "groups": [group_entry(group) for group in groups],
+                "starts_up_to_12_mm": [group_entry(group) for group in near],
+            }
             write_json(out / "summary.json", summary)
             write_capture_page(lines, out / "report.html")
         refused = [line for line in lines if "refused" in line]
         if refused:
             warn(f"{len(refused)} of {len(lines)} trials were refused; the first: {refused[0]['refused']}")
-        emit(summary, _rows(near if arm == "B" else groups), as_json=as_json)
+        emit(summary, _rows(near if experiment is CAPTURE else groups), as_json=as_json)
         for name in ("study.json", "trials.jsonl", "summary.json", "report.html"):
             wrote(out / name)
 

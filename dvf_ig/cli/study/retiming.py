@@ -5,15 +5,18 @@ from typing import Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, wrote
+
+from .options import FirstSeedOption, SeedsOption
 
 
 def retiming(
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write summary.json and retiming.png here.")
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Write summary.json and retiming.png here.")
     ] = None,
     motion: Annotated[str, typer.Option("--motion", help="paper5mm or physiological.")] = "physiological",
-    seed: SeedOption = 1,
+    seeds: SeedsOption = 1,
+    seed: FirstSeedOption = 1,
     as_json: JsonFlag = False,
 ) -> None:
     """Model phase error in mm at the moving surface, 45 to 120 beats/min, for each way of retiming."""
@@ -25,25 +28,26 @@ def retiming(
         from dvf_ig.core import InvalidInputError
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.report.study.retiming import retiming_figure
-        from dvf_ig.study.retiming.study import RATES_BPM, compare_retiming
+        from dvf_ig.study.retiming.surface_error import RATES_BPM, compare_retiming
 
         if motion not in PRESET_SCALE:
             raise InvalidInputError(f"motion '{motion}' is unknown; choose {', '.join(PRESET_SCALE)}")
         chosen: MotionPreset = "paper5mm" if motion == "paper5mm" else "physiological"
-        rows = compare_retiming(RATES_BPM, motion=chosen, seed=seed)
+        rows = compare_retiming(RATES_BPM, motion=chosen, seeds=range(seed, seed + seeds))
         summary = {
             "motion": motion,
             "model_rate_bpm": 60.0 / RR_S,
             "seed": seed,
+            "seeds": seeds,
             "rows": [asdict(row) for row in rows],
         }
-        if output is not None:
-            with output_folder(output) as folder:
+        if out is not None:
+            with output_folder(out) as folder:
                 write_json(folder / "summary.json", summary)
                 figure = retiming_figure(rows, 60.0 / RR_S)
                 figure.savefig(folder / "retiming.png", dpi=130, metadata={"Software": None})
-            wrote(output / "summary.json")
-            wrote(output / "retiming.png")
+            wrote(out / "summary.json")
+            wrote(out / "retiming.png")
         table: list[tuple[str, ...]] = [
             ("true k, ms per /min", "beats/min", "method", "mean mm", "p95 mm", "max mm", "systole p95 mm")
         ]

@@ -4,9 +4,9 @@ from typing import Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, progress, warn, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, progress, warn, wrote
 
-from .options import FolderOption
+from .options import FirstSeedOption, FolderOption, SeedsOption
 
 DEGREES = "1,2,3"
 PITCH_MM = 8.0
@@ -16,10 +16,8 @@ MAX_ITERATIONS = 3000
 def training(
     out: FolderOption,
     degrees: Annotated[str, typer.Option("--degrees", help="Degrees of the B-splines, 1 to 5.")] = DEGREES,
-    seeds: Annotated[
-        int, typer.Option("--seeds", min=1, help="How many hearts; seeds count up from --seed.")
-    ] = 1,
-    seed: SeedOption = 1,
+    seeds: SeedsOption = 1,
+    seed: FirstSeedOption = 1,
     as_json: JsonFlag = False,
 ) -> None:
     """Convergence and time of three ways to fit a phantom heart's distances, by degree of the splines."""
@@ -27,14 +25,14 @@ def training(
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
         from dvf_ig.report.study.training import training_png
-        from dvf_ig.study.training.study import curves_of, summarise_training, training_trial
+        from dvf_ig.study.training.comparison import curves_of, summarise_training, training_trial
         from dvf_ig.study.trials import Study, run_trials
 
         settings = {"degrees": _degrees(degrees), "pitch_mm": PITCH_MM, "max_iterations": MAX_ITERATIONS}
         with output_folder(out), progress("training") as report:
             # one process: trials side by side would disturb each other's times
             lines = run_trials(
-                Study("training", settings, training_trial), range(seed, seed + seeds), out, report=report
+                Study("training", settings, training_trial), range(seed, seed + seeds), out, progress=report
             )
             rows = summarise_training(lines)
             refused = [line for line in lines if "refused" in line]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from data_synth.phantoms.tank import TankRecording
-    from data_synth.scenario.ground_truth import Planted
+    from data_synth.scenario.ground_truth import GroundTruth
     from dvf_ig.core import FloatArray
 
 
@@ -29,7 +29,7 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
+class RecordingFiles:
     """What a recording consists of: truth as JSON, and (file, content, frame) of each file."""
 
     truth: dict[str, Any]
@@ -43,18 +43,20 @@ def calibration(
     seed: SeedOption = 1,
     threads: ThreadsOption = None,
 ) -> None:
-    """Simulate one calibration recording: tracked poses, images, segmented features, planted truth."""
+    """Simulate one calibration recording: tracked poses, images, segmented features, ground truth."""
     with command(threads):
         import numpy as np
 
-        from data_synth.scenario.ground_truth import plant
+        from data_synth.scenario.ground_truth import draw_ground_truth
         from data_synth.seeds import child_rng
         from data_synth.ultrasound.probe import SectorProbe
         from dvf_ig.io import output_folder, write_json, write_text
 
-        planted = plant(np.zeros(3), SectorProbe().plane_from_image, 150.0, child_rng(seed, "planting"))
+        truth = draw_ground_truth(
+            np.zeros(3), SectorProbe().plane_from_image, 150.0, child_rng(seed, "planting")
+        )
         with output_folder(out):
-            made = _MAKERS[kind](planted, out, child_rng(seed, kind.value))
+            made = _MAKERS[kind](truth, out, child_rng(seed, kind.value))
             write_json(out / "truth.json", {"kind": kind.value, "seed": seed, **made.truth})
             write_text(out / "README.md", _readme(kind, seed, made))
         emit(
@@ -68,17 +70,19 @@ def calibration(
         wrote(out / "README.md")
 
 
-def _pivot(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written:
+def _pivot(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
     from data_synth.phantoms.pivot import pivot_recording
     from data_synth.scenario.presets import Preset
     from dvf_ig.io import write_poses
 
-    write_poses(pivot_recording(planted.tip_in_tool, Preset().pivot_tracker, rng), out / "pivot.igs.mha")
-    truth = {"tip_mm": planted.tip_in_tool.xyz_mm[0], "tip_frame": planted.tip_in_tool.frame}
-    return Written(truth, (("pivot.igs.mha", "poses while the tip rests in a divot", "tracker_from_tool"),))
+    write_poses(pivot_recording(truth.tip_in_tool, Preset().pivot_tracker, rng), out / "pivot.igs.mha")
+    tip = {"tip_mm": truth.tip_in_tool.xyz_mm[0], "tip_frame": truth.tip_in_tool.frame}
+    return RecordingFiles(
+        tip, (("pivot.igs.mha", "poses while the tip rests in a divot", "tracker_from_tool"),)
+    )
 
 
-def _nwire(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written:
+def _nwire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
     from data_synth.phantoms.nwire import nwire_images
     from data_synth.scenario.presets import Preset
     from data_synth.ultrasound.probe import SectorProbe
@@ -87,7 +91,7 @@ def _nwire(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written
 
     options = Preset()
     recording, images = nwire_images(
-        planted.probe_from_image, SectorProbe(), options.nwire_tracker, options.nwire, rng
+        truth.probe_from_image, SectorProbe(), options.nwire_tracker, options.nwire, rng
     )
     probe = recording.phantom_from_probe
     # the phantom is its own reference
@@ -98,8 +102,8 @@ def _nwire(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written
     write_sequence(sequence, out / "nwire.igs.mha")
     write_nwire_phantom(out / "nwire.xml", recording.phantom, Rigid.identity("reference", "phantom"))
     write_wire_points(out / "nwire_points.xml", "CalibrationData", recording.phantom, recording.points_px)
-    return Written(
-        _image_truth(planted),
+    return RecordingFiles(
+        _image_truth(truth),
         (
             ("nwire.igs.mha", f"{len(sequence)} images with poses", "reference_from_probe"),
             ("nwire.xml", "device set: wires, and where the phantom stands", "phantom"),
@@ -108,30 +112,30 @@ def _nwire(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written
     )
 
 
-def _crosswire(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written:
+def _crosswire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
     from data_synth.phantoms.crosswire import CrossWireSpec, crosswire_recording
     from data_synth.scenario.presets import Preset
     from data_synth.ultrasound.probe import SectorProbe
 
     made = crosswire_recording(
-        planted.probe_from_image, SectorProbe(), Preset().nwire_tracker, CrossWireSpec(), rng
+        truth.probe_from_image, SectorProbe(), Preset().nwire_tracker, CrossWireSpec(), rng
     )
     files = _write_tank(out, "crosswire", made.recording, "the crossing in each image, px")
-    return Written({**_image_truth(planted), "crossing_tracker_mm": made.crossing.xyz_mm[0]}, files)
+    return RecordingFiles({**_image_truth(truth), "crossing_tracker_mm": made.crossing.xyz_mm[0]}, files)
 
 
-def _wall(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written:
+def _wall(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
     from data_synth.phantoms.wall import WallSpec, wall_recording
     from data_synth.scenario.presets import Preset
     from data_synth.ultrasound.probe import SectorProbe
 
-    made = wall_recording(planted.probe_from_image, SectorProbe(), Preset().nwire_tracker, WallSpec(), rng)
+    made = wall_recording(truth.probe_from_image, SectorProbe(), Preset().nwire_tracker, WallSpec(), rng)
     files = _write_tank(out, "wall", made.recording, "two points of the wall's line in each image, px")
     plane = {"wall_normal_tracker": made.normal, "wall_offset_mm": made.offset_mm}
-    return Written({**_image_truth(planted), **plane}, files)
+    return RecordingFiles({**_image_truth(truth), **plane}, files)
 
 
-def _watertank(planted: "Planted", out: Path, rng: "np.random.Generator") -> Written:
+def _watertank(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
     from data_synth.phantoms.watertank import watertank_images
     from data_synth.scenario.presets import Preset
     from data_synth.ultrasound.probe import SectorProbe
@@ -139,9 +143,9 @@ def _watertank(planted: "Planted", out: Path, rng: "np.random.Generator") -> Wri
 
     options = Preset()
     recording, video = watertank_images(
-        planted.probe_from_image,
+        truth.probe_from_image,
         SectorProbe(),
-        planted.lag_s,
+        truth.lag_s,
         options.watertank_tracker,
         options.watertank,
         rng,
@@ -150,8 +154,8 @@ def _watertank(planted: "Planted", out: Path, rng: "np.random.Generator") -> Wri
     write_sequence(video, out / "video.igs.mha")
     middle = 0.5 * (SectorProbe().columns - 1)
     write_line_table(out / "lines.xml", recording.wall_row_px.values, middle)
-    return Written(
-        {**_image_truth(planted), "lag_s": planted.lag_s},
+    return RecordingFiles(
+        {**_image_truth(truth), "lag_s": truth.lag_s},
         (
             ("tracker.igs.mha", "poses, tracker clock", "tracker_from_probe"),
             ("video.igs.mha", f"{len(video)} images, video clock", "image"),
@@ -160,7 +164,7 @@ def _watertank(planted: "Planted", out: Path, rng: "np.random.Generator") -> Wri
     )
 
 
-_MAKERS: dict[Kind, "Callable[[Planted, Path, np.random.Generator], Written]"] = {
+_MAKERS: dict[Kind, "Callable[[GroundTruth, Path, np.random.Generator], RecordingFiles]"] = {
     Kind.pivot: _pivot,
     Kind.nwire: _nwire,
     Kind.crosswire: _crosswire,
@@ -192,18 +196,18 @@ def _points_csv(features_px: "FloatArray") -> str:
     return "\n".join(lines) + "\n"
 
 
-def _image_truth(planted: "Planted") -> dict[str, Any]:
-    return {"probe_from_image": planted.probe_from_image.matrix}
+def _image_truth(truth: "GroundTruth") -> dict[str, Any]:
+    return {"probe_from_image": truth.probe_from_image.matrix}
 
 
-def _readme(kind: Kind, seed: int, made: Written) -> str:
+def _readme(kind: Kind, seed: int, made: RecordingFiles) -> str:
     rows = [f"| `{name}` | {content} | {frame} |" for name, content, frame in made.files]
     return "\n".join(
         [
             f"# Synthetic {kind.value} calibration, seed {seed}",
             "",
             "Lengths in mm, times in s. `target_from_source` maps coordinates of the source frame to the "
-            "target frame; `image` is in pixels (column, row). `truth.json` holds what was planted: do not "
+            "target frame; `image` is in pixels (column, row). `truth.json` holds the ground truth: do not "
             "read it before comparing.",
             "",
             "| file | content | frame |",

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from data_synth import Preset, ScenarioSpec
 
 SCHEMA = "dvf_ig.scenario-spec/1"
+_KEYS = {"occlusion": "sight"}
+"""Keys of the file that differ from the names of their fields: the format stays as it was."""
+_FIELDS = {key: field for field, key in _KEYS.items()}
 _HEADER = """\
 # A synthetic scenario. It can be made again from this file: dvf-ig synth scenario --spec FILE -o DIR
 # Under `options` everything may be changed; a key that is left out keeps the value of the named preset.
@@ -82,7 +85,8 @@ def scenario_spec(file: SpecFile) -> "ScenarioSpec":
 def spec_text(file: SpecFile) -> str:
     """YAML with every option spelt out."""
     spec = scenario_spec(file)
-    full = file.model_copy(update={"preset": spec.preset, "options": dataclasses.asdict(spec.options)})
+    options = {_KEYS.get(field, field): value for field, value in dataclasses.asdict(spec.options).items()}
+    full = file.model_copy(update={"preset": spec.preset, "options": options})
     document = full.model_dump(mode="json", by_alias=True)
     inputs = ("surfaces", "ecg", "probe_path") if file.anatomy == "phantom" else ()
     kept = {key: value for key, value in document.items() if key not in inputs}
@@ -102,7 +106,8 @@ def _replaced(value: Any, options: dict[str, Any]) -> Any:
     """A frozen dataclass with new values, down to the fields of its fields."""
     checked = _strict(type(value)).model_validate(options)
     new = {}
-    for name, given in options.items():
+    for key, given in options.items():
+        name = _FIELDS.get(key, key)
         held = getattr(value, name)
         nested = dataclasses.is_dataclass(held) and isinstance(given, dict)
         new[name] = _replaced(held, given) if nested else getattr(checked, name)
@@ -110,12 +115,13 @@ def _replaced(value: Any, options: dict[str, Any]) -> Any:
 
 
 def _strict(kind: Any) -> type[BaseModel]:
-    """A model with the fields of a dataclass, all optional, that refuses unknown keys."""
+    """A model with the keys of a dataclass's fields, all optional, that refuses unknown ones."""
     hints = get_type_hints(kind)
     fields: dict[str, Any] = {}
     for field in dataclasses.fields(kind):
         hint: Any = hints[field.name]
-        fields[field.name] = (_strict(hint) if dataclasses.is_dataclass(hint) else hint, None)
+        key = Field(default=None, alias=_KEYS.get(field.name, field.name))
+        fields[field.name] = (_strict(hint) if dataclasses.is_dataclass(hint) else hint, key)
     return create_model(kind.__name__, __config__=ConfigDict(extra="forbid", allow_inf_nan=False), **fields)
 
 

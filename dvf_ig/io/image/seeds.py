@@ -1,22 +1,18 @@
 """Seeds for segmentation: 3D Slicer markups whose labels say what each point lies in, or plain JSON."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.points import Points
+from dvf_ig.core.seeds import Seeds
 from dvf_ig.io.json_file import read_json
 from dvf_ig.io.landmarks import markup_points
 from dvf_ig.io.reading import reading
-
-if TYPE_CHECKING:
-    from dvf_ig.preop.segment.seeded import Seeds
 
 KINDS = ("heart", "background", "cavity")
 
@@ -31,8 +27,6 @@ def read_seeds(path: Path | str, frame: str = "mr") -> Seeds:
     Raises:
         UnreadableFileError: absent, another format, an unknown name, or heart or background without points.
     """
-    from dvf_ig.preop.segment.seeded import Seeds
-
     path = Path(path)
     with reading(path, "a file of seeds"):
         document = read_json(path, "a file of seeds")

@@ -16,7 +16,7 @@ TRUTH = "truth"
 README = "README.md"
 PREVIEW = "preview.png"
 SPEC = "spec.yaml"
-"""Beside the truth, because it tells what was planted."""
+"""Beside the truth, because it tells the ground truth."""
 
 _OURS = re.compile(
     r"scenario\.yaml|README\.md|preview\.png|ecg\.csv|ultrasound\.igs\.mha|tool\.igs\.mha|landmarks_(mr|tracker)\.mrk\.json"

@@ -1,4 +1,4 @@
-"""The README of a scenario folder: what is in it, in which frames, on which clocks; nothing planted."""
+"""The README of a scenario folder: what is in it, in which frames, on which clocks; no ground truth."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ class ScenarioNotes:
     """What is known of a synthetic scenario beyond its recordings.
 
     Attributes:
-        faults: one sentence each, without planted values.
+        faults: one sentence each, without values of the ground truth.
         spec: YAML from which the scenario can be made again; it is written into truth/.
     """
 
@@ -83,7 +83,7 @@ def _rows(scenario: Scenario) -> list[tuple[str, str, str, str]]:
     if scenario.landmarks_tracker is not None:
         rows.append(("`landmarks_tracker.mrk.json`", "the same points, touched", "tracker", ""))
     if scenario.truth is not None:
-        rows.append(("`truth/`", "what was planted; a replay reads it only to score itself", "", ""))
+        rows.append(("`truth/`", "the ground truth; a replay reads it only to score itself", "", ""))
     return rows
 
 

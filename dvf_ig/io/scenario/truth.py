@@ -1,4 +1,4 @@
-"""The planted truth of a synthetic scenario: everything in its folder `truth/`."""
+"""The ground truth of a synthetic scenario: everything in its folder `truth/`."""
 
 import io
 import math
@@ -97,7 +97,7 @@ def _truth(folder: Path, document: dict[str, Any]) -> ScenarioTruth:
     tool = _read_arrays(folder / "tool.npz", _TOOL)
     calibrated = document.get("calibrated_probe_from_image")
     return ScenarioTruth(
-        mr_from_tracker=tuple(_planted(entry) for entry in document["mr_from_tracker"]),
+        mr_from_tracker=tuple(_timed_pose(entry) for entry in document["mr_from_tracker"]),
         probe_from_image=_image(document),
         tip=Points(document["tip_frame"], np.array(document["tip_mm"]).reshape(-1, 3)),
         lag_s=float(document["lag_s"]),
@@ -135,7 +135,7 @@ def _image(document: dict[str, Any]) -> ImageMap:
     )
 
 
-def _planted(entry: dict[str, Any]) -> tuple[float, Rigid]:
+def _timed_pose(entry: dict[str, Any]) -> tuple[float, Rigid]:
     """A pose and when it starts to hold; JSON's null stands for "from the beginning"."""
     start_s = -math.inf if entry["from_s"] is None else float(entry["from_s"])
     return start_s, rigid_from_matrix(entry["matrix"], "mr", "tracker")

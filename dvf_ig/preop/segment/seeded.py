@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import csr_array
 
-from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Points, Volume
+from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Seeds, Volume
 from dvf_ig.core.frames import require_same_frame
 from dvf_ig.preop.conjugate_gradients import conjugate_gradients
 from dvf_ig.preop.motion.image_match import blurred
@@ -25,28 +25,6 @@ MIN_WEIGHT = 1e-3
 """Smallest weight of a random walker's step, as a share of the largest."""
 WALKER_TOLERANCE, WALKER_ITERATIONS = 1e-4, 400
 LABEL_NAMES = ((WALL, "wall"), (CAVITY, "cavity"))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Seeds:
-    """Seed points set by the user in the image.
-
-    Attributes:
-        heart: in the muscle.
-        background: outside the heart; together they should surround it.
-        cavity: in the blood inside the heart; may be empty where blood looks like muscle.
-    """
-
-    heart: Points
-    background: Points
-    cavity: Points
-
-    def __post_init__(self) -> None:
-        for name, points in (("heart", self.heart), ("background", self.background)):
-            if len(points) == 0:
-                raise InvalidInputError(f"no seed is named {name}; set at least one point of that name")
-        require_same_frame(self.heart.frame, self.background.frame, "background seeds")
-        require_same_frame(self.heart.frame, self.cavity.frame, "cavity seeds")
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,8 @@
 
 The scale σ of Geman–McClure is annealed from 12 to 2 mm: a far start is first pulled by everything, at last
 only by what lies on the surface. Ultrasound blooms walls into the blood by up to a millimetre, alike
-everywhere: a uniform offset along the normal is a seventh unknown once σ <= 4 mm (theory: registration).
+everywhere: a uniform offset along the normal is a seventh unknown once σ <= 4 mm
+(dvf_ig/docs/theory/registration.md).
 Rank the ends of many starts by image similarity, not by `score`: edges alone prefer wrong basins at times.
 """
 

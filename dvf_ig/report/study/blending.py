@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
-from dvf_ig.study.blending.study import BlendError, BlendStudy
+from dvf_ig.study.blending.blend_errors import BlendError, BlendStudy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from dvf_ig.study.gating.study import PhaseErrors, risk_coverage, summarise_phase
+from dvf_ig.study.gating.records import PhaseErrors, risk_coverage, summarise_phase
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,17 +11,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator, NullLocator
 
 from dvf_ig.core.arrays import FloatArray
+from dvf_ig.study.registration.experiments import BIN_MM
 from dvf_ig.study.registration.summary import (
-    BIN_MM,
     CAPTURE_PERCENT,
     FAILURE_MM,
     SUCCESS_MM,
-    Line,
     Share,
     capture_of,
     error_of,
     number,
 )
+from dvf_ig.study.trials import Line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.study.registration.summary import FAILURE_MM, SUCCESS_MM, Line, auc_of, error_of, number, share_of
+from dvf_ig.study.registration.summary import FAILURE_MM, SUCCESS_MM, auc_of, error_of, number, share_of
+from dvf_ig.study.trials import Line
 
 from .registration_capture import GUIDE, in_percent, methods_of
 

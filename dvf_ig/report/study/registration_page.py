@@ -12,12 +12,12 @@ from dvf_ig.study.registration.summary import (
     STRICT_MM,
     SUCCESS_MM,
     Group,
-    Line,
     Share,
     Spread,
     group_key,
-    summarise_capture,
+    summarise_trials,
 )
+from dvf_ig.study.trials import Line
 
 from .registration_capture import OURS, capture_curves, colors_of, error_boxes
 from .registration_checks import calibration_picture, roc_picture
@@ -76,13 +76,15 @@ def write_capture_page(lines: Iterable[Line], path: Path) -> None:
 
 def capture_html(lines: Sequence[Line]) -> str:
     """The page; see write_capture_page."""
-    groups = summarise_capture(lines)
-    near = {_key(group): group for group in summarise_capture(lines, up_to_mm=NEAR_MM)}
+    groups = summarise_trials(lines)
+    near = {_key(group): group for group in summarise_trials(lines, up_to_mm=NEAR_MM)}
     unknown = [group for group in groups if not group.method]
     known = [group for group in groups if group.method]
-    arms = sorted({group.arm for group in known})
+    arms = sorted({group.experiment for group in known})
     colors = colors_of(lines)
-    body = "".join(_arm_section(arm, [g for g in known if g.arm == arm], near, lines, colors) for arm in arms)
+    body = "".join(
+        _arm_section(arm, [g for g in known if g.experiment == arm], near, lines, colors) for arm in arms
+    )
     refused = sum(group.n for group in unknown)
     lost = (
         f"<p class=note>{refused} more trials were refused and do not say of what kind they were; they "
@@ -139,7 +141,7 @@ def _check_section(groups: Sequence[Group], lines: Sequence[Line], colors: dict[
     if not telling:
         return ""
     labels = ["arm", *_varied(telling)]
-    rows = [(g, [g.arm, *_labels(g, labels[1:]), *_checks(g)]) for g in telling]
+    rows = [(g, [g.experiment, *_labels(g, labels[1:]), *_checks(g)]) for g in telling]
     figures = [
         (roc_picture(lines, colors), "Failures caught against good registrations refused"),
         (calibration_picture(lines, colors), "Success probability against what came out"),
@@ -159,7 +161,7 @@ def _flags(group: Group) -> bool:
 
 
 def _key(group: Group) -> tuple[str, ...]:
-    return (group.arm, group.motion, group.quality, group.method, group.condition)
+    return (group.experiment, group.motion, group.quality, group.method, group.condition)
 
 
 def _varied(groups: Sequence[Group]) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from dvf_ig.cardiac import SYSTOLE_SLOPE_S_PER_BPM
-from dvf_ig.study.retiming.study import METHODS, RetimingRow
+from dvf_ig.study.retiming.surface_error import METHODS, RetimingRow
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from dvf_ig.core import BoolArray
-from dvf_ig.study.stylus.study import BeatingSurface, Track
+from dvf_ig.study.stylus.holding import BeatingSurface, StylusRun
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,12 +26,12 @@ PAPER_MEAN_MM = 0.29
 """Mean error of automatic tracking in Ren 2008."""
 
 
-def tracking_figure(surface: BeatingSurface, tracks: Sequence[Track], *, shown_cycles: int = 3) -> Figure:
+def tracking_figure(surface: BeatingSurface, tracks: Sequence[StylusRun], *, shown_cycles: int = 3) -> Figure:
     """Above, the first cycles where the surface moves most; below, the error of everything that followed.
 
     Args:
         surface: what was followed.
-        tracks: one a follower, at least one, all of the same length.
+        tracks: one for each stylus, at least one, all of the same length.
         shown_cycles: how many cycles are drawn.
     """
     cycle_s = surface.model.timing.rr_s
@@ -48,7 +48,7 @@ def tracking_figure(surface: BeatingSurface, tracks: Sequence[Track], *, shown_c
         axis.spines[["top", "right"]].set_visible(False)
     handles, labels = axes["cycles"].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
-    cycles = round(len(tracks[0].t_s) / tracks[0].follower.device.rate_hz / cycle_s)
+    cycles = round(len(tracks[0].t_s) / tracks[0].stylus.device.rate_hz / cycle_s)
     figure.suptitle(
         f"Held to the beating surface by the guidance fixture alone: {surface.motion}, "
         f"{cycles} cycles of {cycle_s:g} s, {len(surface.starts_mm)} places"
@@ -56,32 +56,32 @@ def tracking_figure(surface: BeatingSurface, tracks: Sequence[Track], *, shown_c
     return figure
 
 
-def picture_png(surface: BeatingSurface, tracks: Sequence[Track]) -> bytes:
+def picture_png(surface: BeatingSurface, tracks: Sequence[StylusRun]) -> bytes:
     """`tracking_figure` as a PNG file's bytes."""
     buffer = BytesIO()
     tracking_figure(surface, tracks).savefig(buffer, format="png", dpi=120)
     return buffer.getvalue()
 
 
-def _group(track: Track) -> str:
-    f = track.follower
+def _group(track: StylusRun) -> str:
+    f = track.stylus
     name = f.device.name.removeprefix("PHANToM ")
     return f"{name}, feed-forward" if f.feed_forward.friction_n > 0.0 else name
 
 
-def _color(track: Track, tracks: Sequence[Track]) -> str:
+def _color(track: StylusRun, tracks: Sequence[StylusRun]) -> str:
     groups = list(dict.fromkeys(_group(t) for t in tracks))
     return COLORS[groups.index(_group(track)) % len(COLORS)]
 
 
-def _one_blend(tracks: Sequence[Track]) -> list[Track]:
+def _one_blend(tracks: Sequence[StylusRun]) -> list[StylusRun]:
     """One track a group, so that curves over time can be told apart: the paper's blend where it was tried."""
-    blends = [t.follower.blend for t in tracks]
+    blends = [t.stylus.blend for t in tracks]
     chosen = "force" if "force" in blends else blends[0]
-    return [t for t in tracks if t.follower.blend == chosen]
+    return [t for t in tracks if t.stylus.blend == chosen]
 
 
-def _draw_motion(axis: Axes, track: Track, shown: BoolArray) -> None:
+def _draw_motion(axis: Axes, track: StylusRun, shown: BoolArray) -> None:
     """Along the mean outward normal: the tool, and the surface, which is as far out as the tool is inside."""
     tool = (track.tip_mm[-1] - track.tip_mm[-1, 0]) @ track.outward[-1]
     surface = tool + track.distance_mm[-1]
@@ -93,7 +93,9 @@ def _draw_motion(axis: Axes, track: Track, shown: BoolArray) -> None:
     axis.margins(x=0.0, y=0.2)
 
 
-def _draw_error(axis: Axes, drawn: Sequence[Track], tracks: Sequence[Track], shown: BoolArray) -> None:
+def _draw_error(
+    axis: Axes, drawn: Sequence[StylusRun], tracks: Sequence[StylusRun], shown: BoolArray
+) -> None:
     for track in drawn:
         axis.plot(track.t_s[shown], track.distance_mm[-1][shown], color=_color(track, tracks), lw=1.2)
     axis.axhline(0.0, color=SURFACE, lw=0.8)
@@ -101,15 +103,15 @@ def _draw_error(axis: Axes, drawn: Sequence[Track], tracks: Sequence[Track], sho
     axis.margins(x=0.0)
 
 
-def _draw_cycles(axis: Axes, tracks: Sequence[Track], cycle_s: float) -> None:
+def _draw_cycles(axis: Axes, tracks: Sequence[StylusRun], cycle_s: float) -> None:
     """Mean error of each cycle over all places: whether it grows, and how soon it settles."""
     for track in tracks:
         cycle = np.floor(track.t_s / cycle_s + 1e-9).astype(int)
         means = np.bincount(cycle, weights=np.abs(track.distance_mm).mean(axis=0)) / np.bincount(cycle)
         axis.plot(
-            1 + np.arange(len(means)), means, STYLES[track.follower.blend], lw=1.4,
+            1 + np.arange(len(means)), means, STYLES[track.stylus.blend], lw=1.4,
             color=_color(track, tracks),
-            label=f"{_group(track)}, {track.follower.blend}: {track.summary()['mean_mm']:.2f} mm",
+            label=f"{_group(track)}, {track.stylus.blend}: {track.summary()['mean_mm']:.2f} mm",
         )  # fmt: skip
     axis.axhline(PAPER_MEAN_MM, color=SURFACE, lw=0.9, ls="-.")
     axis.annotate("Ren 2008: 0.29 mm", (1, PAPER_MEAN_MM), (2, 3), textcoords="offset points", fontsize=8)
@@ -117,9 +119,9 @@ def _draw_cycles(axis: Axes, tracks: Sequence[Track], cycle_s: float) -> None:
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def _draw_spread(axis: Axes, tracks: Sequence[Track]) -> None:
+def _draw_spread(axis: Axes, tracks: Sequence[StylusRun]) -> None:
     for track in tracks:
         error = np.sort(np.abs(track.distance_mm).ravel())[:: max(1, track.distance_mm.size // 2000)]
         share = np.linspace(0, 100, len(error))
-        axis.plot(error, share, STYLES[track.follower.blend], color=_color(track, tracks), lw=1.4)
+        axis.plot(error, share, STYLES[track.stylus.blend], color=_color(track, tracks), lw=1.4)
     axis.set(xlabel="|distance|, mm", ylabel="share of time below, %", ylim=(0, 101), xlim=(0, None))

@@ -1,15 +1,17 @@
-"""A covariance tree over triangles (Li and Taylor): the peer among mesh searches in `dvf-ig bench`."""
+"""A covariance tree over triangles (Li and Taylor): the mesh search that `dvf-ig bench` compares with."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Mesh
-from dvf_ig.study.bench.covariance_tree_kernel import NODE, WORK, nearest_batch, nearest_in_covariance_tree
+from dvf_ig.core import FloatArray, Mesh, read_only_arrays
+
+from .covariance_tree_kernel import NODE, WORK, nearest_batch, nearest_in_covariance_tree
 
 LEAF_SIZE = 4
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class CovarianceTree:
     """Complete binary tree of oriented boxes.
@@ -17,21 +19,27 @@ class CovarianceTree:
     Attributes:
         nodes: (2L − 1, 15), see `dvf_ig.study.bench.covariance_tree_kernel`.
         corners: (t, 9) triangle corners in leaf order, mm.
-        work: work space of the search; one tree serves one thread.
     """
 
     nodes: FloatArray
     corners: FloatArray
-    work: FloatArray
+
+
+class CovarianceTreeSearch:
+    """Searches of one thread in a tree: each begins at the triangle that the last one found."""
+
+    def __init__(self, tree: CovarianceTree) -> None:
+        self._nodes, self._corners = tree.nodes.copy(), tree.corners.copy()
+        self._work = np.zeros(WORK)
 
     def distance_mm(self, point_mm: FloatArray) -> float:
         """Unsigned distance of one (3,) point; quickest when it is near the last one."""
-        return nearest_in_covariance_tree(self.nodes, self.corners, point_mm, self.work)
+        return nearest_in_covariance_tree(self._nodes, self._corners, point_mm, self._work)
 
     def distances_mm(self, points_mm: FloatArray) -> FloatArray:
         """(n,) unsigned distances of (n, 3) points."""
         out = np.empty(len(points_mm))
-        nearest_batch(self.nodes, self.corners, points_mm, self.work, out)
+        nearest_batch(self._nodes, self._corners, points_mm, self._work, out)
         return out
 
 
@@ -51,7 +59,7 @@ def build_covariance_tree(mesh: Mesh) -> CovarianceTree:
             if level < levels:
                 along = triangles[order[part]].mean(axis=1) @ axes[int(half.argmax())]
                 order[part] = order[part][np.argsort(along, kind="stable")]
-    return CovarianceTree(nodes, triangles[order].reshape(count, 9), np.zeros(WORK))
+    return CovarianceTree(nodes, triangles[order].reshape(count, 9))
 
 
 def _box(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -79,9 +79,3 @@ def nearest_batch(
     """`nearest_in_covariance_tree` for (n, 3) points, into (n,) distances."""
     for n in range(len(xyz_mm)):
         distance_mm[n] = nearest_in_covariance_tree(nodes, corners, xyz_mm[n], work)
-
-
-@kernel
-def no_operation(number: int) -> int:
-    """What a call from Python costs at the least."""
-    return number

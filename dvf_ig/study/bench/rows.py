@@ -11,12 +11,12 @@ from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, Rigid
 from dvf_ig.guidance import Continuity, Evaluator, Gaussian, PoseAndPhase, Sigmoid, Status, check_continuity
 from dvf_ig.guidance.blend import BLEND_CODES
 from dvf_ig.kernels.dynamic import force_batch
-from dvf_ig.kernels.spline import spline_batch, spline_tick
+from dvf_ig.kernels.spline import spline_batch
 from dvf_ig.preop import build_triangle_tree
-from dvf_ig.study.bench.covariance_tree_kernel import no_operation
 
 from .heart import CYCLE_S, RATE_HZ, hand_path, random_points
 from .peers import STATIC, TREE, TREE_KERNEL, peer_rows, signs
+from .single_calls import no_operation, spline_tick
 from .timing import KERNEL_CALLS, Row, row, time_batches, time_calls
 
 OURS = "dvf_ig"

@@ -1,4 +1,4 @@
-"""Do the 95 % intervals of the calibrations hold the truth 95 times in 100? Synthetic recordings know."""
+"""Coverage of the calibrations' 95 % intervals: do they hold the known truth of synthetic recordings?"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,17 +10,17 @@ from data_synth.phantoms.crosswire import CrossWireSpec, crosswire_recording
 from data_synth.phantoms.nwire import nwire_recording
 from data_synth.phantoms.wall import WallSpec, wall_recording
 from data_synth.phantoms.watertank import watertank_recording
-from data_synth.scenario.ground_truth import Planted, plant
+from data_synth.scenario.ground_truth import GroundTruth, draw_ground_truth
 from data_synth.scenario.presets import Preset
 from data_synth.seeds import child_rng
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import (
     MapUncertainty,
-    ProbeOptions,
+    NWireOptions,
     calibrate_crosswire,
-    calibrate_probe,
+    calibrate_nwire,
     calibrate_wall,
-    compare_methods,
+    compare_nwire_methods,
     estimate_latency,
 )
 from dvf_ig.core import FloatArray, InvalidInputError
@@ -38,8 +38,8 @@ _MAP_UNITS = np.array([180 / np.pi] * 3 + [1.0] * 3 + [100.0] * 2)
 
 
 @dataclass(frozen=True, slots=True)
-class Coverage:
-    """One number, or a group of like ones, over all trials.
+class IntervalCoverage:
+    """How often the 95 % intervals of one number, or of a group of like ones, held the truth.
 
     Attributes:
         name: key of GROUPS, or one of its entries.
@@ -58,7 +58,7 @@ class Coverage:
     half_width: float
 
 
-def coverage_trial(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
+def calibration_trial(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """One synthetic calibration recording, calibrated; errors and 95 % half-widths by name.
 
     Args:
@@ -71,19 +71,20 @@ def coverage_trial(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
     if kind not in KINDS:
         raise InvalidInputError(f"there is no calibration '{kind}'; choose {', '.join(KINDS)}")
     probe = SectorProbe()
-    planted = plant(np.zeros(3), probe.plane_from_image, 150.0, child_rng(seed, "planting"))
+    planted = draw_ground_truth(np.zeros(3), probe.plane_from_image, 150.0, child_rng(seed, "planting"))
     rng = child_rng(seed, str(kind))
     if kind == "watertank":
         return _latency_trial(planted, probe, rng)
-    spread, extra = _MAPS[kind](planted, probe, rng, settings)
+    uncertainty, extra = _MAPS[kind](planted, probe, rng, settings)
     middle = np.array(probe.apex_px) + np.array([0.0, 0.5 * (probe.fan.start_px + probe.fan.stop_px)])
-    spread = spread.about(middle)
-    error = -spread.parameters.away(planted.probe_from_image) * _MAP_UNITS
-    half = spread.half_width[[*range(spread.parameters.count), *[-1] * (8 - spread.parameters.count)]]
+    uncertainty = uncertainty.about(middle)
+    parameters = uncertainty.parameters
+    error = -parameters.away(planted.probe_from_image) * _MAP_UNITS
+    half = uncertainty.half_width[[*range(parameters.count), *[-1] * (8 - parameters.count)]]
     return {**_line(_MAP_NAMES, error, half * _MAP_UNITS), **extra}
 
 
-def summarise_coverage(lines: Sequence[Mapping[str, Any]]) -> list[Coverage]:
+def interval_coverage(lines: Sequence[Mapping[str, Any]]) -> list[IntervalCoverage]:
     """Every number, and every group of numbers, of the trials that gave an estimate."""
     good = [line for line in lines if "refused" not in line]
     if not good:
@@ -92,7 +93,7 @@ def summarise_coverage(lines: Sequence[Mapping[str, Any]]) -> list[Coverage]:
     for name in good[0]["error"]:
         error = np.array([line["error"][name] for line in good])
         half = np.array([line["half_width"][name] for line in good])
-        single[name] = (error, half, _coverage(name, error, half))
+        single[name] = (error, half, _coverage_of(name, error, half))
     out = []
     for group, names in GROUPS.items():
         members = [single[name] for name in names if name in single]
@@ -101,20 +102,20 @@ def summarise_coverage(lines: Sequence[Mapping[str, Any]]) -> list[Coverage]:
         inside = np.concatenate([np.abs(error) <= half for error, half, _ in members])
         worst = max((c for _, _, c in members), key=lambda c: abs(c.bias) / max(c.sd, 1e-30))
         width = float(np.sqrt(np.mean([c.half_width**2 for _, _, c in members])))
-        out.append(Coverage(group, len(inside), float(inside.mean()), worst.bias, worst.sd, width))
+        out.append(IntervalCoverage(group, len(inside), float(inside.mean()), worst.bias, worst.sd, width))
         if len(members) > 1:
             out += [c for _, _, c in members]
     return out
 
 
-def _coverage(name: str, error: FloatArray, half: FloatArray) -> Coverage:
+def _coverage_of(name: str, error: FloatArray, half: FloatArray) -> IntervalCoverage:
     sd = float(error.std(ddof=1)) if len(error) > 1 else 0.0
     inside = float((np.abs(error) <= half).mean())
-    return Coverage(name, len(error), inside, float(error.mean()), sd, float(half.mean()))
+    return IntervalCoverage(name, len(error), inside, float(error.mean()), sd, float(half.mean()))
 
 
 def _nwire(
-    planted: Planted, probe: SectorProbe, rng: np.random.Generator, settings: Mapping[str, Any]
+    planted: GroundTruth, probe: SectorProbe, rng: np.random.Generator, settings: Mapping[str, Any]
 ) -> tuple[MapUncertainty, dict[str, Any]]:
     options = Preset()
     size = (probe.columns, probe.rows)
@@ -123,14 +124,14 @@ def _nwire(
     )
     method = settings["method"]
     if method == "chosen":
-        found = compare_methods(recording, rng=rng).best
+        found = compare_nwire_methods(recording, rng=rng).best
     else:
-        found = calibrate_probe(recording, rng=rng, options=ProbeOptions(method=method))
+        found = calibrate_nwire(recording, rng=rng, options=NWireOptions(method=method))
     return found.uncertainty, {"method": found.method}
 
 
 def _crosswire(
-    planted: Planted, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
+    planted: GroundTruth, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
 ) -> tuple[MapUncertainty, dict[str, Any]]:
     made = crosswire_recording(
         planted.probe_from_image, probe, Preset().nwire_tracker, CrossWireSpec(), rng, rendered=False
@@ -140,7 +141,7 @@ def _crosswire(
 
 
 def _wall(
-    planted: Planted, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
+    planted: GroundTruth, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
 ) -> tuple[MapUncertainty, dict[str, Any]]:
     made = wall_recording(
         planted.probe_from_image, probe, Preset().nwire_tracker, WallSpec(), rng, rendered=False
@@ -149,7 +150,7 @@ def _wall(
     return calibrate_wall(poses, made.features_px, rng=rng).uncertainty, {}
 
 
-def _latency_trial(planted: Planted, probe: SectorProbe, rng: np.random.Generator) -> dict[str, Any]:
+def _latency_trial(planted: GroundTruth, probe: SectorProbe, rng: np.random.Generator) -> dict[str, Any]:
     options = Preset()
     recording = watertank_recording(
         planted.probe_from_image,

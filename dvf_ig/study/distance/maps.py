@@ -1,11 +1,11 @@
-"""Ways to make a distance map, held against the exact distance to the mesh. Uses SimpleITK.
+"""Methods that make a distance map, compared with the exact distance to the mesh. Uses SimpleITK.
 
-Every way starts from the same mask (or the mesh it was cut from) on the same grid, and its map is fitted by
-the same splines: knots every second voxel, plain least squares as in Ren 2008, eq. 2.
+Every method starts from the same mask (or the mesh it was cut from) on the same grid, and its map is fitted
+by the same splines: knots every second voxel, plain least squares as in Ren 2008, eq. 2.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,7 @@ from dvf_ig.preop import (
 )
 from dvf_ig.preop.distance.signed import LEVELS
 from dvf_ig.preop.spline.fit import SAMPLES_PER_KNOT, AxisSolvers
+from dvf_ig.study.progress import Progress, part_of
 
 WIDE_MM, NEAR_MM = 15.0, 2.0
 BAND_MM = 4.0
@@ -38,18 +39,18 @@ BAND_MM = 4.0
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class MapScore:
-    """One way of making the map.
+    """One method, over all surfaces.
 
     Attributes:
-        name: what it is.
-        seconds: for the map alone.
+        name: of the method.
+        seconds: for the map alone, the mean of the surfaces.
         rms_wide_mm, rms_near_mm: at the voxels within 15 mm and 2 mm of the surface, before any fit.
         surface_mean_mm, surface_sd_mm: |d|/|∇d| of the fitted spline at random points of the mesh.
         normal_median_deg, normal_p95_deg: angle between the fitted ∇d and the smooth surface's normal at
             points within 2 mm of it.
         map_normal_median_deg, map_normal_p95_deg: the same for the map before the fit, by central
             differences at voxels within 2 mm of the surface.
-        distance_mm: (nx, ny, nz) the map.
+        distance_mm: (nx, ny, nz) the map of the first surface.
     """
 
     name: str
@@ -68,54 +69,96 @@ class MapScore:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """All ways on one surface, with the exact distance they are held against."""
+    """All methods; the grid of the first surface, and the exact distance to it."""
 
     scores: tuple[MapScore, ...]
     grid: Grid
     exact_mm: FloatArray
 
 
-Way = Callable[[Mesh, BoolArray, Grid], FloatArray]
+Method = Callable[[Mesh, BoolArray, Grid], FloatArray]
 
 
 def compare_distance_maps(
-    mesh: Mesh,
+    meshes: Sequence[Mesh],
+    rngs: Sequence[np.random.Generator],
     *,
     voxels: int = 128,
     points: int = 20_000,
-    rng: np.random.Generator,
-    report: Callable[[float], None] = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> Comparison:
-    """Every way on one closed surface.
+    """Every method on some closed surfaces; errors are pooled over them.
 
     Args:
-        mesh: closed, outward orientation.
+        meshes: closed, outward orientation; at least one.
+        rngs: one for each mesh, draws the points at which the fits are judged.
         voxels: along the longest side of the box, which reaches 15 mm beyond the surface.
-        points: random points of the surface at which the fits are judged; a quarter of them for the normals.
-        report: told the share of the ways that is done.
+        points: random points of each surface; a quarter as many voxels near it for the normals.
+        progress: told the share of the work that is done.
     Raises:
         InvalidInputError: fewer than 24 voxels.
     """
     if voxels < 24:
         raise InvalidInputError(f"{voxels} voxels along the longest side; needed at least 24")
-    grid = _voxel_grid(mesh, voxels)
-    mask = inside_mask(grid.to_index(mesh.vertices_mm), mesh.triangles, grid.shape)
-    exact_mm = signed_distance_mm(mesh, grid, WIDE_MM)
-    judge = _Judge.of(mesh, grid, exact_mm, points, rng)
-    scores = []
-    for name, way in WAYS.items():
-        start = time.perf_counter()
-        distance_mm = way(mesh, mask, grid)
-        seconds = time.perf_counter() - start
-        scores.append(judge.score(name, distance_mm, seconds, surface_first=name == SURFACE_FIRST))
-        report(len(scores) / len(WAYS))
-    return Comparison(tuple(scores), grid, exact_mm)
+    references: list[_Reference] = []
+    maps: dict[str, FloatArray] = {}
+    errors: dict[str, list[_MapErrors]] = {name: [] for name in METHODS}
+    for k, (mesh, rng) in enumerate(zip(meshes, rngs, strict=True)):
+        reference = _Reference.of(mesh, voxels, points, rng)
+        mask = inside_mask(reference.grid.to_index(mesh.vertices_mm), mesh.triangles, reference.grid.shape)
+        references.append(reference)
+        for done, (name, method) in enumerate(METHODS.items(), 1):
+            start = time.perf_counter()
+            distance_mm = method(mesh, mask, reference.grid)
+            seconds = time.perf_counter() - start
+            maps.setdefault(name, distance_mm)
+            errors[name].append(reference.errors(distance_mm, seconds, surface_first=name == SURFACE_FIRST))
+            part_of(progress, k, len(meshes))(done / len(METHODS))
+    scores = tuple(_score(name, errors[name], maps[name]) for name in METHODS)
+    return Comparison(scores, references[0].grid, references[0].exact_mm)
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class _Judge:
-    """What every way is held against; each sees the same random points.
+class _MapErrors:
+    """Errors of one method on one surface: see `MapScore`.
+
+    Attributes:
+        wide_squares_mm2, near_squares_mm2: squared errors at the voxels within 15 mm and 2 mm.
+        surface_mm, normal_deg, map_normal_deg: at each point.
+    """
+
+    seconds: float
+    wide_squares_mm2: FloatArray
+    near_squares_mm2: FloatArray
+    surface_mm: FloatArray
+    normal_deg: FloatArray
+    map_normal_deg: FloatArray
+
+
+def _score(name: str, errors: Sequence[_MapErrors], distance_mm: FloatArray) -> MapScore:
+    surface_mm = np.concatenate([e.surface_mm for e in errors])
+    normal_deg = np.concatenate([e.normal_deg for e in errors])
+    map_normal_deg = np.concatenate([e.map_normal_deg for e in errors])
+    return MapScore(
+        name=name,
+        seconds=float(np.mean([e.seconds for e in errors])),
+        rms_wide_mm=float(np.sqrt(np.mean(np.concatenate([e.wide_squares_mm2 for e in errors])))),
+        rms_near_mm=float(np.sqrt(np.mean(np.concatenate([e.near_squares_mm2 for e in errors])))),
+        surface_mean_mm=float(surface_mm.mean()),
+        surface_sd_mm=float(surface_mm.std()),
+        normal_median_deg=float(np.median(normal_deg)),
+        normal_p95_deg=float(np.percentile(normal_deg, 95)),
+        map_normal_median_deg=float(np.median(map_normal_deg)),
+        map_normal_p95_deg=float(np.percentile(map_normal_deg, 95)),
+        distance_mm=distance_mm,
+    )
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reference:
+    """What every method is compared with on one surface; each sees the same random points.
 
     Attributes:
         near: indices of random voxels within 2 mm of the surface.
@@ -132,19 +175,19 @@ class _Judge:
     inward: FloatArray
 
     @classmethod
-    def of(
-        cls, mesh: Mesh, grid: Grid, exact_mm: FloatArray, points: int, rng: np.random.Generator
-    ) -> "_Judge":
+    def of(cls, mesh: Mesh, voxels: int, points: int, rng: np.random.Generator) -> "_Reference":
+        grid = _voxel_grid(mesh, voxels)
+        exact_mm = signed_distance_mm(mesh, grid, WIDE_MM)
         x, y, z = (AxisSolver.of((n - 1) // SAMPLES_PER_KNOT) for n in grid.shape)
-        voxels = np.argwhere(np.abs(exact_mm) <= NEAR_MM)
-        chosen = np.sort(rng.permutation(len(voxels))[: points // 4])
+        close = np.argwhere(np.abs(exact_mm) <= NEAR_MM)
+        chosen = np.sort(rng.permutation(len(close))[: points // 4])
         tree = build_triangle_tree(mesh.vertices_mm, mesh.triangles)
-        nearest = tree.nearest(grid.to_mm(voxels[chosen].astype(np.float64)))
+        nearest = tree.nearest(grid.to_mm(close[chosen].astype(np.float64)))
         inward = -smooth_normals(mesh, vertex_normals(mesh), nearest)
-        near = tuple(voxels[chosen].T)
+        near = tuple(close[chosen].T)
         return cls(mesh, grid, exact_mm, (x, y, z), points, int(rng.integers(2**63)), near, inward)
 
-    def score(self, name: str, distance_mm: FloatArray, seconds: float, *, surface_first: bool) -> MapScore:
+    def errors(self, distance_mm: FloatArray, seconds: float, *, surface_first: bool) -> _MapErrors:
         knot_mm = SAMPLES_PER_KNOT * float(self.grid.spacing_mm[0])
         if surface_first:
             coefficients = fit_weighted(distance_mm, surface_weights(distance_mm, knot_mm), self.solvers)
@@ -152,28 +195,22 @@ class _Judge:
             coefficients = fit_coefficients(distance_mm, self.solvers)
         field = SplineField(coefficients[None], self.grid.origin_mm, knot_mm)
         no_caps = np.zeros(len(self.mesh.triangles), dtype=np.bool_)
-        errors = field_errors(field, self.mesh, no_caps, self.points, np.random.default_rng(self.seed))
+        fit = field_errors(field, self.mesh, no_caps, self.points, np.random.default_rng(self.seed))
         slopes = np.stack(
             [np.asarray(np.gradient(distance_mm, axis=axis))[self.near] for axis in range(3)], axis=1
         )
-        map_normal_deg = angle_deg(slopes, self.inward)
-        return MapScore(
-            name,
+        return _MapErrors(
             seconds,
-            self._rms(distance_mm, WIDE_MM),
-            self._rms(distance_mm, NEAR_MM),
-            float(errors.surface_mm.mean()),
-            float(errors.surface_mm.std()),
-            float(np.median(errors.normal_deg)),
-            float(np.percentile(errors.normal_deg, 95)),
-            float(np.median(map_normal_deg)),
-            float(np.percentile(map_normal_deg, 95)),
-            distance_mm,
+            self._squares_mm2(distance_mm, WIDE_MM),
+            self._squares_mm2(distance_mm, NEAR_MM),
+            fit.surface_mm,
+            fit.normal_deg,
+            angle_deg(slopes, self.inward),
         )
 
-    def _rms(self, distance_mm: FloatArray, within_mm: float) -> float:
+    def _squares_mm2(self, distance_mm: FloatArray, within_mm: float) -> FloatArray:
         near = np.abs(self.exact_mm) <= within_mm
-        return float(np.sqrt(np.mean((distance_mm[near] - self.exact_mm[near]) ** 2)))
+        return np.asarray((distance_mm[near] - self.exact_mm[near]) ** 2)
 
 
 def _voxel_grid(mesh: Mesh, voxels: int) -> Grid:
@@ -186,7 +223,7 @@ def _voxel_grid(mesh: Mesh, voxels: int) -> Grid:
     return Grid.axis_aligned(mesh.frame, (shape[0], shape[1], shape[2]), lower, spacing_mm)
 
 
-def _dilation(neighbours: int) -> Way:
+def _dilation(neighbours: int) -> Method:
     return lambda _, mask, grid: dilation_distance_mm(mask, float(grid.spacing_mm[0]), neighbours)
 
 
@@ -229,7 +266,7 @@ def _exact(mesh: Mesh, _: BoolArray, grid: Grid) -> FloatArray:
 
 SURFACE_FIRST = "exact to the mesh, surface first"
 
-WAYS: dict[str, Way] = {
+METHODS: dict[str, Method] = {
     "dilation, 6 neighbours": _dilation(6),
     "dilation, 18 neighbours": _dilation(18),
     "dilation, 26 neighbours": _dilation(26),

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .study import RHYTHMS, RecordGating, summarise_phase
+from .records import RHYTHMS, RecordGating, summarise_phase
 
 
 def summarise_study(scored: Sequence[RecordGating]) -> dict[str, Any]:

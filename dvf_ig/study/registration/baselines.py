@@ -1,4 +1,4 @@
-"""What others register ultrasound to MR with, for studies. Imports SimpleITK.
+"""Baselines: mutual-information registration by SimpleITK and by elastix. Imports SimpleITK.
 
 Both get the fan as sampling mask, the organ's centre as centre of rotation, one thread and a fixed seed.
 """
@@ -26,7 +26,7 @@ SEED = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BaselineResult:
-    """What a baseline made of a pair.
+    """The result of a baseline on an image pair.
 
     Attributes:
         name: of the baseline.
@@ -52,7 +52,7 @@ class MattesOptions:
     Attributes:
         bins: of the joint histogram.
         shrink, smoothing_mm: of each level, coarse to fine.
-        sampling: share of the masked voxels that each level looks at.
+        sampling: share of the masked voxels that each level samples.
         step_mm: first step; it is halved where the gradient turns, until `least_step_mm`.
         iterations: most at each level.
     """

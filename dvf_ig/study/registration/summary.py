@@ -1,28 +1,28 @@
 """What registration trials say together: accuracy, capture range, and whether a failure was known as one.
 
 A line of `trials.jsonl` has `seed pair motion quality arm method condition start_mm tre_mm rotation_deg
-translation_mm stop usable success_probability seconds`; a refused one only what was known of it. `tre_mm` is
-the mean target registration error of one run, `start_mm` that of its start.
+translation_mm stop usable success_probability seconds`; a refused one only what was known of it. `arm` is
+the letter of the experiment, `tre_mm` the mean target registration error of one run, `start_mm` that of its
+start.
 """
 
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest, rankdata
 
-Line = dict[str, Any]
+from dvf_ig.io import plain
+from dvf_ig.study.trials import Line
+
+from .experiments import BIN_MM
 
 STRICT_MM, SUCCESS_MM, FAILURE_MM = 1.0, 2.0, 3.0
 """A run below the second is a success, below the first a strict one, above the third a failure."""
 
-BIN_MM = 2.0
-"""Width of the bins of start error."""
-
 CAPTURE_PERCENT = 95
-"""A start is captured where at least so many of the runs succeed."""
+"""The capture range reaches as far as at least so many of the runs succeed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,9 @@ class Capture:
 
 @dataclass(frozen=True, slots=True)
 class SelfCheck:
-    """Whether the method knew; None where it does not say. Runs of 2 to 3 mm are neither success nor failure.
+    """Whether the method told failures from successes; None where it does not judge itself.
+
+    Runs of 2 to 3 mm are neither success nor failure.
 
     Attributes:
         failures_flagged: failures that were not usable.
@@ -95,13 +97,14 @@ class SelfCheck:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """The runs of one arm, motion, quality, method and condition.
+    """The runs of one experiment, motion, quality, method and condition.
 
     Shares are of all `n` runs; a refused run, or one without a finite error, is no success. A run without a
     finite error is a failure larger than any other; refused ones have no error at all.
 
     Attributes:
-        arm, motion, quality, method, condition: empty where the lines do not say, as refused ones may not.
+        experiment: its letter; motion, quality, method, condition: empty where the lines do not say, as
+            refused ones may not.
         pairs: image pairs seen.
         n: runs, with the `refused` ones among them.
         tre_mm: of all runs that were not refused, failures included.
@@ -111,7 +114,7 @@ class Group:
         translation_mm: median size along each axis; None without.
     """
 
-    arm: str
+    experiment: str
     motion: str
     quality: str
     method: str
@@ -133,8 +136,8 @@ class Group:
     check: SelfCheck
 
 
-def summarise_capture(lines: Iterable[Line], *, up_to_mm: float | None = None) -> list[Group]:
-    """One group for every arm, motion, quality, method and condition, in the order of their first seeds.
+def summarise_trials(lines: Iterable[Line], *, up_to_mm: float | None = None) -> list[Group]:
+    """A group for every experiment, motion, quality, method and condition, in the order of their first seeds.
 
     Args:
         lines: of trials.
@@ -149,8 +152,14 @@ def summarise_capture(lines: Iterable[Line], *, up_to_mm: float | None = None) -
     return [_group(key, runs) for key, runs in groups.items()]
 
 
+def group_entry(group: Group) -> Line:
+    """What `summary.json` holds of a group, where the experiment is called "arm"."""
+    entry: Line = plain(group)
+    return {"arm": entry.pop("experiment"), **entry}
+
+
 def group_key(line: Line) -> tuple[str, ...]:
-    """Arm, motion, quality, method and condition; empty where the line does not say."""
+    """Experiment, motion, quality, method and condition; empty where the line does not say."""
     names = ("arm", "motion", "quality", "method", "condition")
     return tuple("" if line.get(name) is None else str(line[name]) for name in names)
 
@@ -170,14 +179,14 @@ def error_of(line: Line) -> float:
 
 
 def _group(key: tuple[str, ...], lines: Sequence[Line]) -> Group:
-    arm, motion, quality, method, condition = key
+    experiment, motion, quality, method, condition = key
     errors = [error_of(line) for line in lines]
 
     def share(accepted: Callable[[float], bool]) -> Share:
         return share_of(sum(map(accepted, errors)), len(errors))
 
     return Group(
-        arm=arm,
+        experiment=experiment,
         motion=motion,
         quality=quality,
         method=method,

@@ -5,12 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.calibration import (
-    PROBE_METHODS,
-    ProbeMethod,
-    ProbeOptions,
-    calibrate_probe,
+    NWIRE_METHODS,
+    NWireMethod,
+    NWireOptions,
+    calibrate_nwire,
     diagonal_crossings,
-    validate_probe,
+    validate_nwire,
 )
 from dvf_ig.core import (
     FloatArray,
@@ -84,34 +84,34 @@ def altered(recording: NWireRecording, points: FloatArray) -> NWireRecording:
     return NWireRecording(recording.phantom, recording.phantom_from_probe, points)
 
 
-@pytest.mark.parametrize("method", [m for m in PROBE_METHODS if m != "isotropic"])
-def test_exact_wires_give_the_exact_map(method: ProbeMethod) -> None:
+@pytest.mark.parametrize("method", [m for m in NWIRE_METHODS if m != "isotropic"])
+def test_exact_wires_give_the_exact_map(method: NWireMethod) -> None:
     recording = image_wires(40, 0.0, 1)
-    options = ProbeOptions(method=method)
-    found = calibrate_probe(recording, rng=np.random.default_rng(0), options=options)
+    options = NWireOptions(method=method)
+    found = calibrate_nwire(recording, rng=np.random.default_rng(0), options=options)
     assert corner_error_mm(found.probe_from_image) < 1e-6
-    assert found.calibration.mean_mm < 1e-6
-    assert found.calibration.in_plane_mm.max() < 1e-6
+    assert found.calibration.summary.mean < 1e-6
+    assert max(found.calibration.in_plane_mm.values()) < 1e-6
     assert np.allclose(found.matrix, TRUE_MAP.matrix, atol=1e-7)
 
 
 def test_isotropic_pixels_are_used_when_asked_for() -> None:
     recording = image_wires(40, 0.0, 1)
-    found = calibrate_probe(recording, rng=np.random.default_rng(0), options=ProbeOptions(method="isotropic"))
+    found = calibrate_nwire(recording, rng=np.random.default_rng(0), options=NWireOptions(method="isotropic"))
     scale = found.probe_from_image.scale_mm_per_px
     assert scale[0] == scale[1]
 
 
 @pytest.mark.parametrize("method", ["linear", "orthogonal", "all-wires"])
-def test_noise_is_averaged_out(method: ProbeMethod) -> None:
+def test_noise_is_averaged_out(method: NWireMethod) -> None:
     recording = image_wires(150, 2.0, 2)
-    options = ProbeOptions(method=method)
-    found = calibrate_probe(recording, rng=np.random.default_rng(0), options=options)
+    options = NWireOptions(method=method)
+    found = calibrate_nwire(recording, rng=np.random.default_rng(0), options=options)
     # a dot's 2 px (0.16 mm) become 0.3 mm along the wire; 450 dots and a lever of three leave 0.1 mm
     assert corner_error_mm(found.probe_from_image) < 0.25
-    held_out = validate_probe(found.probe_from_image, image_wires(50, 2.0, 3))
+    held_out = validate_nwire(found.probe_from_image, image_wires(50, 2.0, 3))
     assert held_out.frames_used == 50
-    assert held_out.mean95_mm < held_out.mean_mm < 0.6
+    assert held_out.summary.mean95 < held_out.summary.mean < 0.6
 
 
 def test_wrong_frames_are_left_out() -> None:
@@ -119,7 +119,7 @@ def test_wrong_frames_are_left_out() -> None:
     points = recording.points_px.copy()
     points[10:30, 1::3] += 60.0
     points[50] = np.nan
-    found = calibrate_probe(altered(recording, points), rng=np.random.default_rng(0))
+    found = calibrate_nwire(altered(recording, points), rng=np.random.default_rng(0))
     assert not found.inliers[10:30].any()
     assert not found.inliers[50]
     assert found.inliers.sum() >= 75
@@ -136,20 +136,20 @@ def test_diagonal_is_extended_to_the_outer_wires() -> None:
 def test_refusals() -> None:
     recording = image_wires(40, 0.5, 5)
     rng = np.random.default_rng(0)
-    with pytest.raises(InvalidInputError, match="none of 40 N-wire frames is usable"):
-        calibrate_probe(altered(recording, np.full_like(recording.points_px, np.nan)), rng=rng)
+    with pytest.raises(InvalidInputError, match=r"0 of 40 frames are usable .*all 9 wires"):
+        calibrate_nwire(altered(recording, np.full_like(recording.points_px, np.nan)), rng=rng)
     few = recording.points_px.copy()
     few[5:] = np.nan
-    with pytest.raises(InvalidInputError, match="5 usable N-wire frames of 40"):
-        calibrate_probe(altered(recording, few), rng=rng)
+    with pytest.raises(InvalidInputError, match=r"5 of 40 frames are usable .*all 9 wires"):
+        calibrate_nwire(altered(recording, few), rng=rng)
     with pytest.raises(InvalidInputError, match="choose linear"):
-        calibrate_probe(recording, rng=rng, options=ProbeOptions(method="magic"))  # type: ignore[arg-type]
+        calibrate_nwire(recording, rng=rng, options=NWireOptions(method="magic"))  # type: ignore[arg-type]
     swapped = recording.points_px[:, [2, 1, 0, 5, 4, 3, 8, 7, 6]]
     with pytest.raises(QualityGateError):
-        calibrate_probe(altered(recording, swapped), rng=rng)
+        calibrate_nwire(altered(recording, swapped), rng=rng)
     other = ImageMap(Rigid.identity("stylus", "image"), SCALE)
     with pytest.raises(InvalidInputError, match="belongs to sensor 'stylus'"):
-        validate_probe(other, recording)
+        validate_nwire(other, recording)
 
 
 def test_wires_that_form_no_n_are_refused() -> None:
@@ -166,10 +166,10 @@ def test_real_recording_against_its_validation_set(
     real_sweeps: tuple[NWireRecording, NWireRecording],
 ) -> None:
     first, second = real_sweeps
-    found = calibrate_probe(first, rng=np.random.default_rng(0))
-    held_out = validate_probe(found.probe_from_image, second)
+    found = calibrate_nwire(first, rng=np.random.default_rng(0))
+    held_out = validate_nwire(found.probe_from_image, second)
     assert held_out.frames_used == held_out.frames == 103
-    assert held_out.mean95_mm <= 0.55
+    assert held_out.summary.mean95 <= 0.55
     published = np.array([[-0.000519165, 0.0744587], [-0.0803067, -6.68987e-05], [0.00181709, -0.000804192]])
     # PLUS's own tolerance against its baseline: 1 mm
     corner = np.array([820.0, 616.0])

@@ -26,15 +26,15 @@ def lines(
     across /= np.linalg.norm(across)
     upright = np.column_stack([across, -NORMAL, np.cross(across, -NORMAL)])
     spin = Rotation.from_rotvec(np.outer(rng.uniform(0, 2 * np.pi, frames), NORMAL))
-    lean = Rotation.from_rotvec(rng.uniform(-tilt_rad, tilt_rad, (frames, 3)) * [1.0, 0.0, 1.0])
-    turn = (spin * Rotation.from_matrix(upright) * lean).as_matrix()
+    tilt = Rotation.from_rotvec(rng.uniform(-tilt_rad, tilt_rad, (frames, 3)) * [1.0, 0.0, 1.0])
+    turn = (spin * Rotation.from_matrix(upright) * tilt).as_matrix()
     along = np.stack([across, np.cross(NORMAL, across)])
     origin = NORMAL * (OFFSET_MM + rng.uniform(40, 110, (frames, 1)))
     origin += rng.uniform(-40, 40, (frames, 2)) * slides @ along
     columns = np.array([-60.0, 60.0])
     u, v = turn[:, :, 0] @ NORMAL, turn[:, :, 1] @ NORMAL
-    reach = (OFFSET_MM - origin @ NORMAL)[:, None] - u[:, None] * columns * SCALE[0]
-    rows = reach / (v[:, None] * SCALE[1])
+    depth_mm = (OFFSET_MM - origin @ NORMAL)[:, None] - u[:, None] * columns * SCALE[0]
+    rows = depth_mm / (v[:, None] * SCALE[1])
     points = np.stack([np.broadcast_to(columns, rows.shape), rows], axis=2)
     rotations = turn @ TRUE_MAP.rigid.rotation.T
     shifts = origin - np.einsum("fij,j->fi", rotations, TRUE_MAP.rigid.translation_mm)
@@ -68,7 +68,7 @@ def test_noise_is_averaged_out_and_wrong_lines_are_left_out() -> None:
     found = calibrate_wall(poses, points, rng=np.random.default_rng(0))
     assert not found.inliers[40:60].any()
     assert found.inliers.sum() >= 75
-    assert dict(found.rejected)[70] == "the target was not found in the image"
+    assert dict(found.rejected)[70].detail == "the target was not found in the image"
     gap = np.abs(found.uncertainty.covers(TRUE_MAP))
     assert (gap < 2.0).all()
     # a wall leaves the axial position least determined
@@ -107,7 +107,7 @@ def test_misuse() -> None:
 def test_a_second_recording_finds_its_own_wall() -> None:
     errors, plane = validate_wall(TRUE_MAP, *lines(50, 0.5, 0.0, 9))
     assert errors.frames_used == 50
-    assert errors.mean_mm < 1e-9
+    assert errors.summary.mean < 1e-9
     assert abs(plane.normal @ NORMAL) == pytest.approx(1.0)
     assert abs(plane.offset_mm) == pytest.approx(-OFFSET_MM)
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_synth.phantoms.watertank import watertank_recording
-from data_synth.scenario.ground_truth import plant
+from data_synth.scenario.ground_truth import draw_ground_truth
 from data_synth.scenario.presets import Preset
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import estimate_latency, find_wall_lines, wall_trace
@@ -89,7 +89,7 @@ def test_lost_tracking_is_not_interpolated_over() -> None:
 def synthetic(seed: int, **changes: float) -> tuple[LatencyRecording, float]:
     """A recording of the synthetic world, with sway, jitter and noise, and its true lag."""
     probe, options, rng = SectorProbe(), Preset(), np.random.default_rng([seed, 7])
-    planted = plant(np.zeros(3), probe.plane_from_image, 150.0, rng)
+    planted = draw_ground_truth(np.zeros(3), probe.plane_from_image, 150.0, rng)
     spec = replace(options.watertank, **changes)  # type: ignore[arg-type]
     tracker = options.watertank_tracker
     made = watertank_recording(planted.probe_from_image, probe.fan, planted.lag_s, tracker, spec, rng)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_synth.phantoms.nwire import fcal_phantom, wire_crossings_px
-from dvf_ig.calibration import Dots, FoundWires, RefusedFrame, Rejection, find_dots, find_wires, plan_wires
+from dvf_ig.calibration import Dots, FoundWires, RejectedFrame, Rejection, find_dots, find_wires, plan_wires
 from dvf_ig.core import FloatArray, InvalidInputError, NWirePhantom, Wire
 
 SPACING = 0.078
@@ -111,9 +111,9 @@ def test_outer_wires_that_look_alike_are_named_by_the_orientation() -> None:
     assert upside_down.points_px[0, 1] > upside_down.points_px[3, 1]
 
 
-def refusal(points: FloatArray) -> RefusedFrame:
+def refusal(points: FloatArray) -> RejectedFrame:
     found = find_wires(Dots(points, np.full(len(points), 20.0)), plan_wires(fcal_phantom()), SPACING)
-    assert isinstance(found, RefusedFrame)
+    assert isinstance(found, RejectedFrame)
     return found
 
 
@@ -123,10 +123,10 @@ def test_every_refusal_says_what_was_seen() -> None:
     assert few.reason is Rejection.TOO_FEW_DOTS
     assert few.detail == "9 wires expected, 6 dots found on 2 lines"
     corner = np.random.default_rng(0).uniform(0, 40, (12, 2))
-    assert refusal(corner) == RefusedFrame(Rejection.NO_LINE, "no line of three dots among 12")
+    assert refusal(corner) == RejectedFrame(Rejection.NO_LINE, "no line of three dots among 12")
     aside = np.array([[790.0, 590], [792, 560], [788, 540]])
     apart = refusal(np.vstack([wires[:6], aside]))
-    assert apart == RefusedFrame(Rejection.LINES_APART, "3 lines expected, 9 dots form 2 lines")
+    assert apart == RejectedFrame(Rejection.LINES_APART, "3 lines expected, 9 dots form 2 lines")
     far = wires.copy()
     far[6:, 1] += 4.0 / SPACING
     assert refusal(far).reason is Rejection.LINES_APART

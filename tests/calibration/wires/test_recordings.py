@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from data_synth.phantoms.nwire import NWireSpec, fcal_phantom, nwire_images
-from data_synth.scenario.ground_truth import plant
+from data_synth.scenario.ground_truth import draw_ground_truth
 from data_synth.scenario.presets import Preset
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import (
     WireImageOptions,
     WireSegmentation,
-    calibrate_probe,
+    calibrate_nwire,
     recording_of,
     segment_wires,
-    validate_probe,
+    validate_nwire,
 )
+from dvf_ig.cli.calibrate.wires import wire_image_options
 from dvf_ig.cli.main import app
 from dvf_ig.core import (
     FloatArray,
@@ -54,7 +55,7 @@ def still(images: NDArray[np.uint8], **fields: object) -> TrackedSequence:
 @pytest.fixture(scope="module")
 def synthetic() -> tuple[NWireRecording, TrackedSequence]:
     """Twenty simulated images with their exact wires."""
-    planted = plant(np.zeros(3), SectorProbe().plane_from_image, 150.0, np.random.default_rng(1))
+    planted = draw_ground_truth(np.zeros(3), SectorProbe().plane_from_image, 150.0, np.random.default_rng(1))
     spec = NWireSpec(frames=20, point_noise_mm=0.0, failed_share=0.0)
     rng = np.random.default_rng(2)
     return nwire_images(planted.probe_from_image, SectorProbe(), Preset().nwire_tracker, spec, rng)
@@ -131,9 +132,8 @@ def test_command_without_points_counts_frames_and_reasons(
 
 
 def test_search_settings_come_from_the_device_set(data_dir: Path, tmp_path: Path) -> None:
-    options = read_wire_search(
-        data_dir / "plus-nwire-segmentation/PlusDeviceSet_iCal_CalibrationOnly_VLCUS_FrameGrabber.xml"
-    )
+    device = data_dir / "plus-nwire-segmentation/PlusDeviceSet_iCal_CalibrationOnly_VLCUS_FrameGrabber.xml"
+    options = wire_image_options(read_wire_search(device))
     assert (options.spacing_mm, options.clip, options.dots.most) == (0.21, (68, 145, 390, 300), 50)
     assert options.pattern.lines.collinear_mm == 1.11
     bad = tmp_path / "bad.xml"
@@ -141,14 +141,14 @@ def test_search_settings_come_from_the_device_set(data_dir: Path, tmp_path: Path
     with pytest.raises(UnreadableFileError, match="must be positive"):
         read_wire_search(bad)
     bad.write_text("<PlusConfiguration/>")
-    assert read_wire_search(bad) == WireImageOptions()
+    assert wire_image_options(read_wire_search(bad)) == WireImageOptions()
 
 
 def real_wires(folder: Path, name: str) -> tuple[WireSegmentation, NWireRecording]:
     device = folder / "PlusDeviceSet_fCal_Sim_SpatialCalibration_2.0.xml"
     path = folder / f"fCal_Test_{name}_3NWires_fCal2.0.igs.mha"
     phantom, sequence = read_nwire_phantom(device), read_sequence(path)
-    found = segment_wires(sequence, phantom, options=read_wire_search(device))
+    found = segment_wires(sequence, phantom, options=wire_image_options(read_wire_search(device)))
     return found, recording_of(found, phantom, phantom_from_probe(path, sequence, device))
 
 
@@ -165,11 +165,11 @@ def test_real_images_calibrate_the_probe(data_dir: Path) -> None:
         print(f"{section}: {found.used} of {len(found.frames)} frames, {(misses < 5).mean():.4f} within 5 px")  # noqa: T201
         assert (misses < 5).mean() > 0.998
         assert misses.max() < 10
-    calibrated = calibrate_probe(recording, rng=np.random.default_rng(0))
-    checked = validate_probe(calibrated.probe_from_image, held_out)
-    print(f"validation {checked.mean95_mm:.3f} mm over {checked.frames_used} of {checked.frames} frames")  # noqa: T201
+    calibrated = calibrate_nwire(recording, rng=np.random.default_rng(0))
+    checked = validate_nwire(calibrated.probe_from_image, held_out)
+    print(f"validation {checked.summary.mean95:.3f} mm over {checked.frames_used} of {checked.frames} frames")  # noqa: T201
     assert checked.frames_used >= 0.98 * checked.frames
-    assert checked.mean95_mm <= 0.60
+    assert checked.summary.mean95 <= 0.60
 
 
 def test_real_candidates_lie_on_plus_baseline(data_dir: Path) -> None:
@@ -181,7 +181,9 @@ def test_real_candidates_lie_on_plus_baseline(data_dir: Path) -> None:
     sequence = read_sequence(folder / f"{name}.igs.mha")
     assert sequence.images is not None
     part = still(sequence.images[::every].copy(), orientation=sequence.orientation)
-    found = segment_wires(part, read_nwire_phantom(device), options=read_wire_search(device))
+    found = segment_wires(
+        part, read_nwire_phantom(device), options=wire_image_options(read_wire_search(device))
+    )
     wires, candidates, labelled = [], [], []
     for case, frame in zip(cases, found.frames, strict=True):
         output = case.find("Output")

@@ -1,4 +1,4 @@
-"""`dvf-ig study same-image|capture|gating-error|planes|failures` on a stubbed scene."""
+"""`dvf-ig study same-image|capture|gating-error|planes|failures` on a stubbed registration problem."""
 
 import json
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 from typer.testing import CliRunner, Result
 
 import dvf_ig.report.study.registration_page as capture_page
-import dvf_ig.study.registration.experiments as arms
+import dvf_ig.study.registration.trial as trials
 from dvf_ig.cli.main import app
 from dvf_ig.core import InvalidInputError, Points, Rigid
 from dvf_ig.registration import (
@@ -22,7 +22,8 @@ from dvf_ig.registration import (
     channels_from_mr,
     register_rigid,
 )
-from dvf_ig.study.registration.scene import Scene
+from dvf_ig.study.registration.experiments import MOTIONS
+from dvf_ig.study.registration.problem import RegistrationProblem
 
 COMMANDS = {"same-image": "A", "capture": "B", "gating-error": "D", "planes": "E", "failures": "F"}
 FILES = ("study.json", "trials.jsonl", "summary.json", "report.html")
@@ -41,22 +42,22 @@ def found() -> RegistrationResult:
 
 @pytest.fixture(autouse=True)
 def stubbed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    def make(pair: int, condition: dict[str, Any]) -> Scene:
+    def make(pair: int, condition: dict[str, Any]) -> RegistrationProblem:
         def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
             if pair == 13:
                 raise InvalidInputError("pair 13 is refused")
             return found()
 
-        return Scene(toy_pose(), TARGETS, CENTER_MM, register)
+        return RegistrationProblem(toy_pose(), TARGETS, CENTER_MM, register)
 
     def page(lines: list[dict[str, Any]], path: Path) -> None:
         path.write_text(f"{len(lines)} registrations")
 
-    arms._scene.cache_clear()
-    monkeypatch.setattr(arms, "make_scene", make)
+    trials._problem.cache_clear()
+    monkeypatch.setattr(trials, "make_problem", make)
     monkeypatch.setattr(capture_page, "write_capture_page", page)
     yield
-    arms._scene.cache_clear()
+    trials._problem.cache_clear()
 
 
 def invoke(command: str, out: Path, *options: str) -> Result:
@@ -77,7 +78,7 @@ def test_help_names_the_commands() -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_study_writes_its_four_files(command: str, tmp_path: Path) -> None:
     out = tmp_path / "study"
-    done = invoke(command, out, "--pairs", "1", "--seed", "5", "--json")
+    done = invoke(command, out, "--seeds", "1", "--seed", "5", "--json")
     assert done.exit_code == 0, done.output
     assert sorted(p.name for p in out.iterdir()) == sorted(FILES)
     summary = json.loads(done.stdout)
@@ -94,15 +95,15 @@ def test_a_study_writes_its_four_files(command: str, tmp_path: Path) -> None:
 
 def test_the_page_is_that_of_the_trials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capture_page, "write_capture_page", PAGE)
-    assert invoke("same-image", tmp_path, "--pairs", "1").exit_code == 0
+    assert invoke("same-image", tmp_path, "--seeds", "1").exit_code == 0
     page = (tmp_path / "report.html").read_text()
     assert "6 registrations" in page
-    assert all(motion in page for motion in arms.MOTIONS)
+    assert all(motion in page for motion in MOTIONS)
 
 
 def test_options_of_capture_are_those_of_the_trials(tmp_path: Path) -> None:
     chosen = ("--quality", "poor-image", "--quality", "no-mismatch", "--per-bin", "2", "--to", "4")
-    done = invoke("capture", tmp_path, "--pairs", "2", *chosen)
+    done = invoke("capture", tmp_path, "--seeds", "2", *chosen)
     assert done.exit_code == 0, done.output
     lines = lines_of(tmp_path)
     assert {line["quality"] for line in lines} == {"poor-image", "no-mismatch"}
@@ -113,19 +114,19 @@ def test_options_of_capture_are_those_of_the_trials(tmp_path: Path) -> None:
 
 
 def test_a_study_goes_on_and_its_folder_is_of_one_study(tmp_path: Path) -> None:
-    assert invoke("same-image", tmp_path, "--pairs", "1").exit_code == 0
+    assert invoke("same-image", tmp_path, "--seeds", "1").exit_code == 0
     first = lines_of(tmp_path)
-    assert invoke("same-image", tmp_path, "--pairs", "2").exit_code == 0
+    assert invoke("same-image", tmp_path, "--seeds", "2").exit_code == 0
     assert lines_of(tmp_path)[: len(first)] == first
     assert len(lines_of(tmp_path)) == 2 * len(first)
-    other = invoke("failures", tmp_path, "--pairs", "1")
+    other = invoke("failures", tmp_path, "--seeds", "1")
     assert other.exit_code == 3
     assert "another study" in other.output
     assert len(lines_of(tmp_path)) == 2 * len(first)
 
 
 def test_refused_trials_are_counted_and_said(tmp_path: Path) -> None:
-    done = invoke("same-image", tmp_path, "--pairs", "2", "--seed", "12")
+    done = invoke("same-image", tmp_path, "--seeds", "2", "--seed", "12")
     assert done.exit_code == 0, done.output
     assert "6 of 12 trials were refused; the first: pair 13 is refused" in done.output.replace("\n", " ")
     assert (
@@ -139,7 +140,7 @@ def test_refused_trials_are_counted_and_said(tmp_path: Path) -> None:
         ("capture", ("--quality", "excellent")),
         ("capture", ("--to", "1")),
         ("capture", ("--per-bin", "0")),
-        ("same-image", ("--pairs", "0")),
+        ("same-image", ("--seeds", "0")),
         ("planes", ("--per-bin", "2")),
         ("failures", ("--workers", "0")),
         ("gating-error", ("--seed", "one")),
@@ -151,5 +152,12 @@ def test_a_bad_option_ends_with_2_and_no_trial(
     done = invoke(command, tmp_path / "study", *options)
     assert done.exit_code == 2, done.output
     assert not (tmp_path / "study" / "summary.json").exists()
-    trials = tmp_path / "study" / "trials.jsonl"
-    assert not trials.exists() or not trials.read_text()
+    lines = tmp_path / "study" / "trials.jsonl"
+    assert not lines.exists() or not lines.read_text()
+
+
+@pytest.mark.parametrize("former", ["--pairs", "--pairs=1", "--trials"])
+def test_a_former_option_says_the_new_one(former: str, tmp_path: Path) -> None:
+    done = invoke("same-image", tmp_path, former, "1")
+    assert done.exit_code == 2
+    assert f"{former.partition('=')[0]} is now called --seeds" in done.output.replace("\n", " ")

@@ -43,9 +43,20 @@ def test_few_keys_change_a_preset_and_nothing_else(tmp_path: Path) -> None:
     assert options.rhythm == PRESETS["ectopy"].rhythm
 
 
+def test_the_key_of_occlusions_is_sight(tmp_path: Path) -> None:
+    options = from_text(tmp_path, "options:\n  sight: {losses_per_min: 2}\n").options
+    assert options.occlusion.losses_per_min == 2.0
+    assert options.occlusion.loss_s == PRESETS["calm"].occlusion.loss_s
+    document = yaml.safe_load(spec_text(SpecFile()))
+    assert "sight" in document["options"]
+    assert "occlusion" not in document["options"]
+
+
 @pytest.mark.parametrize(
     ("text", "error", "words"),
     [
+        ("options: {occlusion: {losses_per_min: 1}}", InvalidInputError, "occlusion"),
+        ("options: {sight: {losses: 1}}", InvalidInputError, "sight.losses"),
         ("seed: one", UnreadableFileError, "seed"),
         ("sed: 1", UnreadableFileError, "sed"),
         ("- 1", UnreadableFileError, "needed keys"),
@@ -90,7 +101,7 @@ def test_without_a_folder_or_with_two_presets_it_is_a_usage_error(tmp_path: Path
     assert CliRunner().invoke(app, both).exit_code == 2
 
 
-def test_the_folder_tells_what_is_in_it_but_nothing_planted(
+def test_the_folder_tells_what_is_in_it_but_no_true_value(
     tmp_path: Path, scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(synth_module, "_on_the_phantom", lambda spec: scenario)

@@ -14,7 +14,7 @@ from dvf_ig.core.mesh import enclosed_volume_mm3
 
 @pytest.fixture(scope="module")
 def preop(anatomy: PhantomAnatomy) -> Preop:
-    return anatomy.preop(np.random.default_rng(5))
+    return cine_preop(anatomy, np.random.default_rng(5))
 
 
 def vertex_normals(vertices: FloatArray, triangles: FloatArray) -> FloatArray:
@@ -134,15 +134,7 @@ def test_mr_contrast_and_noise_are_those_of_bssfp(preop: Preop) -> None:
 
 def test_preop_is_reproducible(anatomy: PhantomAnatomy) -> None:
     def image(seed: int) -> FloatArray:
-        short = cine_preop(
-            "p",
-            anatomy.reference,
-            anatomy.inverse_motion,
-            anatomy.box_mm,
-            0.86,
-            np.random.default_rng(seed),
-            MrProtocol(phases=2, spacing_mm=3.0),
-        )
+        short = cine_preop(anatomy, np.random.default_rng(seed), MrProtocol(phases=2, spacing_mm=3.0))
         assert short.mr is not None
         return short.mr.values
 

@@ -11,12 +11,12 @@ from scipy.special import ndtr
 
 from data_synth.heart.anatomy import PhantomAnatomy
 from data_synth.heart.clock import two_segment_phase
-from data_synth.heart.fibre_orientation import no_grain
+from data_synth.heart.fibre_orientation import no_fibres
 from data_synth.heart.motion import InverseMotion
 from data_synth.heart.reference import CHANNELS, ReferenceMap, tissue_at
 from data_synth.heart.tissue import FIRST_OUTSIDE, Tissue, bssfp_signal
 from data_synth.mr.cine import FWHM_PER_SIGMA, coil_shading, measured
-from data_synth.mr.stack import StackCine, StackProtocol, stack_cine, stack_grid
+from data_synth.mr.stack import StackCine, StackProtocol, short_axis_cine, stack_cine, stack_grid
 from data_synth.surfaces.anatomy import depth_grid
 from data_synth.surfaces.closing import closed_series
 from dvf_ig.core import CycleTiming, FloatArray, Grid, IntArray, InvalidInputError, SurfaceSeries
@@ -27,7 +27,7 @@ STILL = InverseMotion(np.zeros((2, 2, 2, 2, 3), dtype=np.float32), np.full(3, -5
 
 @pytest.fixture(scope="module")
 def stack(anatomy: PhantomAnatomy) -> StackCine:
-    return anatomy.short_axis_cine(np.random.default_rng(3), COARSE)
+    return short_axis_cine(anatomy, np.random.default_rng(3), COARSE)
 
 
 def exact_labels(anatomy: PhantomAnatomy, points: FloatArray, phase: float) -> IntArray:
@@ -75,7 +75,7 @@ def edge_at_zero() -> ReferenceMap:
     codes = np.zeros(shape, dtype=np.uint8)
     acoustics = np.zeros((*shape, CHANNELS), dtype=np.float32)
     return ReferenceMap(
-        np.array([-20.0, -50, -50]), 0.25, signal, codes, codes, signal, acoustics, no_grain()
+        np.array([-20.0, -50, -50]), 0.25, signal, codes, codes, signal, acoustics, no_fibres()
     )
 
 
@@ -119,7 +119,7 @@ def test_coil_shading_is_smooth_and_bounded() -> None:
 def test_stack_is_reproducible_and_impossible_ones_are_refused(anatomy: PhantomAnatomy) -> None:
     short = StackProtocol(phases=2, in_plane_mm=6.0, pitch_mm=30.0)
     one, two, three = (
-        anatomy.short_axis_cine(np.random.default_rng(s), short).image.values for s in (1, 1, 2)
+        short_axis_cine(anatomy, np.random.default_rng(s), short).image.values for s in (1, 1, 2)
     )
     assert np.array_equal(one, two)
     assert not np.array_equal(one, three)

@@ -1,4 +1,4 @@
-"""Pivot, N-wire and water-tank recordings hold what was planted, to within their own noise."""
+"""Pivot, N-wire and water-tank recordings hold the ground truth, to within their own noise."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,13 @@ from scipy.spatial.transform import Rotation
 from data_synth.phantoms.nwire import NWireSpec, fcal_phantom, nwire_recording, wire_crossings_px
 from data_synth.phantoms.pivot import pivot_recording
 from data_synth.phantoms.watertank import WaterTankSpec, watertank_recording
-from data_synth.scenario.ground_truth import LANDMARK_RMS_MM, Planted, coarse_start, plant, touched_landmarks
+from data_synth.scenario.ground_truth import (
+    LANDMARK_RMS_MM,
+    GroundTruth,
+    coarse_start,
+    draw_ground_truth,
+    touched_landmarks,
+)
 from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.core import FloatArray, Landmarks, LatencyRecording, NWireRecording, Points
@@ -16,13 +22,15 @@ PROBE = SectorProbe()
 EXACT = TrackerSpec(rate_hz=20.0, jitter_s=0.0, stamp_noise_s=0.0, position_mm=0.0, rotation_deg=0.0)
 
 
-def planted(seed: int = 1) -> Planted:
-    return plant(np.array([5.0, -40.0, 20.0]), PROBE.plane_from_image, 150.0, np.random.default_rng(seed))
+def ground_truth(seed: int = 1) -> GroundTruth:
+    return draw_ground_truth(
+        np.array([5.0, -40.0, 20.0]), PROBE.plane_from_image, 150.0, np.random.default_rng(seed)
+    )
 
 
 def solved_pivot(seed: int, spec: TrackerSpec) -> tuple[FloatArray, FloatArray]:
     """Tip error (3,) and residuals (n, 3) of the least-squares tip."""
-    tip = planted(seed).tip_in_tool
+    tip = ground_truth(seed).tip_in_tool
     stream = pivot_recording(tip, spec, np.random.default_rng(seed))
     n = len(stream)
     matrix = np.concatenate([stream.rotations, -np.tile(np.eye(3), (n, 1, 1))], axis=2).reshape(-1, 6)
@@ -42,7 +50,7 @@ def test_pivot_recording_gives_the_tip_back(seed: int) -> None:
 
 
 def test_pivot_poses_span_more_than_40_degrees() -> None:
-    stream = pivot_recording(planted().tip_in_tool, EXACT, np.random.default_rng(1))
+    stream = pivot_recording(ground_truth().tip_in_tool, EXACT, np.random.default_rng(1))
     assert len(stream) == 300
     turns = Rotation.from_matrix(stream.rotations)
     span = max(float((turns[i].inv() * turns).magnitude().max()) for i in range(0, 300, 10))
@@ -51,7 +59,7 @@ def test_pivot_poses_span_more_than_40_degrees() -> None:
 
 def nwire(seed: int, tracker: TrackerSpec = EXACT, **changes: float) -> NWireRecording:
     return nwire_recording(
-        planted(seed).probe_from_image,
+        ground_truth(seed).probe_from_image,
         PROBE.fan,
         (PROBE.columns, PROBE.rows),
         tracker,
@@ -63,7 +71,7 @@ def nwire(seed: int, tracker: TrackerSpec = EXACT, **changes: float) -> NWireRec
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_exact_crossings_lie_on_their_wires(seed: int) -> None:
     recording = nwire(seed, point_noise_mm=0.0, failed_share=0.0)
-    probe_from_image = planted(seed).probe_from_image
+    probe_from_image = ground_truth(seed).probe_from_image
     for i in range(len(recording.phantom_from_probe)):
         phantom_from_probe = recording.phantom_from_probe.pose(i)
         seen = phantom_from_probe.apply(probe_from_image.apply_pixels(recording.points_px[i])).xyz_mm
@@ -126,8 +134,8 @@ def lag_by_correlation(recording: LatencyRecording) -> float:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
-def test_watertank_holds_the_planted_lag_with_the_stated_sign(seed: int) -> None:
-    truth = planted(seed)
+def test_watertank_holds_the_true_lag_with_the_stated_sign(seed: int) -> None:
+    truth = ground_truth(seed)
     assert 0.02 <= abs(truth.lag_s) <= 0.08
     recording = watertank_recording(
         truth.probe_from_image,
@@ -143,7 +151,7 @@ def test_watertank_holds_the_planted_lag_with_the_stated_sign(seed: int) -> None
 
 def test_watertank_rows_are_the_depth_in_the_image_of_the_probe() -> None:
     spec = WaterTankSpec(row_noise_mm=0.0, sway_mm=0.0, sway_deg=0.0, video_jitter_s=0.0)
-    truth = planted(5)
+    truth = ground_truth(5)
     recording = watertank_recording(
         truth.probe_from_image, PROBE.fan, 0.05, EXACT, spec, np.random.default_rng(5)
     )
@@ -153,8 +161,8 @@ def test_watertank_rows_are_the_depth_in_the_image_of_the_probe() -> None:
     assert np.unique(recording.wall_row_px.values).size > 0.9 * len(depth)
 
 
-def test_planted_image_pose_and_plane_pose_are_the_same_image() -> None:
-    truth = planted(6)
+def test_image_pose_and_plane_pose_are_the_same_image() -> None:
+    truth = ground_truth(6)
     apex = truth.probe_from_image.apply_pixels(np.array([PROBE.apex_px])).xyz_mm[0]
     np.testing.assert_allclose(apex, truth.probe_from_plane.translation_mm, atol=1e-9)
     below = truth.probe_from_image.apply_pixels(np.add([PROBE.apex_px], [0.0, 100.0])).xyz_mm[0]
@@ -163,7 +171,7 @@ def test_planted_image_pose_and_plane_pose_are_the_same_image() -> None:
 
 
 def test_the_start_is_off_by_exactly_what_was_asked() -> None:
-    truth, center = planted(7), np.array([5.0, -40.0, 20.0])
+    truth, center = ground_truth(7), np.array([5.0, -40.0, 20.0])
     start = coarse_start(truth.mr_from_tracker, center, 10.0, 8.0, np.random.default_rng(1))
     difference = start @ truth.mr_from_tracker.inverse()
     assert np.degrees(difference.angle_rad) == pytest.approx(8.0, abs=1e-9)
@@ -171,7 +179,7 @@ def test_the_start_is_off_by_exactly_what_was_asked() -> None:
 
 
 def test_touched_landmarks_carry_three_millimetres() -> None:
-    truth = planted(8)
+    truth = ground_truth(8)
     points = np.random.default_rng(2).uniform(-50, 50, (4000, 3))
     exact = Landmarks(tuple(f"p{i}" for i in range(4000)), Points("mr", points))
     touched = touched_landmarks(exact, truth.mr_from_tracker, np.random.default_rng(3))

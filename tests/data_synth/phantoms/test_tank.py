@@ -1,4 +1,4 @@
-"""Images of calibration phantoms show their features where the planted geometry puts them."""
+"""Images of calibration phantoms show their features where the true geometry puts them."""
 
 from dataclasses import replace
 
@@ -11,14 +11,14 @@ from data_synth.phantoms.nwire import NWireSpec, nwire_images, nwire_recording, 
 from data_synth.phantoms.tank_image import Echoes, water_images
 from data_synth.phantoms.wall import WallSpec, wall_recording
 from data_synth.phantoms.watertank import WaterTankSpec, watertank_images, watertank_recording
-from data_synth.scenario.ground_truth import plant
+from data_synth.scenario.ground_truth import draw_ground_truth
 from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.core import FloatArray, InvalidInputError
 
 PROBE = SectorProbe()
-PLANTED = plant(np.zeros(3), PROBE.plane_from_image, 150.0, np.random.default_rng(4))
-IMAGE = PLANTED.probe_from_image
+TRUTH = draw_ground_truth(np.zeros(3), PROBE.plane_from_image, 150.0, np.random.default_rng(4))
+IMAGE = TRUTH.probe_from_image
 EXACT = TrackerSpec(rate_hz=20.0, jitter_s=0.0, stamp_noise_s=0.0, position_mm=0.0, rotation_deg=0.0)
 NOISELESS = {"point_noise_mm": 0.0, "failed_share": 0.0}
 GREY_PER_DB = 255.0 / PROBE.dynamic_range_db

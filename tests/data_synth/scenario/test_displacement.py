@@ -1,11 +1,11 @@
-"""Poses that change once, and losses of sight: where and how much, exactly."""
+"""Poses that change once, and occlusions: where and how much, exactly."""
 
 import numpy as np
 import pytest
 
 from data_synth.operator.pose_path import composed, inverted, moved
 from data_synth.scenario.displacement import STEP_S, Displacement, displaced
-from data_synth.signals.occlusion import SightSpec, losses_in_contact
+from data_synth.signals.occlusion import OcclusionSpec, losses_in_contact
 from dvf_ig.core import Rigid, ToolTruth
 
 
@@ -35,13 +35,13 @@ def test_losses_are_placed_in_contact() -> None:
         t_s, np.zeros((len(t_s), 3)), 0 * t_s, 0 * t_s, distance, np.tile([1.0, 0, 0], (len(t_s), 1))
     )
     for seed in range(20):
-        losses = losses_in_contact(contact, SightSpec(3.0), np.random.default_rng(seed))
+        losses = losses_in_contact(contact, OcclusionSpec(3.0), np.random.default_rng(seed))
         assert len(losses) == 3
         for start, stop in losses:
             assert 1.5 <= stop - start <= 4.0
             assert start < 30.0
             assert stop > 20.0
-    assert losses_in_contact(contact, SightSpec(), np.random.default_rng(0)) == ()
+    assert losses_in_contact(contact, OcclusionSpec(), np.random.default_rng(0)) == ()
 
 
 def test_paths_compose_and_invert_like_transforms() -> None:

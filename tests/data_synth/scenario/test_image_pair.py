@@ -130,7 +130,7 @@ def without_images(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
         asked["times"].append(times)
         return np.zeros(1)
 
-    def spoiled(level: FloatArray, probe: Any, spec: ImageSpec, rng: Any) -> FloatArray:
+    def degraded(level: FloatArray, probe: Any, spec: ImageSpec, rng: Any) -> FloatArray:
         asked["specs"].append((spec, probe.sector.dynamic_range_db))
         return level
 
@@ -140,7 +140,7 @@ def without_images(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
         return np.zeros((len(poses), 2, 2), dtype=np.uint8)
 
     monkeypatch.setattr(image_pair_module, "simulate_pyramid", pyramid)
-    monkeypatch.setattr(image_pair_module, "spoiled_pyramid", spoiled)
+    monkeypatch.setattr(image_pair_module, "degraded_pyramid", degraded)
     monkeypatch.setattr(
         image_pair_module, "shown_volume", lambda *_: SimpleNamespace(image=black, mask=black)
     )

@@ -1,4 +1,4 @@
-"""Every preset plants what it states, tells it in the truth, and leaves the other streams as they were."""
+"""Every preset does what it states, says so in the truth, and leaves the other streams as they were."""
 
 from dataclasses import replace
 from functools import cache
@@ -9,7 +9,7 @@ import pytest
 from data_synth import PRESETS, Preset, ScenarioSpec, describe_faults, phantom_scenario, preset_name
 from data_synth.scenario.displacement import STEP_S, Displacement
 from data_synth.scenario.world import image_middle_mm
-from data_synth.signals.occlusion import SightSpec
+from data_synth.signals.occlusion import OcclusionSpec
 from data_synth.signals.rhythm import beat_series
 from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.probe import SectorProbe
@@ -45,7 +45,11 @@ def streams(scenario: Scenario) -> dict[str, list[FloatArray]]:
     out["ecg"] = [scenario.ecg.samples]
     out["start"] = [scenario.start.matrix, scenario.landmarks_tracker.points.xyz_mm]
     out["contact"] = [truth.tool.tip_mr_mm, truth.tool.distance_mm]
-    out["planted"] = [truth.mr_from_tracker[0][1].matrix, truth.probe_from_image.matrix, truth.tip.xyz_mm]
+    out["ground truth"] = [
+        truth.mr_from_tracker[0][1].matrix,
+        truth.probe_from_image.matrix,
+        truth.tip.xyz_mm,
+    ]
     return out
 
 
@@ -260,8 +264,8 @@ def test_faults_are_told_without_their_size() -> None:
     [
         (Displacement, {"at_share": 1.5}),
         (Displacement, {"shift_mm": -1.0}),
-        (SightSpec, {"losses_per_min": -1.0}),
-        (SightSpec, {"loss_s": (3.0, 2.0)}),
+        (OcclusionSpec, {"losses_per_min": -1.0}),
+        (OcclusionSpec, {"loss_s": (3.0, 2.0)}),
         (Preset, {"other_probe_mm": -1.0}),
         (Preset, {"video_drift_ppm": 1e5}),
         (Preset, {"respiration_mm": 99.0}),

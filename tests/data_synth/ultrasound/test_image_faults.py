@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_synth.ultrasound.image_faults import CLUTTER_DB, CLUTTER_DECAY_MM, ImageSpec, spoiled
+from data_synth.ultrasound.image_faults import CLUTTER_DB, CLUTTER_DECAY_MM, ImageSpec, degraded
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.core import FloatArray, InvalidInputError
 
@@ -28,7 +28,7 @@ def rng() -> np.random.Generator:
 
 def test_without_faults_the_images_are_untouched() -> None:
     images = flat(0.0)
-    assert spoiled(images, PROBE, T_S, ImageSpec(), rng()) is images
+    assert degraded(images, PROBE, T_S, ImageSpec(), rng()) is images
 
 
 def depth_mm() -> FloatArray:
@@ -41,7 +41,7 @@ def depth_mm() -> FloatArray:
 def test_clutter_has_its_level_and_its_decay(factor: float) -> None:
     wide = replace(PROBE, dynamic_range_db=100.0)
     dark = np.zeros_like(flat(0.0))
-    out = spoiled(dark, wide, T_S, ImageSpec(clutter=factor, dynamic_range_db=100.0), rng())
+    out = degraded(dark, wide, T_S, ImageSpec(clutter=factor, dynamic_range_db=100.0), rng())
     mask, depth = PROBE.fan.mask(PROBE.rows, PROBE.columns), depth_mm()
     for near, far in ((20.0, 40.0), (80.0, 100.0)):
         ring = mask & (depth > near) & (depth < far)
@@ -55,7 +55,7 @@ def test_clutter_has_its_level_and_its_decay(factor: float) -> None:
 
 def test_a_shadow_takes_its_loss_in_its_middle_and_leaves_the_rest() -> None:
     images = flat(5.0)
-    out = spoiled(images, PROBE, T_S, ImageSpec(shadows=1, shadow_db=20.0), rng())
+    out = degraded(images, PROBE, T_S, ImageSpec(shadows=1, shadow_db=20.0), rng())
     row = round(PROBE.apex_px[1] + 100.0 / PROBE.mm_per_px)
     inside = images[0, row] > 0
     lost_db = (images[:, row][:, inside].astype(float) - out[:, row][:, inside]) / GREY_PER_DB
@@ -69,7 +69,7 @@ def test_a_smaller_dynamic_range_drops_what_is_faint_and_keeps_white() -> None:
     spec = ImageSpec(dynamic_range_db=30.0)
     mask = PROBE.fan.mask(PROBE.rows, PROBE.columns)
     for level, expected in ((PROBE.top_db, 255.0), (PROBE.top_db - 15.0, 127.5), (PROBE.top_db - 35.0, 0.0)):
-        out = spoiled(flat(level), PROBE, T_S, spec, rng())
+        out = degraded(flat(level), PROBE, T_S, spec, rng())
         assert np.median(out[:, mask]) == pytest.approx(expected, abs=2.0)
 
 

@@ -145,7 +145,7 @@ def test_interfaces_are_bright_when_faced_and_fade_when_oblique() -> None:
 def test_shadow_and_reverberation_behind_a_total_reflector(beyond: Tissue, dirty: bool) -> None:
     wall = medium(Tissue.MEDIASTINUM, beyond, reflecting=True, absorbing=True)
     pose = Rigid("mr", "plane", ALONG_X.rotation, np.array([-40.0, 0, 0]))
-    level = lines_db(wall, replace(PROBE, dirt_db=-30.0 if dirty else -140.0), pose=pose)
+    level = lines_db(wall, replace(PROBE, dirty_shadow_db=-30.0 if dirty else -140.0), pose=pose)
     middle = level[PROBE.lines // 2]
     sample = {d: int(d / PROBE.step_mm) for d in (20, 36, 40, 44, 50, 60, 76, 84, 90)}
     before = np.median(middle[sample[20] : sample[36]])

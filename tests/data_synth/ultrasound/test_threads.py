@@ -14,12 +14,13 @@ futures.ThreadPoolExecutor = lambda *_: Pool(threads)
 
 import numpy as np
 import data_synth.heart.anatomy as anatomy
+import data_synth.mr.cine as cine
 from data_synth import PRESETS, ScenarioSpec, phantom_scenario
 
 # a coarse world: the same code at a fraction of the time
 anatomy.REFERENCE_SPACING_MM = 3.0
-Protocol = anatomy.MrProtocol
-anatomy.MrProtocol = lambda: Protocol(phases=4, spacing_mm=4.0)
+Protocol = cine.MrProtocol
+cine.MrProtocol = lambda: Protocol(phases=4, spacing_mm=4.0)
 
 def digest(value, into):
     if isinstance(value, np.ndarray):

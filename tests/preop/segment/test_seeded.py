@@ -5,9 +5,17 @@ import json
 import numpy as np
 import pytest
 
-from dvf_ig.core import FrameMismatchError, Grid, InvalidInputError, Points, UnreadableFileError, Volume
+from dvf_ig.core import (
+    FrameMismatchError,
+    Grid,
+    InvalidInputError,
+    Points,
+    Seeds,
+    UnreadableFileError,
+    Volume,
+)
 from dvf_ig.io import read_seeds
-from dvf_ig.preop import Seeds, SegmentOptions, dice, segment_from_seeds, surface_budget
+from dvf_ig.preop import SegmentOptions, dice, segment_from_seeds, surface_budget
 
 OUTER, INNER = 20.0, 12.0
 

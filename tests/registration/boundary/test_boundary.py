@@ -118,7 +118,7 @@ def test_distance_to_a_voxelled_ball(spacing: tuple[float, float, float]) -> Non
     found = signed_distance_mm(true > 0, h)
     band = np.abs(true) < 15
     # voxels sample most coarsely along their longest edge; others on a binary mask: 0.30 for Euclidean, 0.14
-    # for fast marching (PEERS); the softening moves a ball's surface inward by (0.8 h)²/r, 0.04 h
+    # for fast marching on such a mask; the softening moves a ball's surface inward by (0.8 h)²/r, 0.04 h
     error = (found - true)[band] / h.max()
     assert np.sqrt(np.mean(error**2)) < 0.12
     assert abs(np.mean(error)) < 0.07

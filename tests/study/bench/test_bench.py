@@ -11,7 +11,7 @@ from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, InvalidInputError
 from dvf_ig.io import write_model
 from dvf_ig.preop import build_triangle_tree
-from dvf_ig.study.bench.covariance_tree import build_covariance_tree
+from dvf_ig.study.bench.covariance_tree import CovarianceTreeSearch, build_covariance_tree
 from dvf_ig.study.bench.heart import REACH_MM, bench_model, hand_path, random_points
 from dvf_ig.study.bench.rows import BenchOptions
 from dvf_ig.study.bench.timing import time_batches, time_calls
@@ -25,10 +25,10 @@ def model() -> DvfModel:
 def test_covariance_tree_finds_the_exact_distance(model: DvfModel) -> None:
     mesh = model.reference[0]
     points = random_points(mesh, 400, np.random.default_rng(1))
-    tree = build_covariance_tree(mesh)
+    search = CovarianceTreeSearch(build_covariance_tree(mesh))
     exact = build_triangle_tree(mesh.vertices_mm, mesh.triangles).distance_mm(points)
-    np.testing.assert_allclose(tree.distances_mm(points), exact, atol=1e-9)
-    singly = [tree.distance_mm(point) for point in points[::-1]]
+    np.testing.assert_allclose(search.distances_mm(points), exact, atol=1e-9)
+    singly = [search.distance_mm(point) for point in points[::-1]]
     np.testing.assert_allclose(singly, exact[::-1], atol=1e-9)
 
 

@@ -12,7 +12,7 @@ from dvf_ig.cli.study.distance import distance_maps
 from dvf_ig.core import InvalidInputError, Mesh
 from dvf_ig.io import write_mesh
 from dvf_ig.preop import angle_deg
-from dvf_ig.study.distance.maps import SURFACE_FIRST, WAYS, compare_distance_maps
+from dvf_ig.study.distance.maps import METHODS, SURFACE_FIRST, compare_distance_maps
 
 app = typer.Typer()
 app.command()(distance_maps)
@@ -34,11 +34,11 @@ def ball() -> Mesh:
 
 @pytest.fixture(scope="module")
 def found(ball):
-    return compare_distance_maps(ball, voxels=48, points=4000, rng=np.random.default_rng(1))
+    return compare_distance_maps([ball], [np.random.default_rng(1)], voxels=48, points=4000)
 
 
-def test_every_way_is_scored_in_order(found):
-    assert [score.name for score in found.scores] == list(WAYS)
+def test_every_method_is_scored_in_order(found):
+    assert [score.name for score in found.scores] == list(METHODS)
     voxel_mm = found.grid.spacing_mm[0]
     assert max(found.grid.shape) == 49
     for score in found.scores:
@@ -72,7 +72,7 @@ def test_half_a_voxel_is_what_the_corrections_take_away(found):
 
 
 def test_directions_are_held_against_the_true_shape(found):
-    """The exact map's own directions, against the closed form: the judge's truth is good to a degree."""
+    """The exact map's own directions, against the closed form: the reference is good to a degree."""
     near = np.abs(found.exact_mm) < 2.0
     h = 1e-3
     points = found.grid.centers_mm()[near]
@@ -83,7 +83,16 @@ def test_directions_are_held_against_the_true_shape(found):
 
 def test_too_few_voxels_are_refused(ball):
     with pytest.raises(InvalidInputError, match="at least 24"):
-        compare_distance_maps(ball, voxels=8, rng=np.random.default_rng(1))
+        compare_distance_maps([ball], [np.random.default_rng(1)], voxels=8)
+
+
+def test_errors_of_several_surfaces_are_pooled(ball):
+    rngs = [np.random.default_rng(seed) for seed in (1, 2, 1, 2)]
+    single = [compare_distance_maps([ball], [rng], voxels=24, points=400).scores for rng in rngs[:2]]
+    both = compare_distance_maps([ball, ball], rngs[2:], voxels=24, points=400).scores
+    for pooled, one, other in zip(both, *single, strict=True):
+        assert pooled.surface_mean_mm == pytest.approx((one.surface_mean_mm + other.surface_mean_mm) / 2)
+        assert pooled.rms_near_mm == pytest.approx(one.rms_near_mm)
 
 
 def test_command(ball, tmp_path):
@@ -92,7 +101,7 @@ def test_command(ball, tmp_path):
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     report = json.loads(result.stdout)
-    assert [row["name"] for row in report["rows"]] == list(WAYS)
+    assert [row["name"] for row in report["rows"]] == list(METHODS)
     assert json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8")) == report
     assert (tmp_path / "out" / "distance.png").read_bytes().startswith(b"\x89PNG")
     write_mesh(Mesh("mr", ball.vertices_mm, ball.triangles[1:]), tmp_path / "torn.ply")

@@ -21,7 +21,7 @@ from dvf_ig.report.study.registration_capture import (
 )
 from dvf_ig.report.study.registration_checks import calibration_picture, roc_picture
 from dvf_ig.report.study.registration_page import capture_html, write_capture_page
-from dvf_ig.study.registration.summary import Group, auc_of, capture_of, share_of, summarise_capture
+from dvf_ig.study.registration.summary import Group, auc_of, capture_of, share_of, summarise_trials
 
 
 def line(seed: int, start_mm: float | None, tre_mm: float | None, **other: Any) -> dict[str, Any]:
@@ -65,8 +65,8 @@ def only(groups: list[Group]) -> Group:
 
 
 def test_a_group_counts_every_run() -> None:
-    group = only(summarise_capture(reversed(TEN)))
-    assert (group.arm, group.motion, group.quality, group.method, group.condition) == (
+    group = only(summarise_trials(reversed(TEN)))
+    assert (group.experiment, group.motion, group.quality, group.method, group.condition) == (
         "B",
         "calm",
         "standard",
@@ -88,7 +88,7 @@ def test_a_group_counts_every_run() -> None:
 
 
 def test_the_self_check_is_of_failures_and_successes() -> None:
-    check = only(summarise_capture(TEN)).check
+    check = only(summarise_trials(TEN)).check
     assert check.failures_flagged is not None
     assert check.successes_flagged is not None
     assert check.released_failures is not None
@@ -98,7 +98,7 @@ def test_the_self_check_is_of_failures_and_successes() -> None:
     # failures 0.1 and 0.9 against four 0.9 and one 0.3: 5 wins and 4 ties in 10 pairs
     assert check.auc == pytest.approx((5 + 4 / 2) / 10)
     silent = [line(s, 1.0, 1.0 + 3 * s, usable=None, success_probability=None) for s in range(2)]
-    check = only(summarise_capture(silent)).check
+    check = only(summarise_trials(silent)).check
     assert (check.failures_flagged, check.successes_flagged, check.released_failures) == (None, None, None)
     assert check.auc is None
 
@@ -155,20 +155,20 @@ def test_bins_hold_their_upper_edge_and_refused_runs() -> None:
 
 def test_a_bound_leaves_out_further_starts_but_no_refusal_without_one() -> None:
     lines = [*TEN, {"seed": 10, "refused": "no pair"}, line(11, 12.1, 0.5)]
-    near, nameless = summarise_capture(lines, up_to_mm=12.0)
+    near, nameless = summarise_trials(lines, up_to_mm=12.0)
     assert (near.n, near.success.count) == (10, 5)
     assert (nameless.method, nameless.n, nameless.refused, nameless.success.count) == ("", 1, 1, 0)
     assert nameless.tre_mm.median is None
-    assert only(summarise_capture(TEN, up_to_mm=4.0)).n == 4
+    assert only(summarise_trials(TEN, up_to_mm=4.0)).n == 4
 
 
 def test_groups_come_in_the_order_of_their_seeds_and_are_json() -> None:
     lines = [line(3, 1.0, 1.0), line(1, 1.0, 1.0, condition="RR +5 %"), line(2, 1.0, 4.0, method="edges")]
-    groups = summarise_capture(lines)
+    groups = summarise_trials(lines)
     assert [(g.method, g.condition) for g in groups] == [("dvf_ig", "RR +5 %"), ("edges", ""), ("dvf_ig", "")]
-    text = json.dumps(plain(summarise_capture([*TEN, *lines])), allow_nan=False)
+    text = json.dumps(plain(summarise_trials([*TEN, *lines])), allow_nan=False)
     assert json.loads(text)[0]["tre_mm"]["max"] is None
-    assert summarise_capture([]) == []
+    assert summarise_trials([]) == []
 
 
 def test_the_page_shows_these_numbers_and_is_self_contained(tmp_path: Path) -> None:

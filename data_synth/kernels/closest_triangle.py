@@ -1,0 +1,223 @@
+"""Exact signed distance from points to a deforming triangle mesh (numba).
+
+The nearest point of the nearest triangle decides the distance; its sign comes from the angle-weighted
+pseudo-normal of the feature it lies on (face, edge or vertex), which is right for every closed mesh.
+The mesh samples a smooth organ: facets turn by several degrees from one to the next where the organ does not.
+The gradient is therefore the vertex pseudo-normals interpolated at the nearest point, not a facet's normal.
+Triangles are grouped in small clusters; bounding spheres skip clusters, never a nearest triangle.
+
+Sources: Ericson, Real-Time Collision Detection (2005), 5.1.5; Baerentzen and Aanaes, IEEE TVCG 11:243 (2005).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from dvf_ig.core import AnyArray
+
+VERTEX, EDGE, FACE = 0, 3, 6
+"""Feature codes: vertex 0–2, edge 3–5 (edge k from corner k to corner k+1), face 6."""
+
+
+class Mesh(NamedTuple):
+    """A closed mesh at cached phases, with what finds its nearest point quickly.
+
+    Attributes:
+        vertices: (phases, v, 3) mm.
+        triangles: (m, 3), outward, sorted by cluster.
+        start, around: triangles around each vertex, (v + 1,) offsets and (3m,) indices.
+        neighbour: (m, 3) triangle across each edge (edge k from corner k to corner k+1).
+        clusters: (c + 1,) offsets into the triangles.
+        centers, radii: (phases, c, 3) and (phases, c) bounding spheres.
+    """
+
+    vertices: AnyArray
+    triangles: AnyArray
+    start: AnyArray
+    around: AnyArray
+    neighbour: AnyArray
+    clusters: AnyArray
+    centers: AnyArray
+    radii: AnyArray
+
+
+class Phase(NamedTuple):
+    """Between two cached phases: their indices, and the weight of the second."""
+
+    low: int
+    high: int
+    weight: float
+
+
+@njit(cache=True)
+def _closest(p: AnyArray, a: AnyArray, b: AnyArray, c: AnyArray, out: AnyArray) -> int:
+    """Nearest point of triangle abc to p, written to `out`; returns the feature code."""
+    ab, ac, ap = b - a, c - a, p - a
+    d1, d2 = _dot(ab, ap), _dot(ac, ap)
+    if d1 <= 0.0 and d2 <= 0.0:
+        out[:] = a
+        return VERTEX
+    bp = p - b
+    d3, d4 = _dot(ab, bp), _dot(ac, bp)
+    if d3 >= 0.0 and d4 <= d3:
+        out[:] = b
+        return VERTEX + 1
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        out[:] = a + (d1 / (d1 - d3)) * ab
+        return EDGE
+    cp = p - c
+    d5, d6 = _dot(ab, cp), _dot(ac, cp)
+    if d6 >= 0.0 and d5 <= d6:
+        out[:] = c
+        return VERTEX + 2
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        out[:] = a + (d2 / (d2 - d6)) * ac
+        return EDGE + 2
+    va = d3 * d6 - d5 * d4
+    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        out[:] = b + ((d4 - d3) / ((d4 - d3) + (d5 - d6))) * (c - b)
+        return EDGE + 1
+    scale = 1.0 / (va + vb + vc)
+    out[:] = a + (vb * scale) * ab + (vc * scale) * ac
+    return FACE
+
+
+@njit(cache=True)
+def _dot(u: AnyArray, v: AnyArray) -> float:
+    return float(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
+
+
+@njit(cache=True)
+def _cross(u: AnyArray, v: AnyArray, out: AnyArray) -> None:
+    out[0] = u[1] * v[2] - u[2] * v[1]
+    out[1] = u[2] * v[0] - u[0] * v[2]
+    out[2] = u[0] * v[1] - u[1] * v[0]
+
+
+@njit(cache=True)
+def _vertex(mesh: Mesh, phase: Phase, index: int, out: AnyArray) -> None:
+    low, high = mesh.vertices[phase.low], mesh.vertices[phase.high]
+    for k in range(3):
+        out[k] = (1.0 - phase.weight) * low[index, k] + phase.weight * high[index, k]
+
+
+@njit(cache=True)
+def _normal(mesh: Mesh, phase: Phase, triangle: int, corners: AnyArray, out: AnyArray) -> None:
+    """Unit normal of a triangle between two cached phases; fills `corners` (3, 3)."""
+    for k in range(3):
+        _vertex(mesh, phase, mesh.triangles[triangle, k], corners[k])
+    _cross(corners[1] - corners[0], corners[2] - corners[0], out)
+    length = np.sqrt(_dot(out, out))
+    if length > 0.0:
+        out /= length
+
+
+@njit(cache=True)
+def _pseudo_normal(mesh: Mesh, phase: Phase, triangle: int, feature: int, out: AnyArray) -> None:
+    """Outward pseudo-normal (not of unit length) of a feature of `triangle`."""
+    corners, normal = np.empty((3, 3)), np.empty(3)
+    if feature >= EDGE:
+        _normal(mesh, phase, triangle, corners, out)
+        if feature < FACE and mesh.neighbour[triangle, feature - EDGE] >= 0:
+            _normal(mesh, phase, mesh.neighbour[triangle, feature - EDGE], corners, normal)
+            out += normal
+        return
+    vertex = mesh.triangles[triangle, feature]
+    out[:] = 0.0
+    for slot in range(mesh.start[vertex], mesh.start[vertex + 1]):
+        other = mesh.around[slot]
+        _normal(mesh, phase, other, corners, normal)
+        for k in range(3):
+            if mesh.triangles[other, k] == vertex:
+                u = corners[(k + 1) % 3] - corners[k]
+                v = corners[(k + 2) % 3] - corners[k]
+                cosine = _dot(u, v) / np.sqrt(_dot(u, u) * _dot(v, v) + 1e-300)
+                out += np.arccos(min(1.0, max(-1.0, cosine))) * normal
+
+
+@njit(cache=True)
+def _smooth_normal(mesh: Mesh, phase: Phase, triangle: int, point: AnyArray, out: AnyArray) -> None:
+    """Outward unit normal at a point of `triangle`: its corners' unit pseudo-normals by area weights."""
+    corners, face, spoke, vertex_normal = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    _normal(mesh, phase, triangle, corners, face)
+    out[:] = 0.0
+    for k in range(3):
+        _cross(corners[(k + 1) % 3] - point, corners[(k + 2) % 3] - point, spoke)
+        share = max(_dot(spoke, face), 0.0)
+        _pseudo_normal(mesh, phase, triangle, k, vertex_normal)
+        out += share / np.sqrt(_dot(vertex_normal, vertex_normal) + 1e-300) * vertex_normal
+    out /= np.sqrt(_dot(out, out) + 1e-300)
+
+
+@njit(cache=True)
+def _nearest(p: AnyArray, mesh: Mesh, phase: Phase, best_point: AnyArray) -> tuple[float, int, int]:
+    """Distance, triangle and feature of the mesh point nearest to p (written to `best_point`)."""
+    clusters = mesh.clusters
+    gap, first = _gaps(p, mesh, phase)
+    corners, candidate = np.empty((3, 3)), np.empty(3)
+    best, best_triangle, best_feature = np.inf, -1, FACE
+    count = len(gap)
+    for turn in range(count + 1):
+        c = first if turn == 0 else turn - 1
+        if (turn > 0 and c == first) or gap[c] > best:
+            continue
+        for t in range(clusters[c], clusters[c + 1]):
+            for k in range(3):
+                _vertex(mesh, phase, mesh.triangles[t, k], corners[k])
+            feature = _closest(p, corners[0], corners[1], corners[2], candidate)
+            step_x, step_y, step_z = candidate[0] - p[0], candidate[1] - p[1], candidate[2] - p[2]
+            distance = np.sqrt(step_x * step_x + step_y * step_y + step_z * step_z)
+            if distance < best:
+                best, best_triangle, best_feature = distance, t, feature
+                best_point[:] = candidate
+    return best, best_triangle, best_feature
+
+
+@njit(cache=True)
+def _gaps(p: AnyArray, mesh: Mesh, phase: Phase) -> tuple[AnyArray, int]:
+    """(c,) least distance from p to each cluster's sphere, and the cluster whose centre is nearest."""
+    low, high = mesh.centers[phase.low], mesh.centers[phase.high]
+    count = len(mesh.clusters) - 1
+    gap, first, nearest = np.empty(count), 0, np.inf
+    for c in range(count):
+        square = 0.0
+        for k in range(3):
+            step = (1.0 - phase.weight) * low[c, k] + phase.weight * high[c, k] - p[k]
+            square += step * step
+        centre = np.sqrt(square)
+        gap[c] = centre - max(mesh.radii[phase.low, c], mesh.radii[phase.high, c])
+        if centre < nearest:
+            nearest, first = centre, c
+    return gap, first
+
+
+@njit(cache=True, nogil=True)
+def signed_distances(
+    points: AnyArray,
+    lower: AnyArray,
+    upper: AnyArray,
+    weights: AnyArray,
+    mesh: Mesh,
+    distance: AnyArray,
+    gradient: AnyArray,
+) -> None:
+    """Signed distance (positive inside) and its unit gradient for every point.
+
+    Args:
+        points: (n, 3) mm.
+        lower, upper, weights: (n,) cached phases on both sides and the weight of the upper.
+        distance, gradient: (n,) and (n, 3), written.
+    """
+    nearest, normal = np.empty(3), np.empty(3)
+    for i in range(len(points)):
+        phase = Phase(lower[i], upper[i], weights[i])
+        length, triangle, feature = _nearest(points[i], mesh, phase, nearest)
+        _pseudo_normal(mesh, phase, triangle, feature, normal)
+        offset = points[i] - nearest
+        outside = _dot(offset, normal) > 0.0
+        distance[i] = -length if outside else length
+        _smooth_normal(mesh, phase, triangle, nearest, normal)
+        gradient[i] = -normal

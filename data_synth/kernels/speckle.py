@@ -1,0 +1,169 @@
+"""Speckle: complex echoes of scatterers on a lattice, on a raster finer than the scan lines."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from dvf_ig.core import AnyArray
+
+from .insonification import ECHO_REACH, Amplitudes
+from .interpolation import Point
+
+TABLE = 8192
+"""Entries in the table of complex normal deviates that lattice hashes point into."""
+
+_SAME_REFLECTOR = 24
+"""Samples by which a reflector may jump between neighbouring lines and still be one surface."""
+
+_U1 = np.uint64(0xFF51AFD7ED558CCD)
+_U2 = np.uint64(0xC4CEB9FE1A85EC53)
+_UX = np.uint64(0x9E3779B97F4A7C15)
+_UY = np.uint64(0xC2B2AE3D27D4EB4F)
+_UZ = np.uint64(0x165667B19E3779F9)
+_S33 = np.uint64(33)
+_MASK = np.uint64(TABLE - 1)
+
+
+class Scatterers(NamedTuple):
+    """Which deviate each lattice cell holds.
+
+    Attributes:
+        per_mm: (3,) cells a millimetre along the lattice's axes.
+        deviates: (TABLE, 2) float32 complex normal deviates of unit power.
+        tissue_seed: of the scatterers of tissue, which move with it.
+        blood_seed: of those of blood, which are drawn for each frame.
+    """
+
+    per_mm: AnyArray
+    deviates: AnyArray
+    tissue_seed: np.uint64
+    blood_seed: np.uint64
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def lattice_hash(i: int, j: int, k: int, seed: np.uint64) -> int:
+    """Index into the deviate table for a lattice cell: a 64-bit finaliser, the same on every machine."""
+    h = np.uint64(i) * _UX ^ np.uint64(j) * _UY ^ np.uint64(k) * _UZ ^ seed
+    h ^= h >> _S33
+    h *= _U1
+    h ^= h >> _S33
+    h *= _U2
+    h ^= h >> _S33
+    return int(h & _MASK)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def scatter(
+    path: AnyArray,
+    amplitudes: Amplitudes,
+    scatterers: Scatterers,
+    fine: int,
+    real: AnyArray,
+    imaginary: AnyArray,
+) -> None:
+    """Complex echoes of the scatterers on a laterally and axially finer raster.
+
+    Tissue scatterers are fixed to lattice cells of the reference heart and move with it; blood is redrawn
+    with every frame.
+
+    Args:
+        path: (lines, samples + 1, 3) along the lattice's axes.
+        fine: fine lines for each scan line.
+        real, imaginary: (lines·fine, 2·samples) float32, added to: in each row all first halves of the
+            samples, then all second halves.
+    """
+    tissue, blood, table = amplitudes.tissue, amplitudes.blood, scatterers.deviates
+    lines, samples = tissue.shape
+    for m in range(lines * fine):
+        p = min(max((m + 0.5) / fine - 0.5, 0.0), lines - 1.0)
+        left = min(int(p), lines - 2)
+        g, near = p - left, m // fine
+        deeper = _deeper(amplitudes.reflector, left, g, near)
+        for i in range(samples):
+            t, b = tissue[near, i], blood[near, i]
+            s = _interface_echo(amplitudes, near, i, deeper)
+            for half in range(2):
+                j = half * samples + i
+                if t < 1e-6 and b < 1e-6:
+                    real[m, j] += s
+                    continue
+                u, v, w = _between(path, left, i, g, 0.25 + 0.5 * half)
+                ui = np.int64(np.floor(u * scatterers.per_mm[0]))
+                vi = np.int64(np.floor(v * scatterers.per_mm[1]))
+                wi = np.int64(np.floor(w * scatterers.per_mm[2]))
+                re, im = np.float32(s), np.float32(0.0)
+                if t >= 1e-6:
+                    h = lattice_hash(ui, vi, wi, scatterers.tissue_seed)
+                    re += t * table[h, 0]
+                    im += t * table[h, 1]
+                if b >= 1e-6:
+                    h = lattice_hash(ui, vi, wi, scatterers.blood_seed)
+                    re += b * table[h, 0]
+                    im += b * table[h, 1]
+                real[m, j] += re
+                imaginary[m, j] += im
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _deeper(reflector: AnyArray, left: int, g: float, near: int) -> int:
+    """Samples by which a total reflector lies deeper on a fine line than on the scan line nearest to it.
+
+    It is as deep as the neighbouring scan lines say, so that an oblique one is a line and no comb.
+    """
+    one, other = reflector[left, 0], reflector[left + 1, 0]
+    if one >= 0.0 and other >= 0.0 and abs(other - one) < _SAME_REFLECTOR:
+        return int(np.round(one + g * (other - one) - reflector[near, 0]))
+    return 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _interface_echo(amplitudes: Amplitudes, near: int, i: int, deeper: int) -> float:
+    """Specular amplitude at sample i of a fine line, moved with the total reflector."""
+    interface = amplitudes.interface
+    if deeper != 0 and i > amplitudes.reflector[near, 0] - ECHO_REACH + min(deeper, 0):
+        return interface[near, min(max(i - deeper, 0), interface.shape[1] - 1)]  # type: ignore[no-any-return]
+    return interface[near, i]  # type: ignore[no-any-return]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _between(path: AnyArray, left: int, i: int, g: float, f: float) -> Point:
+    """Bilinear between scan lines `left` and the next (share g) and between ends i and i + 1 (share f)."""
+    n1, f1 = (1.0 - g) * (1.0 - f), (1.0 - g) * f
+    n2, f2 = g * (1.0 - f), g * f
+    near1, far1 = path[left, i], path[left, i + 1]
+    near2, far2 = path[left + 1, i], path[left + 1, i + 1]
+    return (
+        n1 * near1[0] + f1 * far1[0] + n2 * near2[0] + f2 * far2[0],
+        n1 * near1[1] + f1 * far1[1] + n2 * near2[1] + f2 * far2[1],
+        n1 * near1[2] + f1 * far1[2] + n2 * near2[2] + f2 * far2[2],
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_clutter(
+    level: AnyArray,
+    arc_index: AnyArray,
+    depth_index: float,
+    table: AnyArray,
+    seed: np.uint64,
+    real: AnyArray,
+    imaginary: AnyArray,
+) -> None:
+    """Add speckle that stands still before the probe, to rasters as `scatter` has them.
+
+    Args:
+        level: (samples,) its amplitude.
+        arc_index: (samples,) lattice cells between two fine lines; `depth_index` cells per half sample.
+        table: (TABLE, 2) deviates.
+    """
+    samples = len(level)
+    for m in range(real.shape[0]):
+        for i in range(samples):
+            if level[i] < 1e-6:
+                continue
+            arc = np.int64(m * arc_index[i])
+            for half in range(2):
+                h = lattice_hash(arc, np.int64((2 * i + half) * depth_index), 1, seed)
+                real[m, half * samples + i] += level[i] * table[h, 0]
+                imaginary[m, half * samples + i] += level[i] * table[h, 1]

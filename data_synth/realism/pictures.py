@@ -1,0 +1,68 @@
+"""What the realism report shows beside its figures: points, attenuation, hearts in standard views."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_synth.heart.anatomy import BeatingAnatomy
+from data_synth.heart.tissue import ACOUSTICS, Tissue
+from data_synth.ultrasound.presets import PROBES
+from data_synth.ultrasound.probe import SectorProbe
+from data_synth.ultrasound.sequence import simulate_frame
+from data_synth.ultrasound.views import VIEW_PROBE, VIEWS, standard_view
+from dvf_ig.core import FloatArray, InvalidInputError
+
+from .gates import CONTRASTS, DEPTHS_MM, PROBE, Gate, envelope, point_image
+from .media import medium
+
+_SHOWN_LINES = 12
+_SHOWN_DB = 40.0
+
+
+def points_db() -> FloatArray:
+    """(lines, samples) three points, each re its peak, over the middle lines of the probe."""
+    total = np.sum([point_image(d) / point_image(d).max() for d in DEPTHS_MM], axis=0)
+    middle = PROBE.lines // 2
+    shown = total[middle - _SHOWN_LINES : middle + _SHOWN_LINES]
+    return np.asarray(20 * np.log10(np.maximum(shown, 10 ** (-_SHOWN_DB / 20))))
+
+
+def contrasts_db(gates: Iterable[Gate]) -> dict[str, tuple[float, float]]:
+    """Echo of tissues re myocardium: of the table, and as it was measured (NaN where it was not)."""
+    measured = {g.name: g.value for g in gates}
+    return {
+        tissue.name.lower(): (
+            ACOUSTICS[tissue].echo_db,
+            measured.get(f"{tissue.name.lower()} re myocardium, dB", np.nan),
+        )
+        for tissue in CONTRASTS
+    }
+
+
+def attenuation_db() -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Power at each depth of `PROBE` in two tissues: (samples,) as simulated, and as 2αf has it."""
+    out = {}
+    for tissue in (Tissue.LV_MYOCARDIUM, Tissue.LV_BLOOD):
+        power = np.mean(envelope(medium(tissue, absorbing=True)) ** 2, axis=0)
+        start = ACOUSTICS[tissue].echo_db
+        line = start - 0.2 * ACOUSTICS[tissue].attenuation_db * PROBE.frequency_mhz * PROBE.depths_mm
+        out[tissue.name.lower()] = (np.asarray(10 * np.log10(power)), line)
+    return out
+
+
+def heart_views(heart: BeatingAnatomy) -> tuple[dict[str, NDArray[np.uint8]], ...]:
+    """The standard views, by view and probe: at end-diastole, then at end-systole."""
+    return tuple(
+        {f"{view} ({VIEW_PROBE[view]})": view_image(heart, view, phase) for view in VIEWS}
+        for phase in (0.0, heart.es_fraction)
+    )
+
+
+def view_image(heart: BeatingAnatomy, view: str, phase: float) -> NDArray[np.uint8]:
+    """A heart in a standard view, by the probe it is taken with."""
+    probe = PROBES[VIEW_PROBE[view]]
+    if not isinstance(probe, SectorProbe):
+        raise InvalidInputError(f"view {view} needs a plane probe")
+    pose = standard_view(view, heart.reference)
+    return simulate_frame(heart, probe, pose, np.full(probe.lines, phase), seed=1, frame=0)

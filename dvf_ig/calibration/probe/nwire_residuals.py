@@ -1,0 +1,150 @@
+"""Residuals of an N-wire phantom: the diagonals' dots in 3-D, or the dots of all wires in the image plane."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, ImageMap, NWirePhantom, NWireRecording, read_only_arrays
+
+from .errors import CalibrationErrors, calibration_errors
+from .map_parameters import MapParameters
+from .nwire_geometry import diagonal_crossings, wire_directions
+from .tracked_points import TrackedPoints
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class MiddleWires:
+    """The diagonals: where each was met is known in 3-D, by similar triangles from the three dots of its N.
+
+    Residuals are 3-D, mm, along the image's axes, (f, 3·patterns). A phantom without unknowns.
+
+    Attributes:
+        starts_mm, stops_mm: (patterns, 3) where each diagonal, extended, meets the first and the last wire of
+            its N, frame "phantom".
+    """
+
+    starts_mm: FloatArray
+    stops_mm: FloatArray
+
+    @classmethod
+    def of(cls, phantom: NWirePhantom) -> Self:
+        """Raises InvalidInputError where the wires do not form N patterns."""
+        starts, stops = zip(*(diagonal_crossings(pattern) for pattern in phantom.patterns), strict=True)
+        return cls(np.stack(starts), np.stack(stops))
+
+    def met_mm(self, points: TrackedPoints) -> FloatArray:
+        """(f, patterns, 3) where each diagonal was met, at the probe.
+
+        The diagonal's dot divides the chord between the outer dots as the imaged point divides the diagonal.
+
+        Source: Comeau 1998.
+        """
+        first, middle, last = (points.pixels[:, k::3] for k in range(3))
+        chord = last - first
+        share = np.einsum("fpi,fpi->fp", middle - first, chord) / np.einsum("fpi,fpi->fp", chord, chord)
+        in_phantom = self.starts_mm + share[..., None] * (self.stops_mm - self.starts_mm)
+        offset = in_phantom - points.translations_mm[:, None]
+        return np.asarray(np.einsum("fji,fpj->fpi", points.rotations, offset))
+
+    def vectors_mm(self, columns: FloatArray, points: TrackedPoints) -> FloatArray:
+        """(f, patterns, 3) from where each diagonal was met to where `columns` puts its dot, at the probe.
+
+        Args:
+            columns: (3, 3) any linear map [u, v, 1] -> mm; see `columns_of`.
+        """
+        dots = points.pixels[:, 1::3]
+        return np.asarray(dots @ columns[:, :2].T + columns[:, 2] - self.met_mm(points))
+
+    def errors_mm(self, columns: FloatArray, points: TrackedPoints) -> FloatArray:
+        """(f, patterns) lengths of `vectors_mm`."""
+        return np.asarray(np.linalg.norm(self.vectors_mm(columns, points), axis=2))
+
+    def residuals(self, image_map: ImageMap, points: TrackedPoints) -> FloatArray:
+        vectors = self.vectors_mm(columns_of(image_map), points)
+        return np.asarray((vectors @ image_map.rigid.rotation).reshape(len(points), -1))
+
+    def jacobian(self, parameters: MapParameters, points: TrackedPoints) -> FloatArray:
+        """(f, 3·patterns, count), the image's axes held fixed."""
+        slope = parameters.jacobian(points.pixels[:, 1::3])
+        return slope.reshape(len(slope), -1, parameters.count)
+
+    def stepped(self, step: FloatArray) -> Self:
+        return self
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class AllWires:
+    """Every wire: in-plane residuals over the noise along columns and rows, (f, 2·wires); nothing unknown.
+
+    Attributes:
+        phantom: geometry.
+        noise_mm: (2,) standard deviation of a dot along columns and rows.
+
+    Source: Carbajal 2013.
+    """
+
+    phantom: NWirePhantom
+    noise_mm: FloatArray
+
+    def residuals(self, image_map: ImageMap, points: TrackedPoints) -> FloatArray:
+        scaled = in_plane_residuals_mm(columns_of(image_map), points, self.phantom) / self.noise_mm
+        return scaled.reshape(len(scaled), -1)
+
+    def jacobian(self, parameters: MapParameters, points: TrackedPoints) -> FloatArray:
+        """(f, 2·wires, count): a wire's crossing slides along the wire as the image plane moves."""
+        image_map = parameters.estimate
+        residuals = in_plane_residuals_mm(columns_of(image_map), points, self.phantom)
+        slope = parameters.jacobian(points.pixels + residuals / image_map.scale_mm_per_px)
+        along_probe = np.einsum("fji,wj->fwi", points.rotations, wire_directions(self.phantom))
+        along = along_probe @ image_map.rigid.rotation
+        slide = slope[:, :, 2:] / along[:, :, 2, None, None]
+        crossing = along[:, :, :2, None] * slide - slope[:, :, :2]
+        # residuals are lengths: they grow with the pixel
+        sizes = np.zeros_like(crossing)
+        sizes[..., [0, 1], [6, parameters.count - 1]] = residuals
+        out = (crossing + sizes) / self.noise_mm[:, None]
+        return np.asarray(out.reshape(len(out), -1, parameters.count))
+
+    def stepped(self, step: FloatArray) -> Self:
+        return self
+
+
+def weighted_all_wires(image_map: ImageMap, points: TrackedPoints, phantom: NWirePhantom) -> AllWires:
+    """All wires, each direction in units of its robust standard deviation under `image_map`."""
+    residuals = in_plane_residuals_mm(columns_of(image_map), points, phantom)
+    noise = np.maximum(1.4826 * np.median(np.abs(residuals), axis=(0, 1)), 1e-6)
+    return AllWires(phantom, np.asarray(noise))
+
+
+def in_plane_residuals_mm(columns: FloatArray, points: TrackedPoints, phantom: NWirePhantom) -> FloatArray:
+    """(f, wires, 2) mm along columns and rows, from each dot to where the image plane meets its wire."""
+    across, down, origin = columns.T
+    scale = np.array([np.linalg.norm(across), np.linalg.norm(down)])
+    front = np.stack([w.front_mm for w in phantom.wires])
+    along = wire_directions(phantom)
+    front_probe = np.einsum("fji,fwj->fwi", points.rotations, front[None] - points.translations_mm[:, None])
+    along_probe = np.einsum("fji,wj->fwi", points.rotations, along)
+    normal = np.cross(across, down)
+    depth = ((origin - front_probe) @ normal) / (along_probe @ normal)
+    met = front_probe + depth[..., None] * along_probe - origin
+    predicted = met @ np.linalg.pinv(np.column_stack([across, down])).T
+    return np.asarray((predicted - points.pixels) * scale)
+
+
+def wire_errors(columns: FloatArray, points: TrackedPoints, recording: NWireRecording) -> CalibrationErrors:
+    """3-D errors of the diagonals, and in-plane errors of every wire, over the given frames."""
+    in_plane = np.linalg.norm(in_plane_residuals_mm(columns, points, recording.phantom), axis=2).mean(axis=0)
+    names = [wire.name for wire in recording.phantom.wires]
+    return calibration_errors(
+        MiddleWires.of(recording.phantom).errors_mm(columns, points),
+        len(recording.phantom_from_probe),
+        dict(zip(names, in_plane.tolist(), strict=True)),
+    )
+
+
+def columns_of(image_map: ImageMap) -> FloatArray:
+    """(3, 3) columns u, v and origin of the map's matrix: [u, v, 1] -> mm."""
+    return np.asarray(image_map.matrix[:3, [0, 1, 3]])

@@ -1,0 +1,143 @@
+"""A flat wall, or the floor of a water tank, as a straight line in each ultrasound image."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, QualityGateError, Trace, read_only_arrays
+
+
+@dataclass(frozen=True, slots=True)
+class WallLineOptions:
+    """What counts as the floor.
+
+    Attributes:
+        bright_share: a column's echo counts when it reaches this share of the image's brightest echo.
+        min_columns: fewest columns that must show the floor, as a share of the image's width.
+        tolerance_px: distance from the line within which a column supports it.
+        min_support: share of the bright columns that must lie on the line.
+        max_slope_deg: steepest floor accepted.
+        hypotheses: pairs of columns tried.
+        min_contrast: smallest grey value, above the still background, that counts as an echo.
+    """
+
+    bright_share: float = 0.3
+    min_columns: float = 0.1
+    tolerance_px: float = 4.0
+    min_support: float = 0.5
+    max_slope_deg: float = 40.0
+    hypotheses: int = 60
+    min_contrast: float = 20.0
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class WallLines:
+    """Lines row = row_px + slope · (column − column_px), one a frame.
+
+    Attributes:
+        column_px: the column at which rows are given: the image's centre.
+        row_px, slope: (n,) NaN where no line was found.
+        found: (n,).
+    """
+
+    column_px: float
+    row_px: FloatArray
+    slope: FloatArray
+    found: BoolArray
+
+    def end_points_px(self, valid: BoolArray) -> FloatArray:
+        """(n, 2, 2) column, row of two points of each line, half a half-width from the centre; else NaN."""
+        step = 0.25 * (2 * self.column_px + 1) * np.array([-1.0, 1.0])
+        columns = np.broadcast_to(self.column_px + step, (len(self.row_px), 2))
+        points = np.stack([columns, self.row_px[:, None] + self.slope[:, None] * step], axis=2)
+        return np.where((self.found & valid)[:, None, None], points, np.nan)
+
+
+def find_wall_lines(
+    images: NDArray[np.uint8], *, rng: Generator, options: WallLineOptions | None = None
+) -> WallLines:
+    """The strongest straight echo of each frame.
+
+    What stands still in all frames (scale, text, transducer face) is removed first.
+
+    Args:
+        images: (n, rows, columns) grey values, depth along rows.
+        rng: draws the pairs of columns.
+    """
+    options = options or WallLineOptions()
+    count, _, columns = images.shape
+    still = np.median(images[:: max(1, count // 24)], axis=0)
+    center = (columns - 1) / 2
+    row, slope = np.full(count, np.nan), np.full(count, np.nan)
+    for i in range(count):
+        line = _line(images[i].astype(np.float64) - still, center, rng, options)
+        if line is not None:
+            row[i], slope[i] = line
+    return WallLines(center, row, slope, np.isfinite(row))
+
+
+def wall_trace(
+    t_s: FloatArray, images: NDArray[np.uint8], valid: BoolArray, *, rng: Generator,
+    options: WallLineOptions | None = None,
+) -> Trace:  # fmt: skip
+    """Row of the tank's floor at the image centre over time, frames without one left out.
+
+    Raises:
+        QualityGateError: fewer than half of the valid frames show a floor.
+        InvalidInputError: no valid frame.
+    """
+    usable = np.flatnonzero(valid)
+    if len(usable) == 0:
+        raise InvalidInputError(f"none of {len(valid)} video frames is valid; record the video again")
+    lines = find_wall_lines(images[usable], rng=rng, options=options)
+    if lines.found.sum() < max(2, len(usable) / 2):
+        raise QualityGateError(
+            f"the tank's floor shows as a straight line in {int(lines.found.sum())} of {len(usable)} frames, "
+            "needed half; image a flat bare floor, or give the lines with --line-table"
+        )
+    return Trace(t_s[usable][lines.found], lines.row_px[lines.found])
+
+
+def _line(
+    image: FloatArray, center: float, rng: Generator, options: WallLineOptions
+) -> tuple[float, float] | None:
+    """Row at the centre column and slope, or None."""
+    column, row, strength = _echoes(image, options)
+    if len(column) < max(8, options.min_columns * image.shape[1]):
+        return None
+    pairs = rng.integers(0, len(column), size=(options.hypotheses, 2))
+    step = column[pairs[:, 1]] - column[pairs[:, 0]]
+    pairs, step = pairs[np.abs(step) > 0.05 * image.shape[1]], step[np.abs(step) > 0.05 * image.shape[1]]
+    if len(step) == 0:
+        return None
+    slopes = (row[pairs[:, 1]] - row[pairs[:, 0]]) / step
+    at_center = row[pairs[:, 0]] + slopes * (center - column[pairs[:, 0]])
+    residuals = np.abs(row - at_center[:, None] - slopes[:, None] * (column - center))
+    best = int(np.minimum(residuals, options.tolerance_px).sum(axis=1).argmin())
+    near = residuals[best] <= options.tolerance_px
+    if near.mean() < options.min_support:
+        return None
+    for _ in range(3):
+        slope, offset = np.polyfit(column[near] - center, row[near], 1, w=np.sqrt(strength[near]))
+        near = np.abs(row - offset - slope * (column - center)) <= options.tolerance_px
+        if near.sum() < 8:
+            return None
+    if abs(np.degrees(np.arctan(slope))) > options.max_slope_deg:
+        return None
+    return float(offset), float(slope)
+
+
+def _echoes(image: FloatArray, options: WallLineOptions) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Column, sub-pixel row and strength of the brightest echo of each bright column."""
+    top = image.argmax(axis=0)
+    strength = image.max(axis=0)
+    bright = strength >= max(options.min_contrast, options.bright_share * float(strength.max()))
+    columns = np.flatnonzero(bright)
+    offsets = np.arange(-6, 7)
+    rows = np.clip(top[columns, None] + offsets, 0, image.shape[0] - 1)
+    weight = np.clip(image[rows, columns[:, None]], 0, None)
+    center = (rows * weight).sum(axis=1) / weight.sum(axis=1)
+    return columns.astype(np.float64), center, strength[columns]

@@ -1,0 +1,77 @@
+"""What the pose did over a replay: beats evaluated, drift, suspensions and computing time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.registration import PoseChart
+
+from .pose_history import PoseHistory, PoseUpdates
+
+LEAST_SPAN_S = 10.0
+"""Drift over less than this is within the scatter of single beats' updates."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSummary:
+    """Attributes:
+    tracked_beats: beats that were compared with the pose then in use.
+    drift_mm_per_min: speed of the pose since the last suspension, mean over the heart; None where that is
+        short.
+    update_s_median, update_s_p95: computing time of a beat's update, preparation included; None without any.
+    suspended_s: begin and end of each suspension; the last may end with the recording.
+    """
+
+    tracked_beats: int
+    drift_mm_per_min: float | None
+    update_s_median: float | None
+    update_s_p95: float | None
+    suspended_s: tuple[tuple[float, float], ...]
+
+    @property
+    def withheld_s(self) -> float:
+        """Seconds without a force after the first pose."""
+        return sum(end_s - begin_s for begin_s, end_s in self.suspended_s)
+
+
+def summarise_poses(history: PoseHistory, center_mm: FloatArray, end_s: float) -> PoseSummary:
+    """Args:
+    center_mm: (3,) centre of the heart box; end_s: of the recording.
+    """
+    seconds = [beat.seconds for beat in history.beats]
+    return PoseSummary(
+        sum(beat.in_use for beat in history.beats),
+        drift_mm_per_min(history.updates, center_mm),
+        float(np.median(seconds)) if seconds else None,
+        float(np.percentile(seconds, 95)) if seconds else None,
+        suspensions(history.updates, end_s),
+    )
+
+
+def suspensions(updates: PoseUpdates, end_s: float) -> tuple[tuple[float, float], ...]:
+    """Begin and end of each time in which the pose was suspended."""
+    found: list[tuple[float, float]] = []
+    for i, (from_s, pose) in enumerate(updates):
+        if pose is None:
+            found.append((from_s, updates[i + 1][0] if i + 1 < len(updates) else end_s))
+    return tuple(found)
+
+
+def drift_mm_per_min(updates: PoseUpdates, center_mm: FloatArray) -> float | None:
+    """Least-squares slope of the poses since the last suspension, mean over the heart."""
+    since: list[tuple[float, Rigid]] = []
+    for from_s, pose in updates:
+        if pose is None:
+            since = []
+        else:
+            since.append((from_s, pose))
+    if len(since) < 3 or since[-1][0] - since[0][0] < LEAST_SPAN_S:
+        return None
+    chart = PoseChart(since[0][1], center_mm)
+    times = np.array([from_s for from_s, _ in since])
+    coordinates = np.array([chart.coordinates(pose) for _, pose in since])
+    slope = np.polyfit(times - times.mean(), coordinates, 1)[0]
+    arms = np.vstack([np.eye(3), -np.eye(3)])
+    moved = np.cross(slope[:3], arms) + slope[3:]
+    return float(60.0 * np.linalg.norm(moved, axis=1).mean())

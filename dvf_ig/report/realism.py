@@ -1,0 +1,151 @@
+"""How real the synthetic ultrasound is: its pictures, and one page of them with every measured figure.
+
+matplotlib is loaded when the pictures are drawn, not before.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rayleigh
+
+from dvf_ig.core.arrays import FloatArray, read_only_arrays
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Views = Sequence[Mapping[str, NDArray[np.uint8]]]
+"""Rows of images by title."""
+
+
+class BoundedFigure(Protocol):
+    """A measured figure and the interval it has to lie in."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def value(self) -> float: ...
+    @property
+    def low(self) -> float: ...
+    @property
+    def high(self) -> float: ...
+    @property
+    def passed(self) -> bool: ...
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class RealismPictures:
+    """What is drawn.
+
+    Attributes:
+        envelopes: of homogeneous myocardium, any shape, linear.
+        depths_mm: (samples,) depth of the receive samples.
+        imaging_depth_mm: where the image ends.
+        points_db: (lines, samples) image of point targets, re their peaks.
+        contrasts_db: echo re myocardium by tissue: (of the table, measured).
+        attenuation_db: power over depth by tissue: ((samples,) simulated, (samples,) expected).
+        hearts: standard views by motion: end-diastole, then end-systole.
+    """
+
+    envelopes: FloatArray
+    depths_mm: FloatArray
+    imaging_depth_mm: float
+    points_db: FloatArray
+    contrasts_db: Mapping[str, tuple[float, float]]
+    attenuation_db: Mapping[str, tuple[FloatArray, FloatArray]]
+    hearts: Mapping[str, Views]
+
+
+def realism_figure(shown: RealismPictures) -> Figure:
+    """Statistics above, and each heart in the standard views at its two ends below."""
+    from matplotlib.figure import Figure
+
+    count = len(shown.hearts)
+    figure = Figure(figsize=(14.0, 4.0 + 6.4 * count), layout="constrained")
+    parts = figure.subfigures(1 + count, 1, squeeze=False, height_ratios=[4.0, *[6.4] * count])
+    upper = parts[0, 0].subplots(1, 4)
+    _draw_histogram(upper[0], shown.envelopes)
+    _draw_points(upper[1], shown.points_db, shown.imaging_depth_mm)
+    _draw_contrast(upper[2], shown.contrasts_db)
+    _draw_attenuation(upper[3], shown.depths_mm, shown.attenuation_db)
+    for part, (motion, views) in zip(parts[1:, 0], shown.hearts.items(), strict=True):
+        part.suptitle(f"{motion}: end-diastole above, end-systole below")
+        axes = part.subplots(len(views), len(views[0]))
+        for row, images in zip(axes, views, strict=True):
+            for axis, (title, image) in zip(row, images.items(), strict=True):
+                axis.imshow(image, cmap="gray", vmin=0, vmax=255)
+                axis.set_title(title, fontsize=8)
+                axis.axis("off")
+    return figure
+
+
+def realism_html(figures: Iterable[BoundedFigure], picture_png: bytes, title: str) -> str:
+    """A page that needs nothing but itself."""
+    rows = "".join(
+        f"<tr class='{'ok' if f.passed else 'no'}'><td>{html.escape(f.name)}</td><td>{f.value:.4g}</td>"
+        f"<td>{bounds_text(f)}</td><td>{'pass' if f.passed else 'FAIL'}</td></tr>"
+        for f in figures
+    )
+    picture = base64.b64encode(picture_png).decode()
+    return (
+        f"<!doctype html><meta charset='utf-8'><title>{html.escape(title)}</title>"
+        "<style>body{font:14px sans-serif;margin:2em;max-width:1400px}td,th{padding:2px 12px;text-align:left}"
+        "tr.no td{background:#fdd}td:nth-child(2),td:nth-child(3){text-align:right}img{width:100%}</style>"
+        f"<h1>{html.escape(title)}</h1><img alt='pictures' src='data:image/png;base64,{picture}'>"
+        f"<table><tr><th>gate</th><th>value</th><th>bounds</th><th></th></tr>{rows}</table>\n"
+    )
+
+
+def bounds_text(figure: BoundedFigure) -> str:
+    """The interval as text."""
+    if np.isinf(figure.high):
+        return f"≥ {figure.low:.4g}"
+    return f"{figure.low:.4g} … {figure.high:.4g}"
+
+
+def _draw_histogram(axis: Axes, envelopes: FloatArray) -> None:
+    scale = float(np.sqrt((envelopes**2).mean() / 2))
+    levels = np.linspace(0, 4.5 * scale, 200)
+    axis.hist(envelopes.ravel(), bins=80, range=(0, 4.5 * scale), density=True, color="#9bb8d3")
+    axis.plot(levels, rayleigh.pdf(levels, scale=scale), "k", lw=1, label="Rayleigh")
+    axis.set_title("speckle in myocardium", fontsize=9)
+    axis.set_xlabel("envelope, re myocardium")
+    axis.legend(fontsize=8)
+
+
+def _draw_points(axis: Axes, points_db: FloatArray, depth_mm: float) -> None:
+    half = 0.5 * len(points_db)
+    extent = (0.0, depth_mm, -half, half)
+    axis.imshow(points_db, aspect="auto", extent=extent, cmap="gray", interpolation="nearest")
+    axis.set_title("points at 40, 80, 120 mm (40 dB)", fontsize=9)
+    axis.set_xlabel("depth, mm")
+    axis.set_ylabel("scan line from the middle")
+
+
+def _draw_contrast(axis: Axes, contrasts_db: Mapping[str, tuple[float, float]]) -> None:
+    place = np.arange(len(contrasts_db))
+    table, measured = zip(*contrasts_db.values(), strict=True)
+    axis.bar(place - 0.2, table, 0.4, label="table", color="#cccccc")
+    axis.bar(place + 0.2, measured, 0.4, label="measured", color="#9bb8d3")
+    axis.set_xticks(place, list(contrasts_db), rotation=20, fontsize=8)
+    axis.set_title("echo re myocardium, dB", fontsize=9)
+    axis.legend(fontsize=8)
+
+
+def _draw_attenuation(
+    axis: Axes, depths_mm: FloatArray, attenuation_db: Mapping[str, tuple[FloatArray, FloatArray]]
+) -> None:
+    for tissue, (simulated, expected) in attenuation_db.items():
+        axis.plot(depths_mm, simulated, lw=0.7, label=tissue)
+        axis.plot(depths_mm, expected, "k--", lw=1)
+    axis.set_title("power with depth, dB; dashed 2 alpha f", fontsize=9)
+    axis.set_xlabel("depth, mm")
+    axis.legend(fontsize=8)

@@ -1,0 +1,201 @@
+"""Tracking a heart's pose from beat to beat, with ultrasound made from a known motion of the patient."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.cardiac import RPeak
+from dvf_ig.core import FloatArray, Rigid, Stop
+from dvf_ig.registration import BeatLook, Gated, PoseChart, RegistrationResult, distance_between
+from dvf_ig.replay import PoseHistory
+from dvf_ig.replay.beat_evaluation import BEAT_COMPUTE_S, BeatEvaluation
+from dvf_ig.replay.gated_frames import GatedFrames
+from dvf_ig.replay.pose_summary import drift_mm_per_min, suspensions
+from dvf_ig.replay.pose_tracker import COMPUTE_S, FIRST_ATTEMPT_S, RECOVER_S, Timing, track_pose
+from dvf_ig.replay.registration_monitor import RegistrationMonitor
+
+CENTER = np.array([10.0, -20.0, 30.0])
+HOME = Rigid("mr", "tracker", np.eye(3), np.zeros(3))
+RR_S, DETECTION_S, SIGMA_MM = 0.8, 0.12, 0.8
+PEAKS = tuple(RPeak(RR_S * k, RR_S * k + DETECTION_S, 1.0) for k in range(76))
+
+Patient = Callable[[float], FloatArray]
+"""Time to the six coordinates of the true pose about HOME."""
+
+
+def pose_at(patient: Patient, t_s: float) -> Rigid:
+    return PoseChart(HOME, CENTER).pose(patient(t_s))
+
+
+@dataclass(frozen=True, slots=True)
+class KnownBeat:
+    """A beat whose ultrasound shows where the patient was half-way through it."""
+
+    begin_s: float
+    end_s: float
+    pose: Rigid
+
+    def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation:
+        information = np.eye(6) / SIGMA_MM**2
+        offset = PoseChart(pose, center_mm).coordinates(self.pose)
+        measurement = BeatLook(
+            pose=pose,
+            best=self.pose,
+            offset_information_mm=information @ offset,
+            information=information,
+            similarity=0.4,
+            best_similarity=0.6,
+            surprise=float(0.5 * offset @ information @ offset),
+            moved_mm=distance_between(pose, self.pose, center_mm),
+            overlap=1.0,
+            evaluations=1,
+        )
+        detected_s = self.end_s + DETECTION_S
+        decided_s = detected_s + BEAT_COMPUTE_S
+        return BeatEvaluation(
+            self.begin_s, self.end_s, detected_s, decided_s, 10, measurement, in_use, seconds=0.01
+        )
+
+
+def registration(pose: Rigid) -> RegistrationResult:
+    covariance = np.diag([(0.4 / 40) ** 2] * 3 + [0.4**2] * 3)
+    return RegistrationResult(
+        mr_from_tracker=pose,
+        stop=Stop.CONVERGED,
+        success_probability=1.0,
+        covariance=covariance,
+        center_mm=CENTER,
+        similarity=0.6,
+        start_similarity=0.5,
+        contrast=10.0,
+        overlap=1.0,
+        disagreement_mm=0.2,
+        part_disagreement_mm=None,
+        edge_disagreement_mm=None,
+        phase_disagreement_mm=0.5,
+        second_best=0.0,
+        moved_mm=1.0,
+        evaluations=1,
+        seconds=1.0,
+        slices=48,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class KnownUltrasound:
+    """Ultrasound of a patient whose motion is known. `blind`: no beat can be compared with the model."""
+
+    patient: Patient
+    peaks: tuple[RPeak, ...]
+    blind: bool
+
+    def register(
+        self, from_s: float, until_s: float, start: Rigid, *, warm: bool
+    ) -> tuple[GatedFrames, RegistrationResult | None]:
+        event_s = np.arange(from_s, until_s, 1 / 12)
+        n = len(event_s)
+        index = np.arange(n, dtype=np.int64)
+        still = np.tile(np.eye(3), (n, 1, 1))
+        frames = GatedFrames(0, Gated(index, {}), index, event_s, np.zeros(n), still, np.zeros((n, 3)))
+        mean = np.mean([self.patient(t) for t in event_s], axis=0)
+        return frames, registration(PoseChart(HOME, CENTER).pose(mean))
+
+    def beat(self, last: int) -> KnownBeat | None:
+        begin_s, end_s = self.peaks[last - 1].t_s, self.peaks[last].t_s
+        middle_s = (begin_s + end_s) / 2
+        return None if self.blind else KnownBeat(begin_s, end_s, pose_at(self.patient, middle_s))
+
+
+def tracked(patient: Patient, *, blind: bool = False, peaks: tuple[RPeak, ...] = PEAKS) -> PoseHistory:
+    """Track a patient for a minute."""
+    return track_pose(
+        KnownUltrasound(patient, peaks, blind),
+        peaks,
+        RegistrationMonitor(CENTER, None),
+        HOME,
+        Timing(begin_s=0.0, end_s=peaks[-1].detected_at_s + 0.5, beat_compute_s=BEAT_COMPUTE_S),
+        report_progress=lambda _: None,
+    )
+
+
+def still(t_s: float) -> FloatArray:
+    return np.zeros(6)
+
+
+def shifted(t_s: float) -> FloatArray:
+    return np.array([1.0, 0.0, -1.5, 5.0, -4.0, 4.0]) * min(1.0, max(0.0, (t_s - 30.0) / 0.5))
+
+
+def drifting(t_s: float) -> FloatArray:
+    return np.array([0.0, 0.0, 0.0, 0.1, 0.0, 0.0]) * max(0.0, t_s - 15.0)
+
+
+def slipped(t_s: float) -> FloatArray:
+    """After a slip the pose that fits swings with the probe."""
+    swing = 2 * np.pi * (t_s - 30.0) / 9.0
+    after = float(t_s >= 30.0)
+    return after * np.array([0.0, 0.0, 0.0, 6.0 * np.cos(swing), 6.0 * np.sin(swing), 0.0])
+
+
+def test_a_still_patient_is_never_suspended() -> None:
+    done = tracked(still)
+    assert done.updates[0][0] <= FIRST_ATTEMPT_S + COMPUTE_S + 2 * RR_S
+    assert all(pose is not None for _, pose in done.updates)
+    assert all(attempt.usable for attempt in done.attempts)
+    assert drift_mm_per_min(done.updates, CENTER) == 0.0
+
+
+def test_a_patient_who_moved_is_noticed_within_a_beat_and_found_again() -> None:
+    done = tracked(shifted)
+    (begin_s, end_s) = suspensions(done.updates, 60.0)[0]
+    latest_s = 30.5 + 2 * RR_S + DETECTION_S + BEAT_COMPUTE_S
+    assert 30.0 < begin_s <= latest_s
+    assert end_s - begin_s <= RECOVER_S + COMPUTE_S + 2 * RR_S
+    found = next(pose for from_s, pose in done.updates if from_s == end_s)
+    assert found is not None
+    assert distance_between(found, pose_at(shifted, 60.0), CENTER) < 0.3
+    again = next(a for a in done.attempts if a.asked_s > begin_s)
+    assert again.frames.event_s[0] >= begin_s - DETECTION_S - BEAT_COMPUTE_S - 1e-6
+    assert again.usable
+
+
+def test_a_slow_drift_is_tracked_and_reported() -> None:
+    done = tracked(drifting)
+    assert not suspensions(done.updates, 60.0)
+    late = [(from_s, pose) for from_s, pose in done.updates if from_s > 25.0]
+    for from_s, pose in late:
+        assert pose is not None
+        assert distance_between(pose, pose_at(drifting, from_s), CENTER) < 1.2
+    drift = drift_mm_per_min(late, CENTER)
+    assert drift is not None
+    assert abs(drift - 6.0) < 0.6
+
+
+def test_after_a_slip_no_pose_is_used_again() -> None:
+    done = tracked(slipped)
+    begin_s, end_s = suspensions(done.updates, 60.0)[0]
+    assert 30.0 < begin_s < 32.0
+    assert end_s == 60.0
+    after = [a for a in done.attempts if a.asked_s > begin_s]
+    assert len(after) >= 3
+    assert not any(a.usable for a in after)
+
+
+def test_without_comparable_beats_no_pose_is_used() -> None:
+    done = tracked(still, blind=True)
+    assert done.updates == ()
+    assert done.attempts
+    assert not any(a.usable for a in done.attempts)
+
+
+def test_later_beats_change_nothing_before() -> None:
+    whole, part = tracked(shifted), tracked(shifted, peaks=PEAKS[:50])
+    until_s = PEAKS[49].detected_at_s
+    assert len(part.updates) > 10
+    early = [(from_s, pose) for from_s, pose in whole.updates if from_s <= until_s]
+    for (first_s, first), (second_s, second) in zip(early, part.updates, strict=False):
+        assert first_s == second_s
+        assert (first is None) == (second is None)
+        if first is not None and second is not None:
+            np.testing.assert_array_equal(first.matrix, second.matrix)
