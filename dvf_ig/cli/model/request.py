@@ -1,4 +1,4 @@
-"""What `dvf-ig model build` is asked to do: the options as one value, checked before anything is read."""
+"""The options of `dvf-ig model build` as one value, checked before any file is read."""
 
 from dataclasses import dataclass
 from pathlib import Path

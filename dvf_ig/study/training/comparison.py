@@ -28,7 +28,7 @@ RECORDED = frozenset(np.unique(np.geomspace(1, 1e6, 73).round().astype(int)).tol
 """Iterations at which cost is recorded, twelve a decade."""
 
 CLOSE = 0.01
-"""Share of the minimal cost within which a training counts as arrived."""
+"""Share of the minimal cost within which a training counts as converged."""
 
 
 @read_only_arrays
@@ -162,13 +162,13 @@ def _compare(samples: Samples, degree: int, max_iterations: int, clock: Clock) -
     runs = (
         timed(
             GRADIENT,
-            lambda told: train_gradient(
-                network, positions, values, max_iterations=max_iterations, on_iteration=told
+            lambda record: train_gradient(
+                network, positions, values, max_iterations=max_iterations, on_iteration=record
             ),
         ),
         timed(
             CONJUGATE,
-            lambda told: train_scattered(network, points, values.ravel(), on_iteration=told),
+            lambda record: train_scattered(network, points, values.ravel(), on_iteration=record),
         ),
         timed(EXACT, lambda _: train_separable(network, positions, values)),
     )
@@ -251,7 +251,7 @@ def summarise_training(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     Returns:
         rows of `degree method functions condition iterations seconds rms_mm excess`, and
         `iterations_to_1_percent seconds_to_1_percent` until cost stays within 1 % of its minimum, None where
-        a heart did not get there.
+        a heart did not reach it.
     """
     networks = [network for line in lines if "refused" not in line for network in line["networks"]]
     rows = []
