@@ -46,7 +46,7 @@ def register(
             else:
                 result = _pair(fixed, moving, init, mask, seed)
             payload = _payload(result, name, seed)
-            write_transform(result.mr_from_tracker, transform)
+            write_transform(result.target_from_source, transform)
             write_json(evidence, payload)
         wrote(transform, name)
         wrote(evidence)
@@ -66,6 +66,8 @@ def _scenario(folder: Path, init: Path | None, seed: int) -> "RegistrationResult
 def _pair(
     fixed: Path | None, moving: Path | None, init: Path | None, mask: Path | None, seed: int
 ) -> "RegistrationResult":
+    from time import perf_counter
+
     import numpy as np
 
     from dvf_ig.core import Rigid
@@ -82,8 +84,15 @@ def _pair(
     )
     allowed = read_volume(mask, frame="fixed") if mask is not None else None
     with progress("register") as report:
-        rng = np.random.default_rng(seed)
-        return register_pair(ultrasound, anatomy, start, rng=rng, mask=allowed, progress=report)
+        return register_pair(
+            ultrasound,
+            anatomy,
+            start,
+            rng=np.random.default_rng(seed),
+            clock=perf_counter,
+            mask=allowed,
+            progress=report,
+        )
 
 
 def _payload(result: "RegistrationResult", name: str, seed: int) -> dict[str, Any]:
@@ -91,7 +100,7 @@ def _payload(result: "RegistrationResult", name: str, seed: int) -> dict[str, An
     from dvf_ig.replay import evidence_of
 
     return {
-        name: result.mr_from_tracker.matrix.tolist(),
+        name: result.target_from_source.matrix.tolist(),
         "stop": result.stop.name,
         "reason": result.stop.value,
         **evidence_of(result),
@@ -110,12 +119,12 @@ def _files(out: Path, name: str) -> tuple[Path, Path]:
 def _rows(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
     import numpy as np
 
-    from dvf_ig.registration import weak_direction
+    from dvf_ig.registration import least_constrained_direction
 
     sd = np.sqrt(np.diag(result.covariance))
     rotation, shift = np.degrees(sd[:3]), sd[3:]
     return [
-        (name, " ".join(f"{v:.3f}" for v in result.mr_from_tracker.matrix[:3].ravel())),
+        (name, " ".join(f"{v:.3f}" for v in result.target_from_source.matrix[:3].ravel())),
         ("outcome", result.stop.value),
         ("success probability", f"{result.success_probability:.2f}"),
         ("moved from start", f"{result.moved_mm:.1f} mm"),
@@ -123,20 +132,21 @@ def _rows(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
         *_checks(result),
         ("overlap", f"{100 * result.overlap:.0f} % of {result.slices} slices' pixels"),
         ("standard deviation", f"{_triple(rotation)} deg, {_triple(shift)} mm (x, y, z)"),
-        ("weak direction", weak_direction(result.covariance).sentence()),
+        ("least constrained", least_constrained_direction(result.covariance).sentence()),
         ("time", f"{result.seconds:.1f} s, {result.evaluations} evaluations"),
     ]
 
 
 def _checks(result: "RegistrationResult") -> list[tuple[str, str]]:
-    """By how much each part of the evidence would rather have another pose."""
-    asked = (
-        ("interleaved halves disagree by", result.disagreement_mm),
-        ("parts of the cycle disagree by", result.phase_disagreement_mm),
-        ("halves of space disagree by", result.part_disagreement_mm),
-        ("borders disagree by", result.edge_disagreement_mm),
+    """How far apart the optima of subsets of the ultrasound, and of the boundary, lie."""
+    evidence = result.evidence
+    disagreements = (
+        ("interleaved halves disagree by", evidence.split_half_mm),
+        ("parts of the cycle disagree by", evidence.phase_mm),
+        ("half-volumes disagree by", evidence.half_volume_mm),
+        ("boundary and LC2 disagree by", evidence.boundary_mm),
     )
-    return [(name, f"{value:.2f} mm") for name, value in asked if value is not None]
+    return [(name, f"{value:.2f} mm") for name, value in disagreements if value is not None]
 
 
 def _triple(values: Any) -> str:

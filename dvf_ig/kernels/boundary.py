@@ -21,7 +21,7 @@ from .lanes import unpack
 from .spline import cell_value_gradient, find_cell, inside_box
 
 UNKNOWNS = 7
-"""Six of the pose (see `registration.chart`), then the uniform offset o."""
+"""Six of the pose (see `registration.pose_chart`), then the uniform offset o."""
 SUMS = UNKNOWNS * UNKNOWNS + UNKNOWNS + 3
 """JᵀωJ row by row, Jᵀωr, then Σ of the shares, Σ a m, and Σ ωr²."""
 
@@ -76,14 +76,14 @@ def _add_row(out: FloatArray, row: FloatArray, w: float, r: float) -> None:
 
 
 @kernel
-def edge_step_sums(
+def boundary_step_sums(
     points: FloatArray,
     normals: FloatArray,
     weights: FloatArray,
     phases: IntArray,
     coefficients: NDArray[np.float32],
     knots_from_mm: FloatArray,
-    brighter: float,
+    polarity: float,
     pose: FloatArray,
     center_mm: FloatArray,
     radius_mm: float,
@@ -97,7 +97,7 @@ def edge_step_sums(
         points, normals, weights, phases: (n, 3), (n, 3), (n,) a, (n,) which spline.
         coefficients: (k, cx, cy, cz) mm.
         knots_from_mm: (3, 4).
-        brighter: s.
+        polarity: s.
         pose: (3, 4) R and t.
         center_mm: (3,) c; radius_mm: ρ; offset_mm: o; sigma_mm: σ.
         out: (SUMS,).
@@ -111,7 +111,7 @@ def edge_step_sums(
         inside, d, gx, gy, gz = _at(coefficients, phases[i], knots_from_mm, x, y, z)
         if not inside:
             continue
-        agree = _agreement(pose, normals, i, gx, gy, gz) * brighter
+        agree = _agreement(pose, normals, i, gx, gy, gz) * polarity
         if agree <= 0.0:
             continue
         r = d - offset_mm
@@ -136,13 +136,13 @@ def edge_step_sums(
 
 
 @kernel
-def edge_residuals(
+def boundary_residuals(
     points: FloatArray,
     normals: FloatArray,
     phases: IntArray,
     coefficients: NDArray[np.float32],
     knots_from_mm: FloatArray,
-    brighter: float,
+    polarity: float,
     pose: FloatArray,
     distance_mm: FloatArray,
     agreement: FloatArray,
@@ -153,4 +153,4 @@ def edge_residuals(
         x, y, z = x + pose[0, 3], y + pose[1, 3], z + pose[2, 3]
         inside, d, gx, gy, gz = _at(coefficients, phases[i], knots_from_mm, x, y, z)
         distance_mm[i] = d if inside else math.nan
-        agreement[i] = _agreement(pose, normals, i, gx, gy, gz) * brighter if inside else 0.0
+        agreement[i] = _agreement(pose, normals, i, gx, gy, gz) * polarity if inside else 0.0

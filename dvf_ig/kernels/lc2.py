@@ -9,7 +9,7 @@ pixel lie side by side, so a window costs four cache lines. What depends on u al
 set. Each slice writes its own results: they are the same at any thread count.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,74 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+A, B, AA, BB, AB, UA, UB = range(7)
+"""Columns of the sums over a window: a, b, a², b², ab, ua, ub."""
 SUMS = 7
-"""a, b, a², b², ab, ua, ub."""
+INVERSE_COUNT, MEAN_U, VAR_U, WEIGHT = range(4)
+"""Columns of the moments of a patch that depend on the ultrasound alone."""
+SLICE_SCORE, SLICE_WEIGHT, SLICE_OVERLAP = range(3)
+"""Columns of what `lc2_slices` says of a slice: Σ w·S, Σ w, share of its pixels inside the volume."""
 RIDGE = 1e-4
 """Added to both channel variances; the channels are scaled to unit variance over the model's volume."""
+
+
+class PatchedSlices(NamedTuple):
+    """Ultrasound slices and their patches.
+
+    Attributes:
+        images: (s, rows, columns) float32, 0 outside the mask; masks: (s, rows, columns).
+        first_patch: (s + 1,) where each slice's patches begin.
+        boxes: (p, 4) first row, last row + 1, first column, last column + 1.
+        moments: (p, 4) one over the pixel count, mean and variance of u, and weight.
+    """
+
+    images: NDArray[np.float32]
+    masks: Bools
+    first_patch: Ints
+    boxes: Ints
+    moments: Floats
+
+
+class PlacedModel(NamedTuple):
+    """The model at a pose.
+
+    Attributes:
+        channels: (n, nx, ny, nz, 2) float32.
+        phases: (s,) which of the n volumes each slice is compared with.
+        index_from_pixel: (s, 3, 3) voxel index from (column, row, 1).
+    """
+
+    channels: NDArray[np.float32]
+    phases: Ints
+    index_from_pixel: Floats
+
+
+@inlined
+def _axis_cell(x: float, last: float) -> tuple[int, float, bool]:
+    """Voxel below x along one axis, the fraction beyond it, and whether x lies in [0, last].
+
+    Beyond the volume its border value goes on; the far border belongs to the last cell.
+    """
+    inside = 0.0 <= x <= last
+    x = min(max(x, 0.0), last)
+    i = min(int(x), int(last) - 1)
+    return i, x - i, inside
+
+
+@inlined
+def volume_cell(
+    shape: Any, matrix: Floats, row: int, column: int
+) -> tuple[tuple[int, int, int], tuple[float, float, float], tuple[bool, bool, bool]]:
+    """Cell of a volume that a pixel falls into: lowest voxel, fractions beyond it, inside along each axis.
+
+    Args:
+        shape: (nx, ny, nz, …) of the volume.
+        matrix: (3, 3) voxel index from (column, row, 1).
+    """
+    i, fx, in_x = _axis_cell(matrix[0, 0] * column + matrix[0, 1] * row + matrix[0, 2], shape[0] - 1.0)
+    j, fy, in_y = _axis_cell(matrix[1, 0] * column + matrix[1, 1] * row + matrix[1, 2], shape[1] - 1.0)
+    k, fz, in_z = _axis_cell(matrix[2, 0] * column + matrix[2, 1] * row + matrix[2, 2], shape[2] - 1.0)
+    return (i, j, k), (fx, fy, fz), (in_x, in_y, in_z)
 
 
 @kernel
@@ -42,7 +106,6 @@ def sample_channels(
         share of masked pixels that lie inside the volume.
     """
     volume = channels[phase]
-    top_x, top_y, top_z = volume.shape[0] - 1.0, volume.shape[1] - 1.0, volume.shape[2] - 1.0
     inside = 0
     total = 0
     for r in range(mask.shape[0]):
@@ -52,16 +115,9 @@ def sample_channels(
                 out[r, c, 1] = 0.0
                 continue
             total += 1
-            x = matrix[0, 0] * c + matrix[0, 1] * r + matrix[0, 2]
-            y = matrix[1, 0] * c + matrix[1, 1] * r + matrix[1, 2]
-            z = matrix[2, 0] * c + matrix[2, 1] * r + matrix[2, 2]
-            if 0.0 <= x <= top_x and 0.0 <= y <= top_y and 0.0 <= z <= top_z:
+            (i, j, k), (fx, fy, fz), (in_x, in_y, in_z) = volume_cell(volume.shape, matrix, r, c)
+            if in_x and in_y and in_z:
                 inside += 1
-            x = min(max(x, 0.0), top_x)
-            y = min(max(y, 0.0), top_y)
-            z = min(max(z, 0.0), top_z)
-            i, j, k = min(int(x), int(top_x) - 1), min(int(y), int(top_y) - 1), min(int(z), int(top_z) - 1)
-            fx, fy, fz = x - i, y - j, z - k
             w11, w10, w01, w00 = fx * fy, fx * (1 - fy), (1 - fx) * fy, (1 - fx) * (1 - fy)
             for ch in range(2):
                 low = (
@@ -104,13 +160,13 @@ def integrate_products(image: NDArray[np.float32], values: Floats, table: Floats
             sab += a * b
             sua += u * a
             sub += u * b
-            table[r, c, 0] = table[r - 1, c, 0] + sa
-            table[r, c, 1] = table[r - 1, c, 1] + sb
-            table[r, c, 2] = table[r - 1, c, 2] + saa
-            table[r, c, 3] = table[r - 1, c, 3] + sbb
-            table[r, c, 4] = table[r - 1, c, 4] + sab
-            table[r, c, 5] = table[r - 1, c, 5] + sua
-            table[r, c, 6] = table[r - 1, c, 6] + sub
+            table[r, c, A] = table[r - 1, c, A] + sa
+            table[r, c, B] = table[r - 1, c, B] + sb
+            table[r, c, AA] = table[r - 1, c, AA] + saa
+            table[r, c, BB] = table[r - 1, c, BB] + sbb
+            table[r, c, AB] = table[r - 1, c, AB] + sab
+            table[r, c, UA] = table[r - 1, c, UA] + sua
+            table[r, c, UB] = table[r - 1, c, UB] + sub
 
 
 @inlined
@@ -126,13 +182,13 @@ def patch_moments(
     table: Floats, box: Any, inverse_count: float, mean_u: float
 ) -> tuple[float, float, float, float, float, float, float]:
     """Of one patch: means of a and b, ridged variances and covariance, and covariances with u."""
-    a = window_mean(table, box, 0, inverse_count)
-    b = window_mean(table, box, 1, inverse_count)
-    aa = window_mean(table, box, 2, inverse_count) - a * a + RIDGE
-    bb = window_mean(table, box, 3, inverse_count) - b * b + RIDGE
-    ab = window_mean(table, box, 4, inverse_count) - a * b
-    ua = window_mean(table, box, 5, inverse_count) - mean_u * a
-    ub = window_mean(table, box, 6, inverse_count) - mean_u * b
+    a = window_mean(table, box, A, inverse_count)
+    b = window_mean(table, box, B, inverse_count)
+    aa = window_mean(table, box, AA, inverse_count) - a * a + RIDGE
+    bb = window_mean(table, box, BB, inverse_count) - b * b + RIDGE
+    ab = window_mean(table, box, AB, inverse_count) - a * b
+    ua = window_mean(table, box, UA, inverse_count) - mean_u * a
+    ub = window_mean(table, box, UB, inverse_count) - mean_u * b
     return a, b, aa, bb, ab, ua, ub
 
 
@@ -144,16 +200,16 @@ def explained_share(table: Floats, box: Any, inverse_count: float, mean_u: float
     return min(max(explained / var_u, 0.0), 1.0)
 
 
+@inlined
+def box_of(boxes: Ints, p: int) -> tuple[int, int, int, int]:
+    """Window of patch `p`."""
+    return boxes[p, 0], boxes[p, 1], boxes[p, 2], boxes[p, 3]
+
+
 @kernel
 def lc2_slices(
-    images: NDArray[np.float32],
-    masks: Bools,
-    first_patch: Ints,
-    boxes: Ints,
-    moments: Floats,
-    matrices: Floats,
-    phases: Ints,
-    channels: NDArray[np.float32],
+    slices: PatchedSlices,
+    model: PlacedModel,
     values: Floats,
     tables: Floats,
     out: Floats,
@@ -163,24 +219,26 @@ def lc2_slices(
     """Score slices begin <= s < end; see the module docstring. Several ranges may run at once.
 
     Args:
-        images: (s, rows, columns) ultrasound, 0 outside the mask; masks: (s, rows, columns).
-        first_patch: (s + 1,) where each slice's patches begin.
-        boxes: (p, 4) windows; moments: (p, 4) one over the pixel count, mean and variance of u, and weight.
-        matrices: (s, 3, 3) voxel index from (column, row, 1).
-        phases: (s,) which volume each slice is compared with.
-        channels: (n, nx, ny, nz, 2).
-        values: (s, rows, columns, 2) scratch; tables: (s, rows + 1, columns + 1, 7) scratch.
-        out: (s, 3) filled with Σ w·S, Σ w, and the share of pixels inside the volume.
+        values: (s, rows, columns, 2) scratch; tables: (s, rows + 1, columns + 1, SUMS) scratch.
+        out: (s, 3) filled with SLICE_SCORE, SLICE_WEIGHT and SLICE_OVERLAP.
     """
+    moments = slices.moments
     for s in range(begin, end):
-        out[s, 2] = sample_channels(channels, phases[s], matrices[s], masks[s], values[s])
-        integrate_products(images[s], values[s], tables[s])
+        out[s, SLICE_OVERLAP] = sample_channels(
+            model.channels, model.phases[s], model.index_from_pixel[s], slices.masks[s], values[s]
+        )
+        integrate_products(slices.images[s], values[s], tables[s])
         score = 0.0
         weight = 0.0
-        for p in range(first_patch[s], first_patch[s + 1]):
-            box = (boxes[p, 0], boxes[p, 1], boxes[p, 2], boxes[p, 3])
-            w = moments[p, 3]
-            score += w * explained_share(tables[s], box, moments[p, 0], moments[p, 1], moments[p, 2])
+        for p in range(slices.first_patch[s], slices.first_patch[s + 1]):
+            w = moments[p, WEIGHT]
+            score += w * explained_share(
+                tables[s],
+                box_of(slices.boxes, p),
+                moments[p, INVERSE_COUNT],
+                moments[p, MEAN_U],
+                moments[p, VAR_U],
+            )
             weight += w
-        out[s, 0] = score
-        out[s, 1] = weight
+        out[s, SLICE_SCORE] = score
+        out[s, SLICE_WEIGHT] = weight

@@ -1,6 +1,7 @@
 """Which ultrasound frames may be compared with the model, and where in its cycle each belongs."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -10,18 +11,27 @@ PHASE_WINDOW = 0.02
 """Largest distance, in fractions of the cycle, between a frame and the model phase it is compared with."""
 
 
+class FrameRejection(StrEnum):
+    """Why a frame is not compared with the model; each value is what a user reads."""
+
+    INVALID_IMAGE = "image marked invalid"
+    UNTRACKED_PROBE = "probe not tracked"
+    IRREGULAR_BEAT = "irregular or unfinished beat"
+    BETWEEN_PHASES = "between model phases"
+
+
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Gated:
-    """Frames kept, and how many were turned away for each reason.
+    """Frames kept, and how many were rejected for each reason (the first that applies).
 
     Attributes:
         index: (k,) kept frames, in time order.
-        rejected: reason → number of frames.
+        rejected: number of frames for each reason.
     """
 
     index: IntArray
-    rejected: dict[str, int]
+    rejected: dict[FrameRejection, int]
 
 
 def gate_frames(
@@ -40,16 +50,26 @@ def gate_frames(
         fractions: (m,) phases of the model, [0, 1).
         image_valid, pose_valid, beat_valid: (n,).
     """
-    away = np.abs(model_phase[:, None] - fractions[None, :])
-    near = np.minimum(away, 1 - away).min(axis=1) <= window
+    near = _phase_distance(fractions, model_phase).min(axis=1) <= window
     kept = np.ones(len(model_phase), dtype=np.bool_)
-    rejected: dict[str, int] = {}
+    rejected: dict[FrameRejection, int] = {}
     for reason, good in (
-        ("image marked invalid", image_valid),
-        ("probe not tracked", pose_valid),
-        ("irregular or unfinished beat", beat_valid),
-        ("between model phases", near),
+        (FrameRejection.INVALID_IMAGE, image_valid),
+        (FrameRejection.UNTRACKED_PROBE, pose_valid),
+        (FrameRejection.IRREGULAR_BEAT, beat_valid),
+        (FrameRejection.BETWEEN_PHASES, near),
     ):
         rejected[reason] = int((kept & ~good).sum())
         kept &= good
     return Gated(np.flatnonzero(kept), rejected)
+
+
+def nearest_phase(fractions: FloatArray, model_phase: FloatArray) -> IntArray:
+    """(n,) which of the (m,) phases of the model is nearest in the cycle to each of (n,) model phases."""
+    return np.asarray(_phase_distance(fractions, model_phase).argmin(axis=1), dtype=np.int64)
+
+
+def _phase_distance(fractions: FloatArray, model_phase: FloatArray) -> FloatArray:
+    """(n, m) distance in fractions of the cycle, around its end where that is shorter."""
+    away = np.abs(np.asarray(model_phase)[:, None] - fractions[None, :])
+    return np.asarray(np.minimum(away, 1 - away))

@@ -1,4 +1,4 @@
-"""What of a pair of 3-D images registration looks at: the eroded fan at one pitch, the anatomy around it."""
+"""What of a pair of 3-D images is registered: the eroded fan at one pitch, the anatomy around it."""
 
 from dataclasses import dataclass
 
@@ -20,11 +20,11 @@ from dvf_ig.core import (
 from dvf_ig.registration.lc2.slices import SliceSet, slices_of_volume
 
 PLANES = 14
-"""About this many planes are kept along each axis of the fixed volume."""
-BORDER_MM = 2.5
+"""About this many planes are kept along each axis of the ultrasound volume."""
+EROSION_MM = 2.5
 """The outermost layer of the fan is left out: the scanner's blending there is no anatomy."""
 GAP_MM = 2.0
-"""Dark gaps up to twice this wide between lit voxels belong to the fan."""
+"""Dark gaps up to twice this wide between non-zero voxels belong to the fan."""
 _VOXELS_PER_PITCH = 1.25
 """The anatomy is averaged down to this many voxels a pitch where it is finer."""
 
@@ -47,7 +47,7 @@ class FanVolume:
         return float(self.grid.spacing_mm[0])
 
     @property
-    def seen(self) -> BoolArray:
+    def insonified(self) -> BoolArray:
         return np.isfinite(self.values)
 
     @property
@@ -69,20 +69,20 @@ class FanVolume:
         return FanVolume(self.grid, np.where(inside, self.values, np.float32(np.nan)))
 
     def points_mm(self, count: int) -> FloatArray:
-        """(about `count`, 3) insonified places in mm, evenly taken."""
-        index = np.argwhere(self.seen)
+        """(about `count`, 3) insonified places in mm, evenly subsampled."""
+        index = np.argwhere(self.insonified)
         return self.grid.to_mm(index[:: max(1, len(index) // count)].astype(np.float64))
 
 
-def usable_voxels(fixed: Volume, mask: Volume | None) -> BoolArray:
-    """Voxels of the ultrasound image that may be looked at.
+def usable_voxels(ultrasound: Volume, mask: Volume | None) -> BoolArray:
+    """Voxels of the ultrasound image that may be used.
 
     Raises:
         InvalidInputError: none, or a mask on another grid.
     """
-    usable = np.isfinite(fixed.values) & (fixed.values != 0)
+    usable = np.isfinite(ultrasound.values) & (ultrasound.values != 0)
     if mask is not None:
-        theirs, ours = mask.grid, fixed.grid
+        theirs, ours = mask.grid, ultrasound.grid
         if theirs.shape != ours.shape or not np.allclose(
             [theirs.to_mm(corner) for corner in _corners(theirs.shape)],
             [ours.to_mm(corner) for corner in _corners(ours.shape)],
@@ -98,41 +98,41 @@ def usable_voxels(fixed: Volume, mask: Volume | None) -> BoolArray:
     return np.asarray(usable)
 
 
-def extent_mm(fixed: Volume, usable: BoolArray) -> float:
+def extent_mm(ultrasound: Volume, usable: BoolArray) -> float:
     """Longest edge of the box around what was insonified."""
     return float(
-        max((s.stop - s.start) * h for s, h in zip(_box(usable), fixed.grid.spacing_mm, strict=True))
+        max((s.stop - s.start) * h for s, h in zip(_box(usable), ultrasound.grid.spacing_mm, strict=True))
     )
 
 
-def fan_volume(fixed: Volume, usable: BoolArray, pitch_mm: float) -> FanVolume:
-    """The ultrasound averaged down to `pitch_mm`, dark gaps filled, the fan's border left out.
+def fan_volume(ultrasound: Volume, usable: BoolArray, pitch_mm: float) -> FanVolume:
+    """The ultrasound averaged down to `pitch_mm`, dark gaps filled, the fan eroded.
 
     Raises:
         InvalidInputError: nothing is left of the fan.
     """
-    box = _wider(_box(usable), fixed.grid, BORDER_MM + pitch_mm)
+    box = _wider(_box(usable), ultrasound.grid, EROSION_MM + pitch_mm)
     inside = usable[box].astype(np.float32)
-    values = np.where(usable[box], fixed.values[box], 0).astype(np.float32)
+    values = np.where(usable[box], ultrasound.values[box], 0).astype(np.float32)
     low = np.array([s.start for s in box], dtype=np.float64)
-    zoom = fixed.grid.spacing_mm / pitch_mm
+    zoom = ultrasound.grid.spacing_mm / pitch_mm
     shape = tuple(
         int(n) for n in np.maximum(1, np.floor((np.array(values.shape) - 1) * zoom).astype(int) + 1)
     )
     grid = Grid(
-        fixed.grid.frame,
+        ultrasound.grid.frame,
         (shape[0], shape[1], shape[2]),
-        fixed.grid.to_mm(low),
+        ultrasound.grid.to_mm(low),
         np.full(3, pitch_mm),
-        fixed.grid.direction,
+        ultrasound.grid.direction,
     )
     blur = np.where(zoom < 1, 0.5 / zoom, 0.0)
-    lit, level = (_sampled(image, blur, zoom, shape) for image in (inside, values))
-    fan = _without_border(_filled(lit > 0.5, pitch_mm), pitch_mm)
+    inside_share, level = (_sampled(image, blur, zoom, shape) for image in (inside, values))
+    fan = _eroded(_filled(inside_share > 0.5, pitch_mm), pitch_mm)
     if not fan.any():
         raise InvalidInputError(
-            f"nothing is left of the ultrasound fan at a pitch of {pitch_mm:g} mm inside its border of "
-            f"{BORDER_MM:g} mm; give a larger image or mask"
+            f"nothing is left of the ultrasound fan at a pitch of {pitch_mm:g} mm after an erosion by "
+            f"{EROSION_MM:g} mm; give a larger image or mask"
         )
     # gaps in the fan were dark, and count as 0
     scale = float(level[fan].std())
@@ -143,21 +143,21 @@ def fan_volume(fixed: Volume, usable: BoolArray, pitch_mm: float) -> FanVolume:
     return FanVolume(grid, np.where(fan, level / scale, np.nan).astype(np.float32))
 
 
-def anatomy_around(moving: Volume, fan: FanVolume, start: Rigid, reach_mm: float) -> Volume:
-    """The part of the moving image within `reach_mm` of the fan at the start pose, not finer than needed.
+def anatomy_around(anatomy: Volume, fan: FanVolume, start: Rigid, reach_mm: float) -> Volume:
+    """The part of the anatomy within `reach_mm` of the fan at the start pose, not finer than needed.
 
     Raises:
         InvalidInputError: it holds voxels that are no numbers, or one value only.
     """
-    places = moving.grid.to_index(start.apply_array(fan.points_mm(5000)))
-    margin = reach_mm / moving.grid.spacing_mm
-    top: IntArray = np.array(moving.grid.shape, dtype=np.int64)
+    places = anatomy.grid.to_index(start.apply_array(fan.points_mm(5000)))
+    margin = reach_mm / anatomy.grid.spacing_mm
+    top: IntArray = np.array(anatomy.grid.shape, dtype=np.int64)
     low = np.clip(np.floor(places.min(axis=0) - margin), 0, top - 1).astype(int)
     high = np.clip(np.ceil(places.max(axis=0) + margin) + 1, low + 1, top).astype(int)
-    step = np.maximum(1, (fan.pitch_mm / _VOXELS_PER_PITCH / moving.grid.spacing_mm).astype(int))
+    step = np.maximum(1, (fan.pitch_mm / _VOXELS_PER_PITCH / anatomy.grid.spacing_mm).astype(int))
     step = np.minimum(step, high - low)
     high = low + (high - low) // step * step
-    part = moving.values[low[0] : high[0], low[1] : high[1], low[2] : high[2]].astype(np.float32)
+    part = anatomy.values[low[0] : high[0], low[1] : high[1], low[2] : high[2]].astype(np.float32)
     if not np.isfinite(part).all():
         raise InvalidInputError(
             f"{int((~np.isfinite(part)).sum())} voxels of the moving image are no numbers; replace them, "
@@ -168,19 +168,19 @@ def anatomy_around(moving: Volume, fan: FanVolume, start: Rigid, reach_mm: float
     count = (high - low) // step
     blocks = part.reshape(count[0], step[0], count[1], step[1], count[2], step[2]).mean(axis=(1, 3, 5))
     grid = Grid(
-        moving.grid.frame,
+        anatomy.grid.frame,
         (int(count[0]), int(count[1]), int(count[2])),
-        moving.grid.to_mm(low + (step - 1) / 2),
-        moving.grid.spacing_mm * step,
-        moving.grid.direction,
+        anatomy.grid.to_mm(low + (step - 1) / 2),
+        anatomy.grid.spacing_mm * step,
+        anatomy.grid.direction,
     )
     return Volume(grid, blocks)
 
 
-def share_inside(moving: Volume, fan: FanVolume, pose: Rigid) -> float:
-    """Share of the fan that lies inside the moving image's box."""
-    places = moving.grid.to_index(pose.apply_array(fan.points_mm(5000)))
-    top = np.array(moving.grid.shape) - 1.0
+def share_inside(anatomy: Volume, fan: FanVolume, pose: Rigid) -> float:
+    """Share of the fan that lies inside the anatomy's box."""
+    places = anatomy.grid.to_index(pose.apply_array(fan.points_mm(5000)))
+    top = np.array(anatomy.grid.shape) - 1.0
     return float(((places >= 0) & (places <= top)).all(axis=1).mean())
 
 
@@ -194,19 +194,19 @@ def _sampled(
     )
 
 
-def _filled(lit: BoolArray, pitch_mm: float) -> BoolArray:
+def _filled(fan: BoolArray, pitch_mm: float) -> BoolArray:
     """The fan with dark gaps and enclosed dark regions."""
     gap = max(1, round(GAP_MM / pitch_mm))
-    padded = np.pad(lit, gap)
+    padded = np.pad(fan, gap)
     closed = ndimage.binary_closing(padded, iterations=gap)[gap:-gap, gap:-gap, gap:-gap]
-    return np.asarray(ndimage.binary_fill_holes(closed | lit))
+    return np.asarray(ndimage.binary_fill_holes(closed | fan))
 
 
-def _without_border(fan: BoolArray, pitch_mm: float) -> BoolArray:
-    """The fan without its outermost BORDER_MM; where it is cut off by the image's box there is no border."""
+def _eroded(fan: BoolArray, pitch_mm: float) -> BoolArray:
+    """The fan without its outermost EROSION_MM; where the image's box cuts it off, it stays whole."""
     if fan.all():
         return fan
-    return np.asarray(ndimage.distance_transform_edt(fan, sampling=pitch_mm) > BORDER_MM)
+    return np.asarray(ndimage.distance_transform_edt(fan, sampling=pitch_mm) > EROSION_MM)
 
 
 def _box(usable: BoolArray) -> tuple[slice, slice, slice]:

@@ -1,9 +1,10 @@
-"""A rigid pose as six numbers of one size.
+"""A rigid pose as six numbers of one size, and what is measured between poses.
 
 ξ = (rotation vector · radius, translation), all in mm at the heart's radius: a left perturbation of a pose
-about the heart-box centre in the fixed frame.
+about the centre of the heart box in the target frame.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +14,19 @@ from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 
 HEART_RADIUS_MM = 40.0
 """Turns rad into mm, so that rotation and translation steps move the heart equally."""
+DISTINCT_MM = 4.0
+"""Poses nearer to each other than this, mean over the heart, count as one."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseChart:
-    """Six coordinates about a pose; see the module docstring."""
+    """Six coordinates about a pose; see the module docstring.
+
+    Attributes:
+        base: target_from_source.
+        center_mm: (3,) about which poses turn, target frame.
+    """
 
     base: Rigid
     center_mm: FloatArray
@@ -33,8 +41,40 @@ class PoseChart:
         return np.concatenate([turn, step.apply_array(self.center_mm) - self.center_mm])
 
 
-def distance_between(first: Rigid, second: Rigid, center_mm: FloatArray) -> float:
-    """Mean distance in mm between two poses over six points at the heart's radius (fixed frame)."""
+def mean_displacement_mm(first: Rigid, second: Rigid, center_mm: FloatArray) -> float:
+    """Mean distance in mm between two poses over six points at the heart's radius (target frame)."""
     corners = np.vstack([np.eye(3), -np.eye(3)]) * HEART_RADIUS_MM + center_mm
     source = first.inverse().apply_array(corners)
     return float(np.linalg.norm(second.apply_array(source) - corners, axis=1).mean())
+
+
+def distinct(poses: Sequence[Rigid], center_mm: FloatArray) -> list[int]:
+    """Numbers of the poses that lie DISTINCT_MM or more from every chosen one before them, in order.
+
+    Args:
+        poses: best first.
+    """
+    chosen: list[int] = []
+    for k, pose in enumerate(poses):
+        if all(mean_displacement_mm(pose, poses[known], center_mm) > DISTINCT_MM for known in chosen):
+            chosen.append(k)
+    return chosen
+
+
+def random_displacements(rng: np.random.Generator, count: int, length_mm: float) -> FloatArray:
+    """(count, 6) ξ of one length in random directions."""
+    directions = rng.normal(size=(count, 6))
+    directions *= length_mm / np.linalg.norm(directions, axis=1, keepdims=True)
+    return directions
+
+
+def covariance_to_mm(covariance: FloatArray) -> FloatArray:
+    """(6, 6) of ξ in mm², from rotation vector and translation in rad², mm²."""
+    unit = np.diag([HEART_RADIUS_MM] * 3 + [1.0] * 3)
+    return np.asarray(unit @ covariance @ unit)
+
+
+def covariance_from_mm(covariance_mm2: FloatArray) -> FloatArray:
+    """(6, 6) of rotation vector and translation in rad², mm², from that of ξ: the inverse of the above."""
+    unit = np.diag([1 / HEART_RADIUS_MM] * 3 + [1.0] * 3)
+    return np.asarray(unit @ covariance_mm2 @ unit)

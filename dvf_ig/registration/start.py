@@ -26,32 +26,32 @@ class LandmarkStart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkPrior:
-    """What touched landmarks say of a pose besides the image: paired points and how far off they are.
+    """Touched landmarks as a likelihood of the pose beside the image: paired points and their spread.
 
     Attributes:
-        fixed: (n, 3) marked on the model.
-        moving: (n, 3) touched on the patient.
+        target: (n, 3) marked on the model.
+        source: (n, 3) touched on the patient.
         sigma_mm: standard deviation of a touched point per coordinate.
     """
 
-    fixed: Points
-    moving: Points
+    target: Points
+    source: Points
     sigma_mm: float
 
     def energy(self, pose: Rigid) -> float:
         """Half the squared distance of the landmarks in standard deviations: −log of their likelihood."""
-        apart = pose.apply(self.moving).xyz_mm - self.fixed.xyz_mm
+        apart = pose.apply(self.source).xyz_mm - self.target.xyz_mm
         return float(0.5 * (apart * apart).sum() / self.sigma_mm**2)
 
     def normal_equations(self, pose: Rigid, center_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(6, 6) and (6,): curvature and downhill direction of `energy` in the coordinates of `chart`."""
-        at = pose.apply(self.moving).xyz_mm
+        """(6, 6) and (6,): curvature and downhill direction of `energy` in the coordinates of `PoseChart`."""
+        at = pose.apply(self.source).xyz_mm
         jacobian = np.zeros((len(at), 3, 6))
         jacobian[:, :, 3:] = np.eye(3)
         for axis, turn in enumerate(np.eye(3)):
             jacobian[:, :, axis] = np.cross(turn, at - center_mm) / HEART_RADIUS_MM
         flat = jacobian.reshape(-1, 6) / self.sigma_mm
-        return flat.T @ flat, flat.T @ (self.fixed.xyz_mm - at).ravel() / self.sigma_mm
+        return flat.T @ flat, flat.T @ (self.target.xyz_mm - at).ravel() / self.sigma_mm
 
 
 def prior_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkPrior | None:
@@ -59,12 +59,12 @@ def prior_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkPrior | N
 
     None with fewer than MIN_FOR_PRIOR pairs: too few residuals to know how far off the points are.
     """
-    _, fixed, moving = mr.paired_with(tracker)
-    if len(fixed) < MIN_FOR_PRIOR:
+    _, target, source = mr.paired_with(tracker)
+    if len(target) < MIN_FOR_PRIOR:
         return None
     residuals = start_from_landmarks(mr, tracker).residuals_mm
-    spread = float(np.sqrt((residuals**2).sum() / (3 * len(fixed) - 6)))
-    return LandmarkPrior(fixed, moving, max(spread, LEAST_SIGMA_MM))
+    spread = float(np.sqrt((residuals**2).sum() / (3 * len(target) - 6)))
+    return LandmarkPrior(target, source, max(spread, LEAST_SIGMA_MM))
 
 
 def start_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkStart:

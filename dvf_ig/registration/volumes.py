@@ -1,22 +1,23 @@
-"""Gated 3-D ultrasound prepared for registration: planes of every volume, with place and phase."""
+"""Registration of gated 3-D ultrasound: planes of every volume, with place and phase."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid, TrackedVolume
 from dvf_ig.kernels.pool import pool_blocks
-from dvf_ig.registration.boundary.fit import Edges
+from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.points import boundary_points
-from dvf_ig.registration.boundary.target import EdgeTarget
+from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.evidence.checks import VOLUME_LIMITS
 from dvf_ig.registration.lc2.channels import ModelChannels
 from dvf_ig.registration.lc2.slices import SliceSet, grey_to_root_amplitude, joined, slices_of_volume
 
-from .rigid import Level, RegistrationOptions, RegistrationResult, register_rigid
+from .data import Level, RegistrationData, RegistrationOptions
+from .result import RegistrationResult
+from .rigid import register_rigid
 from .start import LandmarkPrior
 
 VOLUME_SMOOTHING_MM = 3.0
@@ -24,9 +25,9 @@ VOLUME_SMOOTHING_MM = 3.0
 or 3.5 mm, and 0.83 on 2 mm voxels."""
 COARSE_PITCH_MM, COARSE_PLANES = 4.0, 6
 FINE_PITCH_MM, FINE_PLANES = 3.0, 13
-EDGE_PITCH_MM, EDGE_PLANES = 2.0, 8
+BOUNDARY_PITCH_MM, BOUNDARY_PLANES = 2.0, 8
 SEARCH = RegistrationOptions(
-    starts=8, spread_mm=12.0, candidates=2, bound_mm=120.0, limits=VOLUME_LIMITS, ask_parts=True
+    starts=8, spread_mm=12.0, candidates=2, bound_mm=120.0, limits=VOLUME_LIMITS, half_volumes=True
 )
 
 
@@ -37,31 +38,34 @@ def register_volumes(
     center_mm: FloatArray,
     *,
     rng: np.random.Generator,
+    clock: Callable[[], float],
     prior: LandmarkPrior | None = None,
-    surface: EdgeTarget | None = None,
+    surface: BoundaryTarget | None = None,
 ) -> RegistrationResult:
     """Register gated 3-D images to the phase-matched model from a coarse pose.
 
     Args:
         volumes: any number of views and phases.
         model: channels smoothed by VOLUME_SMOOTHING_MM.
-        start: fixed_from_moving; center_mm: (3,) centre of the heart box, fixed frame.
+        start: target_from_source; center_mm: (3,) centre of the heart box, target frame.
+        clock: seconds from any origin, for the result's `seconds`.
         prior: touched landmarks that the pose must also agree with.
         surface: the model's surface at the phases in use, where its labels are known.
     Returns:
         as `register_rigid`; `seconds` counts the preparation of the volumes.
     """
-    began = perf_counter()
+    began = clock()
     coarse, fine = (
         Level(prepare_volumes(volumes, pitch_mm=pitch, planes=planes), model, pitch)
         for pitch, planes in ((COARSE_PITCH_MM, COARSE_PLANES), (FINE_PITCH_MM, FINE_PLANES))
     )
-    edges = None
+    boundary = None
     if surface is not None:
-        slices = prepare_volumes(volumes, pitch_mm=EDGE_PITCH_MM, planes=EDGE_PLANES)
-        edges = Edges(boundary_points(slices), surface)
-    result = register_rigid(coarse, fine, start, center_mm, rng=rng, prior=prior, edges=edges, options=SEARCH)
-    return replace(result, seconds=perf_counter() - began)
+        slices = prepare_volumes(volumes, pitch_mm=BOUNDARY_PITCH_MM, planes=BOUNDARY_PLANES)
+        boundary = Boundary(boundary_points(slices), surface)
+    data = RegistrationData(coarse, fine, center_mm, boundary, prior)
+    result = register_rigid(data, start, rng=rng, clock=clock, options=SEARCH)
+    return replace(result, seconds=clock() - began)
 
 
 def prepare_volumes(volumes: Sequence[TrackedVolume], *, pitch_mm: float, planes: int) -> SliceSet:

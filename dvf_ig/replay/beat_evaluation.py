@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid
-from dvf_ig.registration import BeatLook, Lc2, look_at_beat
+from dvf_ig.registration import BeatMeasurement, Lc2, SliceThreads, measure_beat
 
 from .frame_registration import EVEN_MM
 from .gated_frames import UltrasoundRecording, gate_recording, slices_of, ultrasound_mask
@@ -21,8 +21,8 @@ BEAT_COMPUTE_S = 0.15
 """A beat's evaluation takes effect this long after its R peak was detected: an allowance for computing it."""
 BEAT_WINDOW = 0.025
 """Half the distance between twenty phases of a model: every frame is compared with the nearest."""
-FEWEST_SLICES = 4
-LEAST_OVERLAP = 0.35
+MIN_SLICES = 4
+MIN_OVERLAP = 0.35
 GATING_PEAKS = 12
 """R peaks that place a beat and tell whether it is regular."""
 
@@ -35,7 +35,7 @@ class BeatEvaluation:
         begin_s, end_s: its R peaks.
         detected_s: when the second was detected; decided_s: when the evaluation takes effect.
         frames: slices that were compared.
-        measurement: where the beat would have the pose, and how much better it matches there.
+        measurement: the optimum of the beat, and how much better it matches there.
         in_use: the pose was in use, not waiting to be confirmed.
         seconds: computing time, preparation included.
     """
@@ -45,7 +45,7 @@ class BeatEvaluation:
     detected_s: float
     decided_s: float
     frames: int
-    measurement: BeatLook
+    measurement: BeatMeasurement
     in_use: bool
     seconds: float
 
@@ -74,8 +74,8 @@ class BeatSlices:
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
         """Compare the beat with a pose; None where the slices hardly overlap the model."""
         began = self.clock()
-        measurement = look_at_beat(self.metric, pose, center_mm)
-        if measurement.overlap < LEAST_OVERLAP:
+        measurement = measure_beat(self.metric, pose, center_mm)
+        if measurement.overlap < MIN_OVERLAP:
             return None
         if not self.updates_pose:
             measurement = replace(
@@ -93,7 +93,9 @@ class BeatSlices:
         )
 
 
-def beat_slices(recording: UltrasoundRecording, last: int, clock: Callable[[], float]) -> BeatSlices | None:
+def beat_slices(
+    recording: UltrasoundRecording, last: int, clock: Callable[[], float], threads: SliceThreads
+) -> BeatSlices | None:
     """Slices of the beat that R peak number `last` ended; None where it is irregular or has few frames."""
     began, end = clock(), recording.peaks[last]
     begin_s = recording.peaks[last - 1].t_s
@@ -104,10 +106,17 @@ def beat_slices(recording: UltrasoundRecording, last: int, clock: Callable[[], f
         known_s=end.detected_at_s,
         window=BEAT_WINDOW,
     )
-    if len(frames.used) < FEWEST_SLICES:
+    if len(frames.used) < MIN_SLICES:
         return None
     slices = slices_of(recording, frames, ultrasound_mask(recording, frames), pitch_mm=BEAT_PITCH_MM)
-    metric = Lc2(slices, recording.heart.fine, patch_mm=PATCH_MM, pitch_mm=BEAT_PITCH_MM, even_mm=EVEN_MM)
+    metric = Lc2(
+        slices,
+        recording.heart.fine,
+        patch_mm=PATCH_MM,
+        pitch_mm=BEAT_PITCH_MM,
+        density_width_mm=EVEN_MM,
+        threads=threads,
+    )
     return BeatSlices(
         begin_s=begin_s,
         end_s=end.t_s,

@@ -16,7 +16,7 @@ import numpy as np
 from dvf_ig.cardiac import PhaseTracking, track_phase
 from dvf_ig.core import BoolArray, DvfModel, FloatArray, Rigid, Scenario, Stop, read_only_arrays
 from dvf_ig.guidance import ForceSamples
-from dvf_ig.registration import RegistrationResult
+from dvf_ig.registration import RegistrationResult, SliceThreads
 
 from .beat_evaluation import BEAT_COMPUTE_S
 from .calibrations import Calibrations, calibrate
@@ -100,12 +100,14 @@ def run_replay(
     tracking = track_phase(scenario.ecg, t_s)
     require_heart_beats(tracking, scenario)
     heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.05 + 0.35 * f))
-    ultrasound = RecordedUltrasound(_recording(scenario, heart, tracking, calibrations), seed, clock)
+    recording = _recording(scenario, heart, tracking, calibrations)
     monitor = RegistrationMonitor(heart.center_mm, landmark_pose(scenario))
     timing = Timing(_first_event_s(scenario, calibrations), float(t_s[-1]), BEAT_COMPUTE_S)
-    history = track_pose(
-        ultrasound, tracking.peaks, monitor, start, timing, lambda f: report_progress(0.4 + 0.5 * f)
-    )
+    with SliceThreads() as threads:
+        ultrasound = RecordedUltrasound(recording, seed, clock, threads)
+        history = track_pose(
+            ultrasound, tracking.peaks, monitor, start, timing, lambda f: report_progress(0.4 + 0.5 * f)
+        )
     poses = pose_schedule(history.updates, heart.center_mm)
     track = tracking.track
     model_phase = retimed(heart.model, track.phi, track.rr_s)
@@ -146,6 +148,7 @@ def register_scenario(
     *,
     seed: int = 0,
     progress: Progress | None = None,
+    clock: Clock = perf_counter,
 ) -> RegistrationResult:
     """One registration on the whole recording, from the scenario's own start unless one is given.
 
@@ -168,8 +171,9 @@ def register_scenario(
         gate_recording(recording, from_s=-np.inf, until_s=np.inf),
         pose,
         seed=seed,
+        clock=clock,
         progress=lambda f: report_progress(0.6 + 0.4 * f),
     )
-    off_mm = landmark_disagreement_mm(result.mr_from_tracker, landmark_pose(scenario), heart.center_mm)
+    off_mm = landmark_disagreement_mm(result.target_from_source, landmark_pose(scenario), heart.center_mm)
     disagrees = off_mm is not None and result.stop.usable
     return replace(result, stop=Stop.DISAGREEMENT) if disagrees else result

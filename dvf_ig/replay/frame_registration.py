@@ -7,9 +7,10 @@ import numpy as np
 
 from dvf_ig.core import BoolArray, InvalidInputError, NoOverlapError, Rigid, Scenario
 from dvf_ig.registration import (
-    Edges,
+    Boundary,
     LandmarkPrior,
     Level,
+    RegistrationData,
     RegistrationOptions,
     RegistrationResult,
     boundary_points,
@@ -34,6 +35,7 @@ def register_frames(
     start: Rigid,
     *,
     seed: int,
+    clock: Callable[[], float],
     warm: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
@@ -51,27 +53,26 @@ def register_frames(
         for pitch, channels in ((COARSE_PITCH_MM, heart.coarse), (FINE_PITCH_MM, heart.fine))
     )
     return register_rigid(
-        coarse,
-        fine,
+        RegistrationData(
+            coarse, fine, heart.center_mm, _boundary(recording, frames, mask), _prior(recording.scenario)
+        ),
         start,
-        heart.center_mm,
         rng=np.random.default_rng(seed),
-        prior=_prior(recording.scenario),
-        edges=_boundary(recording, frames, mask),
+        clock=clock,
         options=RegistrationOptions(
-            starts=0 if warm else STARTS, even_mm=EVEN_MM, edge_share=heart.boundary_share
+            starts=0 if warm else STARTS, density_width_mm=EVEN_MM, boundary_share=heart.boundary_share
         ),
         progress=progress,
     )
 
 
-def _boundary(recording: UltrasoundRecording, frames: GatedFrames, mask: BoolArray) -> Edges | None:
+def _boundary(recording: UltrasoundRecording, frames: GatedFrames, mask: BoolArray) -> Boundary | None:
     """Boundary points of the frames with the surface they belong to; None where the model has none."""
     heart = recording.heart
     if heart.surface is None:
         return None
     linear = replace(recording, heart=replace(heart, brightness=root_amplitude))
-    return Edges(boundary_points(slices_of(linear, frames, mask, pitch_mm=FINE_PITCH_MM)), heart.surface)
+    return Boundary(boundary_points(slices_of(linear, frames, mask, pitch_mm=FINE_PITCH_MM)), heart.surface)
 
 
 def start_pose(scenario: Scenario) -> Rigid:

@@ -20,10 +20,11 @@ from dvf_ig.registration import (
     PHASE_WINDOW,
     Gated,
     SliceSet,
+    TrackedImages,
     fan_mask_from_images,
     gate_frames,
     prepare_slices,
-    spread,
+    subsample,
 )
 
 from .heart import Heart
@@ -132,7 +133,7 @@ def gate_recording(
         beat_valid=beat.regular,
         window=window,
     )
-    used = gated.index[spread(len(gated.index), MAX_FRAMES)]
+    used = gated.index[subsample(len(gated.index), MAX_FRAMES)]
     return GatedFrames(first, gated, used, event_s[here], model_phase, rotations, translations)
 
 
@@ -159,14 +160,17 @@ def slices_of(
 ) -> SliceSet:
     """The used frames in the tracker's frame, with the brightness that the heart's channels need."""
     used = frames.used
-    return prepare_slices(
+    tracked = TrackedImages(
         recording.images[frames.first + used],
-        mask,
-        recording.probe_from_image,
         frames.rotations[used],
         frames.translations_mm[used],
         frames.model_phase[used],
         frames.event_s[used],
+    )
+    return prepare_slices(
+        tracked,
+        mask,
+        recording.probe_from_image,
         pitch_mm=pitch_mm,
         brightness=recording.heart.brightness,
     )

@@ -21,12 +21,12 @@ from dvf_ig.preop import close_surface, model_from_labels, model_from_surfaces, 
 from dvf_ig.registration import (
     BLOOD,
     WALL,
-    EdgeTarget,
+    BoundaryTarget,
     ModelChannels,
     channels_from_labels,
     channels_from_mr,
+    normalised_grey,
     root_amplitude,
-    shown_brightness,
     target_from_labels,
 )
 
@@ -62,7 +62,7 @@ class Heart:
     coarse: ModelChannels
     fine: ModelChannels
     center_mm: FloatArray
-    surface: EdgeTarget | None
+    surface: BoundaryTarget | None
     boundary_share: float
     beats_update_pose: bool = True
     brightness: Callable[[NDArray[np.uint8]], NDArray[np.float32]] = root_amplitude
@@ -98,7 +98,7 @@ def build_heart(
         channels = channels_from_mr(preop.mr, smoothing_mm=MR_SMOOTHING_MM)
         return Heart(model, channels, channels, center, surface, MR_BOUNDARY_SHARE)
     channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
-    return Heart(model, channels, channels, center, surface, LABEL_BOUNDARY_SHARE, False, shown_brightness)
+    return Heart(model, channels, channels, center, surface, LABEL_BOUNDARY_SHARE, False, normalised_grey)
 
 
 def _fixture_surface(preop: Preop) -> SurfaceSeries:

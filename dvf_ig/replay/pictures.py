@@ -41,7 +41,9 @@ def overlay(replay: Replay) -> Figure | None:
     figure = Figure(figsize=(10.5, 5.6), layout="constrained")
     axes = figure.subplots(2, len(chosen))
     for column, frame in enumerate(chosen):
-        _overlay_column(replay, attempt, attempt.result.mr_from_tracker, images, int(frame), axes[:, column])
+        _overlay_column(
+            replay, attempt, attempt.result.target_from_source, images, int(frame), axes[:, column]
+        )
     axes[0, 0].set_ylabel("ultrasound")
     axes[1, 0].set_ylabel("model at the same place")
     handles = [
@@ -103,7 +105,7 @@ def pose_over_time(replay: Replay) -> Figure | None:
     upper, lower = figure.subplots(2, 1, sharex=True)
     times = np.array([beat.decided_s for beat in beats])
     guided = np.array([beat.in_use for beat in beats])
-    surprise = np.array([beat.measurement.surprise for beat in beats])
+    log_ratio = np.array([beat.measurement.log_likelihood_ratio for beat in beats])
     if truth is not None:
         targets = truth.targets.points
         error = np.array(
@@ -117,9 +119,9 @@ def pose_over_time(replay: Replay) -> Figure | None:
     upper.set_ylabel("mean TRE, mm")
     upper.margins(y=0.1)
     upper.set_ylim(bottom=0)
-    _by_guidance(lower, times, surprise, guided)
+    _by_guidance(lower, times, log_ratio, guided)
     lower.axhline(SUSPEND_LOG_RATIO, color=TRUTH, lw=0.8, ls=":")
-    lower.set(ylabel="surprise", xlabel="time, s", xlim=(float(t_s[0]), float(t_s[-1])))
+    lower.set(ylabel="log-likelihood ratio", xlabel="time, s", xlim=(float(t_s[0]), float(t_s[-1])))
     for axis in (upper, lower):
         for begin_s, end_s in suspensions(replay.history.updates, float(t_s[-1])):
             axis.axvspan(begin_s, end_s, color=DOUBT, lw=0, zorder=0)

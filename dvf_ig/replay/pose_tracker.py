@@ -16,7 +16,7 @@ import numpy as np
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, Rigid
-from dvf_ig.registration import Belief, RegistrationResult
+from dvf_ig.registration import PoseEstimate, RegistrationResult
 
 from .beat_evaluation import BeatEvaluation
 from .gated_frames import GatedFrames
@@ -181,7 +181,7 @@ class PoseTracker:
         result, frames = attempt.result, attempt.frames
         middle_s = float(frames.event_s[frames.used].mean())
         beats = sum(middle_s < p.t_s < now_s for p in self._peaks)
-        found = Belief.registered(result.mr_from_tracker, result.covariance, result.center_mm)
+        found = PoseEstimate.from_registration(result.target_from_source, result.covariance, result.center_mm)
         before = self._monitor
         self._monitor, refused = before.after_registration(found, beats)
         self._set_refused(-1, refused)

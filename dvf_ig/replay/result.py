@@ -11,7 +11,7 @@ from dvf_ig.cardiac import frame_period_s
 from dvf_ig.core import FloatArray, InvalidInputError, summarise_errors
 from dvf_ig.guidance import Sigmoid, Status
 from dvf_ig.guidance.blend import static_force
-from dvf_ig.registration import RegistrationResult, target_errors_mm, weak_direction
+from dvf_ig.registration import RegistrationResult, least_constrained_direction, target_errors_mm
 
 from .engine import Replay
 from .pose_history import Attempt
@@ -139,7 +139,7 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
         "reason": attempt.reason,
     }
     if result is not None:
-        out |= {"mr_from_tracker": result.mr_from_tracker.matrix.tolist(), **evidence_of(result)}
+        out |= {"mr_from_tracker": result.target_from_source.matrix.tolist(), **evidence_of(result)}
     return out
 
 
@@ -150,16 +150,16 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
         "success_probability": result.success_probability,
         "covariance": result.covariance.tolist() if finite else None,
         "covariance_about_mm": result.center_mm.tolist(),
-        "weakness": weak_direction(result.covariance).sentence(),
+        "weakness": least_constrained_direction(result.covariance).sentence(),
         "similarity": result.similarity,
         "start_similarity": result.start_similarity,
         "second_best": result.second_best,
-        "contrast": result.contrast,
+        "contrast": result.evidence.z_score,
         "overlap": result.overlap,
-        "disagreement_mm": _finite(result.disagreement_mm),
-        "phase_disagreement_mm": _finite(result.phase_disagreement_mm),
-        "part_disagreement_mm": _finite(result.part_disagreement_mm),
-        "edge_disagreement_mm": _finite(result.edge_disagreement_mm),
+        "disagreement_mm": _finite(result.evidence.split_half_mm),
+        "phase_disagreement_mm": _finite(result.evidence.phase_mm),
+        "part_disagreement_mm": _finite(result.evidence.half_volume_mm),
+        "edge_disagreement_mm": _finite(result.evidence.boundary_mm),
         "moved_mm": result.moved_mm,
         "slices": result.slices,
         "seconds": round(result.seconds, 3),

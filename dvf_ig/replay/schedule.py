@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import BoolArray, FloatArray, Rigid
-from dvf_ig.registration import distance_between
+from dvf_ig.registration import mean_displacement_mm
 
 from .pose_history import PoseUpdates
 
@@ -33,7 +33,7 @@ def pose_schedule(updates: PoseUpdates, center_mm: FloatArray) -> tuple[tuple[fl
             schedule.pop()
         if target is None or held is None:
             continue
-        way_mm = 0.0 if was_suspended else distance_between(held, target, center_mm)
+        way_mm = 0.0 if was_suspended else mean_displacement_mm(held, target, center_mm)
         steps = max(1, math.ceil(way_mm / UPDATE_MM_PER_S / STEP_S))
         schedule += [
             (ready_s + (i - 1) * STEP_S, _between(held, target, center_mm, i / steps))

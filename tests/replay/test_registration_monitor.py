@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import Rigid
-from dvf_ig.registration import BeatLook, Belief
+from dvf_ig.registration import BeatMeasurement, PoseEstimate
 from dvf_ig.replay.refusal import Refusal, Refused
 from dvf_ig.replay.registration_monitor import (
     CONFIRMING_BEATS,
@@ -16,24 +16,24 @@ from dvf_ig.replay.registration_monitor import (
 CENTER = np.array([10.0, -20.0, 30.0])
 
 
-def at(mm: float, sigma_mm: float = 0.4) -> Belief:
+def at(mm: float, sigma_mm: float = 0.4) -> PoseEstimate:
     pose = Rigid("mr", "tracker", np.eye(3), np.array([mm, 0.0, 0.0]))
-    return Belief(pose, sigma_mm**2 * np.eye(6), CENTER)
+    return PoseEstimate(pose, sigma_mm**2 * np.eye(6), CENTER)
 
 
-def measured(surprise: float, *, off_mm: float = 0.0) -> BeatLook:
+def measured(log_ratio: float, *, off_mm: float = 0.0) -> BeatMeasurement:
     """A beat that matches best `off_mm` further along x, as precise as the pose is known."""
     information = np.eye(6) / 0.4**2
     offset = np.array([0, 0, 0, off_mm, 0, 0])
     pose = at(0.0).pose
-    return BeatLook(
+    return BeatMeasurement(
         pose=pose,
         best=at(off_mm).pose,
         offset_information_mm=information @ offset,
         information=information,
         similarity=0.5,
         best_similarity=0.6,
-        surprise=surprise,
+        log_likelihood_ratio=log_ratio,
         moved_mm=off_mm,
         overlap=1.0,
         evaluations=1,
@@ -61,8 +61,8 @@ def test_a_first_pose_is_used_once_beats_confirm_it() -> None:
 
 def test_a_contradicted_registration_is_dropped_and_the_next_needs_more() -> None:
     monitor, _ = RegistrationMonitor(CENTER, landmarks=None).after_registration(at(0.0), 0)
-    for surprise in (1.0, 1.0, CONSISTENT_LOG_RATIO + 0.1):
-        monitor = monitor.after_beat(measured(surprise))
+    for log_ratio in (1.0, 1.0, CONSISTENT_LOG_RATIO + 0.1):
+        monitor = monitor.after_beat(measured(log_ratio))
     assert monitor.under_test is None
     monitor, _ = monitor.after_registration(at(0.5), 0)
     for _ in range(2 * CONFIRMING_BEATS):

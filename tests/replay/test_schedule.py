@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dvf_ig.core import Rigid
-from dvf_ig.registration import distance_between
+from dvf_ig.registration import mean_displacement_mm
 from dvf_ig.replay.schedule import STEP_S, UPDATE_MM_PER_S, pose_schedule, suspended_at
 
 CENTER_MM = np.array([20.0, -30.0, 100.0])
@@ -27,7 +27,7 @@ def test_updates_are_bounded_and_arrive(
     times = np.array([start_s for start_s, _ in poses])
     assert (np.diff(times) > 0).all()
     for (_, first), (_, following) in itertools.pairwise(poses):
-        moved = distance_between(first, following, CENTER_MM)
+        moved = mean_displacement_mm(first, following, CENTER_MM)
         assert moved <= 1.05 * UPDATE_MM_PER_S * STEP_S
     assert poses[-1][1] is START
 
@@ -50,4 +50,4 @@ def test_a_suspension_stops_a_motion_under_way() -> None:
     moved = START.perturbed_left([0.0, 0.0, 0.0], [8.0, 0.0, 0.0], CENTER_MM)
     poses = pose_schedule([(3.0, START), (10.0, moved), (10.1, None)], CENTER_MM)
     assert max(start_s for start_s, _ in poses) < 10.1
-    assert distance_between(poses[-1][1], START, CENTER_MM) < 1.05
+    assert mean_displacement_mm(poses[-1][1], START, CENTER_MM) < 1.05

@@ -1,10 +1,11 @@
-"""Register border points to the model's signed distance: robust Gauss–Newton, some milliseconds a start.
+"""Register boundary points to the model's signed distance: robust Gauss–Newton, some milliseconds a start.
 
 The scale σ of Geman–McClure is annealed from 12 to 2 mm: a far start is first pulled by everything, at last
 only by what lies on the surface. Ultrasound blooms walls into the blood by up to a millimetre, alike
 everywhere: a uniform offset along the normal is a seventh unknown once σ <= 4 mm
 (dvf_ig/docs/theory/registration.md).
-Rank the ends of many starts by image similarity, not by `score`: edges alone prefer wrong basins at times.
+Rank the ends of many starts by image similarity, not by `score`: the boundary alone prefers wrong optima at
+times.
 """
 
 from collections.abc import Sequence
@@ -15,27 +16,31 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays, require_same_frame
 from dvf_ig.core.rigid import nearest_rotation
-from dvf_ig.kernels.boundary import SUMS, UNKNOWNS, edge_residuals, edge_step_sums
-from dvf_ig.registration.pose_chart import HEART_RADIUS_MM, PoseChart, distance_between
+from dvf_ig.kernels.boundary import SUMS, UNKNOWNS, boundary_residuals, boundary_step_sums
+from dvf_ig.registration.pose_chart import (
+    HEART_RADIUS_MM,
+    PoseChart,
+    covariance_from_mm,
+    distinct,
+    random_displacements,
+)
 
 from .points import BoundaryPoints
-from .target import EdgeTarget
+from .target import BoundaryTarget
 
 NEAR_MM = 2.0
-APART_MM = 4.0
-"""Ends nearer to each other than this over the heart are one."""
 POINTS_PER_OBSERVATION = 30.0
 """Neighbouring points share their difference from the model: with this divisor the standard deviations match
 the errors of fits on tuning seeds 101–103."""
 
 
 @dataclass(frozen=True, slots=True)
-class EdgeFitOptions:
+class BoundaryFitOptions:
     """Attributes:
     sigmas_mm: scales, from far to near.
     steps: at each scale but the last.
     last_steps: most at the last scale.
-    free_offset_mm: the offset is free at scales up to this; 0 keeps it at the expected one.
+    free_offset_mm: the offset is free at scales up to this; 0 fixes it at the expected one.
     expected_offset_mm, offset_sigma_mm: mean and standard deviation of the offset before the fit.
     cap_mm: longest step.
     tolerance_mm: a step shorter than this ends the last scale; ten times as long a one ends the others.
@@ -51,31 +56,32 @@ class EdgeFitOptions:
     tolerance_mm: float = 0.02
 
 
-EPICARDIUM_FIT = EdgeFitOptions(free_offset_mm=12.0, expected_offset_mm=-4.0, offset_sigma_mm=3.0)
+EPICARDIUM_FIT = BoundaryFitOptions(free_offset_mm=12.0, expected_offset_mm=-4.0, offset_sigma_mm=3.0)
 """For the surface of a fixture model. Ultrasound shows the pericardium there, which lies outside of the
 epicardium by the fat between them (5.5 mm on tuning seeds 101–103): the offset is free from the start."""
 QUICK_POINTS = 800
+"""Of the first fits from many starts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edges:
-    """Borders seen in the ultrasound, and the model's surface that they should lie on."""
+class Boundary:
+    """Boundary points seen in the ultrasound, and the model's surface that they should lie on."""
 
     points: BoundaryPoints
-    target: EdgeTarget
+    target: BoundaryTarget
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgeFit:
+class BoundaryFit:
     """Attributes:
-    pose: fixed_from_moving.
+    pose: target_from_source.
     offset_mm: distance of the points from the surface, positive inside, common to all.
-    share_near: share of the weight within NEAR_MM of the surface with agreeing normals.
+    share_near: share of the weight within NEAR_MM of the surface with normals in agreement.
     residual_mm: RMS of d − offset over those.
     covariance: (6, 6) rad², mm²; rotation first, left perturbation about the centre; NaN if singular.
     score: share of the weight that lies on the surface, soft at the last scale.
-    converged: whether it came to rest.
+    converged: whether the last step was shorter than the tolerance and some points are near.
     evaluations: effort.
     """
 
@@ -92,7 +98,8 @@ class EdgeFit:
 class _Problem:
     """Points and target as the kernels want them, with one buffer; serves one thread."""
 
-    def __init__(self, points: BoundaryPoints, target: EdgeTarget, center_mm: FloatArray) -> None:
+    def __init__(self, boundary: Boundary, center_mm: FloatArray) -> None:
+        points, target = boundary.points, boundary.target
         self.data = (
             points.points_mm,
             points.normals,
@@ -107,12 +114,12 @@ class _Problem:
     def sums(
         self, pose: FloatArray, offset_mm: float, sigma_mm: float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(7, 7) curvature, (7,) slope, (3,) other sums at a (3, 4) pose: views of the buffer."""
-        edge_step_sums(
+        """(7, 7) curvature, (7,) gradient, (3,) other sums at a (3, 4) pose: views of the buffer."""
+        boundary_step_sums(
             *self.data,
             self.target.coefficients,
             self.target.knots_from_mm,
-            self.target.brighter,
+            self.target.polarity,
             pose,
             self.center_mm,
             HEART_RADIUS_MM,
@@ -131,35 +138,34 @@ class _End:
 
     pose: FloatArray
     offset_mm: float
-    rested: bool
+    converged: bool
     evaluations: int
 
 
-def fit_edges(
-    points: BoundaryPoints,
-    target: EdgeTarget,
+def fit_boundary(
+    boundary: Boundary,
     start: Rigid,
     center_mm: FloatArray,
     *,
-    options: EdgeFitOptions | None = None,
-) -> EdgeFit:
-    """Register border points to the surface from one start.
+    options: BoundaryFitOptions | None = None,
+) -> BoundaryFit:
+    """Register boundary points to the surface from one start.
 
     Args:
-        points: frame of `start.source`; target: frame of `start.target`.
-        center_mm: (3,) centre of the heart box in the fixed frame, about which the pose turns.
+        boundary: points in the frame of `start.source`, surface in that of `start.target`.
+        center_mm: (3,) centre of the heart box in the target frame, about which the pose turns.
     Raises:
         FrameMismatchError: frames do not meet.
     """
-    require_same_frame(points.frame, start.source, "edge registration")
-    require_same_frame(target.frame, start.target, "edge registration")
-    opts = options or EdgeFitOptions()
-    problem = _Problem(points, target, center_mm)
-    return _judged(problem, start, _descend(problem, start, opts), opts)
+    require_same_frame(boundary.points.frame, start.source, "boundary registration")
+    require_same_frame(boundary.target.frame, start.target, "boundary registration")
+    opts = options or BoundaryFitOptions()
+    problem = _Problem(boundary, center_mm)
+    return _fit_of(problem, start, _descend(problem, start, opts), opts)
 
 
-def _descend(problem: _Problem, start: Rigid, opts: EdgeFitOptions) -> _End:
-    pose, offset, used, rested = start.matrix[:3], opts.expected_offset_mm, 0, False
+def _descend(problem: _Problem, start: Rigid, opts: BoundaryFitOptions) -> _End:
+    pose, offset, used, converged = start.matrix[:3], opts.expected_offset_mm, 0, False
     for level, sigma in enumerate(opts.sigmas_mm):
         last = level == len(opts.sigmas_mm) - 1
         size = UNKNOWNS if sigma <= opts.free_offset_mm else UNKNOWNS - 1
@@ -169,14 +175,14 @@ def _descend(problem: _Problem, start: Rigid, opts: EdgeFitOptions) -> _End:
             step = _step(matrix, right, offset, size, opts)
             pose = _moved(pose, step, problem.center_mm)
             offset += float(step[6])
-            rested = float(np.linalg.norm(step)) < opts.tolerance_mm * (1 if last else 10)
-            if rested:
+            converged = float(np.linalg.norm(step)) < opts.tolerance_mm * (1 if last else 10)
+            if converged:
                 break
-    return _End(pose, offset, rested, used)
+    return _End(pose, offset, converged, used)
 
 
 def _moved(pose: FloatArray, xi_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
-    """(3, 4) R and t after a step in the coordinates of `chart`."""
+    """(3, 4) R and t after a step in the coordinates of `PoseChart`."""
     turn = Rotation.from_rotvec(xi_mm[:3] / HEART_RADIUS_MM).as_matrix()
     out = turn @ pose
     out[:, 3] += center_mm - turn @ center_mm + xi_mm[3:6]
@@ -184,15 +190,15 @@ def _moved(pose: FloatArray, xi_mm: FloatArray, center_mm: FloatArray) -> FloatA
 
 
 def _step(
-    matrix: FloatArray, right: FloatArray, offset_mm: float, size: int, opts: EdgeFitOptions
+    matrix: FloatArray, right: FloatArray, offset_mm: float, size: int, opts: BoundaryFitOptions
 ) -> FloatArray:
     """(7,) Gauss–Newton step of the first `size` unknowns, the others 0; none where nothing matches."""
     curvature = matrix[:size, :size].copy()
     downhill = -right[:size]
     if size == UNKNOWNS:
-        hold = POINTS_PER_OBSERVATION * (NEAR_MM / opts.offset_sigma_mm) ** 2
-        curvature[6, 6] += hold
-        downhill[6] -= hold * (offset_mm - opts.expected_offset_mm)
+        prior = POINTS_PER_OBSERVATION * (NEAR_MM / opts.offset_sigma_mm) ** 2
+        curvature[6, 6] += prior
+        downhill[6] -= prior * (offset_mm - opts.expected_offset_mm)
     mean = float(np.trace(matrix[:6, :6])) / 6
     step = np.zeros(UNKNOWNS)
     if mean > 0:
@@ -201,17 +207,17 @@ def _step(
     return step * min(1.0, opts.cap_mm / max(length, 1e-12))
 
 
-def _judged(problem: _Problem, start: Rigid, end: _End, opts: EdgeFitOptions) -> EdgeFit:
+def _fit_of(problem: _Problem, start: Rigid, end: _End, opts: BoundaryFitOptions) -> BoundaryFit:
     sigma = opts.sigmas_mm[-1]
     matrix, _, tail = problem.sums(end.pose, end.offset_mm, sigma)
     distance, agreement = np.empty((2, len(problem.data[0])))
-    edge_residuals(
+    boundary_residuals(
         problem.data[0],
         problem.data[1],
         problem.data[3],
         problem.target.coefficients,
         problem.target.knots_from_mm,
-        problem.target.brighter,
+        problem.target.polarity,
         end.pose,
         distance,
         agreement,
@@ -220,19 +226,19 @@ def _judged(problem: _Problem, start: Rigid, end: _End, opts: EdgeFitOptions) ->
     near = (np.abs(apart) < NEAR_MM) & (agreement > 0)
     weight = problem.data[2]
     residual = float(np.sqrt(np.mean(apart[near] ** 2))) if near.any() else float("nan")
-    return EdgeFit(
+    return BoundaryFit(
         pose=Rigid(start.target, start.source, nearest_rotation(end.pose[:, :3]), end.pose[:, 3]),
         offset_mm=end.offset_mm,
         share_near=float(weight[near].sum()) / problem.total,
         residual_mm=residual,
         covariance=_covariance(matrix, float(tail[2]), opts),
         score=float(tail[0]) / problem.total,
-        converged=end.rested and bool(near.any()),
+        converged=end.converged and bool(near.any()),
         evaluations=end.evaluations,
     )
 
 
-def _covariance(matrix: FloatArray, squares: float, opts: EdgeFitOptions) -> FloatArray:
+def _covariance(matrix: FloatArray, squares: float, opts: BoundaryFitOptions) -> FloatArray:
     """Of the pose with the offset unknown: inverse curvature times the variance of one observation."""
     size = UNKNOWNS if opts.free_offset_mm > 0 else UNKNOWNS - 1
     curvature = matrix[:size, :size]
@@ -240,13 +246,11 @@ def _covariance(matrix: FloatArray, squares: float, opts: EdgeFitOptions) -> Flo
     if not weight > 0 or np.linalg.cond(curvature) > 1e10:
         return np.full((6, 6), np.nan)
     variance = POINTS_PER_OBSERVATION * squares / weight
-    unit = np.diag([1 / HEART_RADIUS_MM] * 3 + [1.0] * 3)
-    return np.asarray(unit @ (variance * np.linalg.inv(curvature))[:6, :6] @ unit)
+    return covariance_from_mm(np.asarray((variance * np.linalg.inv(curvature))[:6, :6], dtype=np.float64))
 
 
-def edge_starts(
-    points: BoundaryPoints,
-    target: EdgeTarget,
+def boundary_starts(
+    boundary: Boundary,
     start: Rigid,
     center_mm: FloatArray,
     *,
@@ -254,36 +258,34 @@ def edge_starts(
     count: int = 24,
     spread_mm: float = 12.0,
     keep: int = 5,
-    options: EdgeFitOptions | None = None,
-) -> tuple[EdgeFit, ...]:
+    options: BoundaryFitOptions | None = None,
+) -> tuple[BoundaryFit, ...]:
     """Quick fits from the start and displaced copies of it; the best distinct ends finish on all points.
 
     Args:
-        rng: draws the displacements, of length `spread_mm` in the coordinates of `chart`.
+        rng: draws the displacements, of length `spread_mm` in the coordinates of `PoseChart`.
         count: displaced copies; keep: at most so many ends.
     Returns:
         ends by `score`, best first; see the module docstring on ranking them.
     """
-    opts = options or EdgeFitOptions()
-    look = replace(opts, sigmas_mm=opts.sigmas_mm[:-1] or opts.sigmas_mm, last_steps=4, tolerance_mm=0.05)
+    opts = options or BoundaryFitOptions()
+    quick_options = replace(
+        opts, sigmas_mm=opts.sigmas_mm[:-1] or opts.sigmas_mm, last_steps=4, tolerance_mm=0.05
+    )
     finish = replace(opts, sigmas_mm=opts.sigmas_mm[-3:])
-    few = points.thinned(QUICK_POINTS)
-    directions = rng.normal(size=(count, 6))
-    directions *= spread_mm / np.linalg.norm(directions, axis=1, keepdims=True)
+    few = replace(boundary, points=boundary.points.subsampled(QUICK_POINTS))
+    displacements = random_displacements(rng, count, spread_mm)
     chart = PoseChart(start, np.asarray(center_mm))
     quick = [
-        fit_edges(few, target, chart.pose(xi), center_mm, options=look)
-        for xi in np.vstack([np.zeros(6), directions])
+        fit_boundary(few, chart.pose(xi), center_mm, options=quick_options)
+        for xi in np.vstack([np.zeros(6), displacements])
     ]
-    best = _distinct(quick, chart.center_mm, keep)
-    finished = [fit_edges(points, target, fit.pose, center_mm, options=finish) for fit in best]
-    return _distinct(finished, chart.center_mm, keep)
+    best = _best_distinct(quick, chart.center_mm, keep)
+    finished = [fit_boundary(boundary, fit.pose, center_mm, options=finish) for fit in best]
+    return _best_distinct(finished, chart.center_mm, keep)
 
 
-def _distinct(fits: Sequence[EdgeFit], center_mm: FloatArray, count: int) -> tuple[EdgeFit, ...]:
+def _best_distinct(fits: Sequence[BoundaryFit], center_mm: FloatArray, count: int) -> tuple[BoundaryFit, ...]:
     """The best fits that are not one another's neighbours, best first."""
-    chosen: list[EdgeFit] = []
-    for fit in sorted(fits, key=lambda f: -f.score):
-        if all(distance_between(fit.pose, known.pose, center_mm) > APART_MM for known in chosen):
-            chosen.append(fit)
-    return tuple(chosen[:count])
+    ranked = sorted(fits, key=lambda f: -f.score)
+    return tuple(ranked[k] for k in distinct([fit.pose for fit in ranked], center_mm)[:count])

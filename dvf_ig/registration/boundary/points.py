@@ -1,7 +1,7 @@
-"""Borders between blood and wall in tracked ultrasound slices, as oriented points.
+"""Boundary points between blood and wall in tracked ultrasound slices, with their normals.
 
-A border is where the smoothed root amplitude u climbs fastest along its own gradient (Canny 1986), found to a
-part of a pixel, with relative contrast c = σ|∇u|/u above a threshold. Whatever the gain, a step from a to b
+A boundary is where the smoothed root amplitude u rises fastest along its own gradient (Canny 1986), found to
+a part of a pixel, with relative contrast c = σ|∇u|/u above a threshold. Whatever the gain, a step from a to b
 has c = 0.8 (b − a)/(b + a) there: 0.5 between blood and muscle, 0.27 between loose tissue and muscle.
 """
 
@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
-from dvf_ig.registration.lc2.slices import SliceSet, spread
+from dvf_ig.registration.lc2.slices import SliceSet, subsample
 
 FULL_CONTRAST = 0.2
-"""Borders above this count alike: weighing by contrast would drop the hazy walls of a poor image."""
+"""Boundaries above this count alike: weighting by contrast would drop the hazy walls of a poor image."""
 
 
 @dataclass(frozen=True, slots=True)
-class EdgeOptions:
+class BoundaryPointOptions:
     """Defaults come from tuning seeds 101–103 of the synthetic world.
 
     Attributes:
         smoothing_mm: standard deviation of the Gaussian before the gradient.
-        min_contrast: least relative contrast of a border.
+        min_contrast: least relative contrast of a boundary.
         min_support: least share of the Gaussian that must lie inside the sector.
         points: at most so many are kept, evenly spread.
     """
@@ -55,36 +55,36 @@ class BoundaryPoints:
     def __len__(self) -> int:
         return len(self.points_mm)
 
-    def thinned(self, count: int) -> "BoundaryPoints":
+    def subsampled(self, count: int) -> "BoundaryPoints":
         """At most `count` of the points, evenly spread."""
-        keep = spread(len(self), count)
+        keep = subsample(len(self), count)
         return BoundaryPoints(
             self.frame, self.points_mm[keep], self.normals[keep], self.model_phase[keep], self.weights[keep]
         )
 
 
-def boundary_points(slices: SliceSet, options: EdgeOptions | None = None) -> BoundaryPoints:
-    """Oriented border points of all slices, at most `options.points`.
+def boundary_points(slices: SliceSet, options: BoundaryPointOptions | None = None) -> BoundaryPoints:
+    """Boundary points of all slices, at most `options.points`.
 
     Raises:
-        InvalidInputError: the slices differ in pitch, or show no border.
+        InvalidInputError: the slices differ in pitch, or show no boundary.
     """
-    opts = options or EdgeOptions()
+    opts = options or BoundaryPointOptions()
     pitch = _pitch_mm(slices)
     smooth, usable = _smoothed(slices, pitch, opts)
-    slope = np.stack([_central(smooth, axis) / np.float32(pitch[axis]) for axis in (0, 1)])
-    steep = np.hypot(slope[0], slope[1])
-    found = np.nonzero(usable & (opts.smoothing_mm * steep > opts.min_contrast * smooth))
+    gradient = np.stack([_central(smooth, axis) / np.float32(pitch[axis]) for axis in (0, 1)])
+    magnitude = np.hypot(gradient[0], gradient[1])
+    found = np.nonzero(usable & (opts.smoothing_mm * magnitude > opts.min_contrast * smooth))
     # per pixel, so that a step along it is a step along the gradient in mm
-    along = np.stack([slope[axis][found] / pitch[axis] for axis in (0, 1)], axis=1).astype(np.float64)
-    keep, part = _crests(steep, found, along)
+    along = np.stack([gradient[axis][found] / pitch[axis] for axis in (0, 1)], axis=1).astype(np.float64)
+    keep, part = _maxima(magnitude, found, along)
     if not keep.any():
         raise InvalidInputError(
-            f"no border of contrast {opts.min_contrast:g} was found in {len(slices)} ultrasound slices; "
-            "check their gain and depth, or lower the contrast asked for"
+            f"no boundary of contrast {opts.min_contrast:g} was found in {len(slices)} ultrasound slices; "
+            "check their gain and depth, or lower the least contrast"
         )
     s, row, col = (index[keep] for index in found)
-    along, contrast = along[keep], opts.smoothing_mm * steep[s, row, col] / smooth[s, row, col]
+    along, contrast = along[keep], opts.smoothing_mm * magnitude[s, row, col] / smooth[s, row, col]
     place = np.column_stack([col + part[keep, 1], row + part[keep, 0], np.ones(len(s))])
     normals = np.einsum("nij,nj->ni", slices.frame_from_pixel[s][:, :, :2], along[:, ::-1])
     return BoundaryPoints(
@@ -93,11 +93,11 @@ def boundary_points(slices: SliceSet, options: EdgeOptions | None = None) -> Bou
         normals / np.linalg.norm(normals, axis=1, keepdims=True),
         slices.model_phase[s],
         np.minimum(contrast / FULL_CONTRAST, 1.0).astype(np.float64),
-    ).thinned(opts.points)
+    ).subsampled(opts.points)
 
 
 def _smoothed(
-    slices: SliceSet, pitch_mm: FloatArray, opts: EdgeOptions
+    slices: SliceSet, pitch_mm: FloatArray, opts: BoundaryPointOptions
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """(s, rows, columns) Gaussian mean of what lies inside the sector, and where enough of it does."""
     sigma = (0.0, opts.smoothing_mm / pitch_mm[0], opts.smoothing_mm / pitch_mm[1])
@@ -133,17 +133,18 @@ def _central(stack: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     return out
 
 
-def _crests(
-    steep: NDArray[np.float32], found: tuple[NDArray[np.intp], ...], along: FloatArray
+def _maxima(
+    magnitude: NDArray[np.float32], found: tuple[NDArray[np.intp], ...], along: FloatArray
 ) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Which pixels are steepest along (n, 2) rows and columns; (n, 2) way to the crest of a parabola."""
+    """Which pixels are maxima along (n, 2) rows and columns; (n, 2) way to the maximum of a parabola."""
     step = along / np.linalg.norm(along, axis=1, keepdims=True)
     at = np.stack(found).astype(np.float64)
     ahead = np.vstack([np.zeros((1, len(step))), step.T])
     before, after = (
-        ndimage.map_coordinates(steep, at + sign * ahead, order=1, output=np.float64) for sign in (-1.0, 1.0)
+        ndimage.map_coordinates(magnitude, at + sign * ahead, order=1, output=np.float64)
+        for sign in (-1.0, 1.0)
     )
-    here = steep[found].astype(np.float64)
+    here = magnitude[found].astype(np.float64)
     keep = (here >= before) & (here > after)
     bend = np.minimum(before - 2 * here + after, -1e-12)
     part = np.where(keep, np.clip(0.5 * (before - after) / bend, -0.5, 0.5), 0.0)

@@ -1,8 +1,8 @@
-"""How far a place in the model is from the surface that ultrasound borders are matched to, phase by phase.
+"""Signed distance to the surface that ultrasound boundaries are registered to, phase by phase.
 
-Either the blood pools of a label series (endocardium and vessels: the strong borders of ultrasound), or the
-fixture's own spline (the epicardium). Both are cubic splines of signed distance, positive inside. Samples of
-the blood's distance serve as spline coefficients unfiltered: that smooths them by 0.58 voxels.
+Either the blood pools of a label series (endocardium and vessels: the strong boundaries of ultrasound), or
+the surface of a fixture model (the epicardium). Both are cubic splines of signed distance, positive inside.
+Samples of the blood's distance serve as spline coefficients unfiltered: that smooths them by 0.58 voxels.
 """
 
 from dataclasses import dataclass
@@ -22,9 +22,10 @@ from dvf_ig.core import (
     VolumeSeries,
     read_only_arrays,
 )
+from dvf_ig.registration.gating import nearest_phase
 from dvf_ig.registration.lc2.channels import BLOOD
 
-SOFTENING_VOXELS = 0.8
+SMOOTHING_VOXELS = 0.8
 """Standard deviation of the Gaussian on the blood mask: its 0.5 level lies between voxels."""
 PLANE_VOXELS = 3.0
 """Up to here the distance is that of a tangent plane; from three times as far that of a point."""
@@ -32,27 +33,27 @@ PLANE_VOXELS = 3.0
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgeTarget:
+class BoundaryTarget:
     """Attributes:
     frame: of the model.
     coefficients: (n, cx, cy, cz) float32 mm, as in `DvfModel`.
     knots_from_mm: (3, 4) knot coordinates from mm.
     fractions: (n,) when in the cycle each phase was taken.
-    brighter: −1 where the inside is the dark side of the border (blood), +1 where it is the bright one.
+    polarity: of the boundary, −1 where the inside is its dark side (blood), +1 where it is the bright one.
     """
 
     frame: str
     coefficients: NDArray[np.float32]
     knots_from_mm: FloatArray
     fractions: FloatArray
-    brighter: float
+    polarity: float
 
     def nearest_phase(self, model_phase: FloatArray) -> IntArray:
         """(n,) index of the phase nearest in the cycle."""
-        return _nearest(self.fractions, model_phase)
+        return nearest_phase(self.fractions, model_phase)
 
 
-def target_from_labels(labels: VolumeSeries, model_phase: FloatArray) -> EdgeTarget:
+def target_from_labels(labels: VolumeSeries, model_phase: FloatArray) -> BoundaryTarget:
     """The surface of the blood of a label series (0 outside, 1 wall, 2 blood), at the phases in use only.
 
     Args:
@@ -60,40 +61,35 @@ def target_from_labels(labels: VolumeSeries, model_phase: FloatArray) -> EdgeTar
     Raises:
         InvalidInputError: a used phase has no blood, or nothing else.
     """
-    used = np.unique(_nearest(labels.timing.fractions, model_phase))
+    used = np.unique(nearest_phase(labels.timing.fractions, model_phase))
     grid = labels.grid
     distance = np.stack([signed_distance_mm(labels.values[i] == BLOOD, grid.spacing_mm) for i in used])
     knots = np.empty((3, 4))
     knots[:, :3] = np.linalg.inv(grid.axes_mm)
     # coefficient j of a row is centred on knot coordinate j − 1
     knots[:, 3] = -knots[:, :3] @ grid.origin_mm - 1.0
-    return EdgeTarget(grid.frame, distance, knots, labels.timing.fractions[used], -1.0)
+    return BoundaryTarget(grid.frame, distance, knots, labels.timing.fractions[used], -1.0)
 
 
-def target_from_model(model: DvfModel) -> EdgeTarget:
-    """The surface of a fixture model, seen from darker surroundings; fit it with `EPICARDIUM_FIT`."""
+def target_from_model(model: DvfModel) -> BoundaryTarget:
+    """The surface of a fixture model in darker surroundings; fit it with `EPICARDIUM_FIT`."""
     knots = np.empty((3, 4))
     knots[:, :3] = np.eye(3) / model.knot_spacing_mm
     knots[:, 3] = -model.origin_mm / model.knot_spacing_mm
     # kernels are compiled for writable arrays; a copy of float32 coefficients costs milliseconds
-    return EdgeTarget(model.frame, model.coefficients.copy(), knots, model.timing.fractions, 1.0)
-
-
-def _nearest(fractions: FloatArray, model_phase: FloatArray) -> IntArray:
-    away = np.abs(np.asarray(model_phase)[:, None] - fractions[None, :])
-    return np.asarray(np.minimum(away, 1 - away).argmin(axis=1), dtype=np.int64)
+    return BoundaryTarget(model.frame, model.coefficients.copy(), knots, model.timing.fractions, 1.0)
 
 
 def signed_distance_mm(inside: BoolArray, spacing_mm: FloatArray) -> NDArray[np.float32]:
     """Distance to the surface of a voxel mask, positive inside, to a tenth of a voxel.
 
-    Beside the surface the softened mask is Φ(d/s) of a plane, with s² = softening² + voxel²/12: hence d,
-    normal and foot point there. Any other voxel asks the nearest of those: it is as far as its tangent plane
-    when near, as its foot point when far (where a plane beyond an edge of the surface misleads).
+    Beside the surface the smoothed mask is Φ(d/s) of a plane, with s² = smoothing² + voxel²/12: hence d,
+    normal and foot point there. Any other voxel takes the nearest of those: it is as far as its tangent plane
+    when near, as its foot point when far (where a plane beyond a bend of the surface misleads).
     """
     h = np.asarray(spacing_mm, dtype=np.float32)
-    soften_mm = SOFTENING_VOXELS * float(h.mean())
-    soft = ndimage.gaussian_filter(inside.astype(np.float32), soften_mm / h)
+    smoothing_mm = SMOOTHING_VOXELS * float(h.mean())
+    soft = ndimage.gaussian_filter(inside.astype(np.float32), smoothing_mm / h)
     normal = np.stack([np.gradient(soft, float(step), axis=a) for a, step in enumerate(h)])
     normal /= np.maximum(np.sqrt(np.square(normal).sum(axis=0)), np.float32(1e-9))
     within = soft > 0.5
@@ -104,7 +100,7 @@ def signed_distance_mm(inside: BoolArray, spacing_mm: FloatArray) -> NDArray[np.
         ~beside, sampling=h, return_distances=False, return_indices=True
     ).astype(np.intp)
     at = tuple(nearest)
-    spread_mm = np.sqrt(soften_mm**2 + np.square(normal * h[:, None, None, None]).sum(axis=0) / 12)
+    spread_mm = np.sqrt(smoothing_mm**2 + np.square(normal * h[:, None, None, None]).sum(axis=0) / 12)
     depth = spread_mm * ndtri(np.clip(soft, 0.02, 0.98))
     index = np.indices(soft.shape, dtype=np.float32, sparse=True)
     squared, plane = np.zeros_like(soft), np.zeros_like(soft)

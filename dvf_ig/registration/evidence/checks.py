@@ -1,4 +1,4 @@
-"""Whether a registration may be believed: what it is measured by, and the success probability from that."""
+"""Whether a registration may be believed: what it is tested by, and the success probability from that."""
 
 import math
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 from dvf_ig.core import BoolArray, FloatArray
 from dvf_ig.registration.lc2.curvature import Curvature
 from dvf_ig.registration.lc2.lc2 import Lc2
-from dvf_ig.registration.pose_chart import PoseChart
+from dvf_ig.registration.pose_chart import PoseChart, random_displacements
 
 WRONG_POSES = 24
 WRONG_MM = 20.0
@@ -16,84 +16,87 @@ PHASE_GROUPS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
-    """Attributes:
-    contrast: standard deviations by which LC2 stands above wrong poses WRONG_MM away.
-    halves_mm: mean distance over the heart between what two interleaved halves of the slices would have.
-    phases_mm: the largest such distance between one part of the cycle and the rest.
-    parts_mm: the same for halves of space, RMS (`parts`); None where it was not asked.
-    edges_mm: mean distance over the heart between the poses of LC2 and of the borders; None without those.
+class Limits:
+    """What each test may be at most (the z-score: at least) in a registration that may guide.
+
+    At a wrong local optimum the z-score is low and the boundary lies elsewhere; deformation shows as
+    disagreement between half-volumes, a motion other than in the pre-operative images as disagreement between
+    parts of the cycle. Attributes as in `Evidence`.
     """
 
-    contrast: float
-    halves_mm: float
-    phases_mm: float
-    parts_mm: float | None = None
-    edges_mm: float | None = None
+    z_score: float = 3.8
+    split_half_mm: float = 4.0
+    phase_mm: float = math.inf
+    half_volume_mm: float = math.inf
+    boundary_mm: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """What each check may be at most (contrast: at least) in a registration that may guide.
-
-    A pose in a wrong basin has little contrast and its borders lie elsewhere; a deformed heart is torn apart
-    by halves of space; one that moves otherwise than before, by parts of the cycle.
+class Evidence:
+    """Attributes:
+    z_score: standard deviations by which LC2 stands above wrong poses WRONG_MM away.
+    split_half_mm: mean distance over the heart between the optima of two interleaved halves of the slices.
+    phase_mm: the largest such distance between one part of the cycle and the rest.
+    half_volume_mm: RMS distance of the optima of half-volumes from that of all; None where it was not tested.
+    boundary_mm: mean distance over the heart between the poses of LC2 and of the boundary; None where the
+        model's surface was not given.
     """
 
-    contrast: float = 3.8
-    halves_mm: float = 4.0
-    phases_mm: float = math.inf
-    parts_mm: float = math.inf
-    edges_mm: float = math.inf
+    z_score: float
+    split_half_mm: float
+    phase_mm: float
+    half_volume_mm: float | None = None
+    boundary_mm: float | None = None
+
+    def worst_test_ratio(self, limits: Limits) -> float:
+        """The worst test as a share of its limit: above 1 the pose must not guide."""
+        ratios = [
+            limits.z_score / max(self.z_score, 1e-9),
+            self.split_half_mm / limits.split_half_mm,
+            self.phase_mm / limits.phase_mm,
+        ]
+        if self.half_volume_mm is not None:
+            ratios.append(self.half_volume_mm / limits.half_volume_mm)
+        if self.boundary_mm is not None:
+            ratios.append(self.boundary_mm / limits.boundary_mm)
+        return float(max(ratio if math.isfinite(ratio) else math.inf for ratio in ratios))
 
 
 TRACKED_LIMITS = Limits()
 """For tracked planes."""
-VOLUME_LIMITS = Limits(contrast=5.5, halves_mm=2.0, phases_mm=1.22, parts_mm=2.25, edges_mm=2.4)
+VOLUME_LIMITS = Limits(z_score=5.5, split_half_mm=2.0, phase_mm=1.22, half_volume_mm=2.25, boundary_mm=2.4)
 """For gated 3-D images. On tuning seeds 101–106 good poses (below 2 mm, calm and poor images) stand against
-wrong basins (contrast above 6.9, below 4.5; borders up to 2.1 mm, above 7), changed motion (phases up to
-1.1 mm, above 1.4), and 5 mm of deformation (parts up to 2.2 mm, above 2.3 where the error exceeds 3 mm)."""
-STEEPNESS = 10.0
-"""Of the logistic in doubt: tuning seeds have 0.3 to 1.0 below 2 mm of error, and above 1 beyond 3 mm."""
+wrong local optima (z-score above 6.9, below 4.5; boundary up to 2.1 mm, above 7), changed motion (phase up to
+1.1 mm, above 1.4), and 5 mm of deformation (half-volumes up to 2.2 mm, above 2.3 where the error exceeds
+3 mm)."""
+LOGISTIC_SLOPE = 10.0
+"""In the worst test ratio: tuning seeds have 0.3 to 1.0 below 2 mm of error, and above 1 beyond 3 mm."""
 
 
-def doubt_of(evidence: Evidence, limits: Limits) -> float:
-    """The weakest check as a share of its limit: above 1 the pose must not guide."""
-    checks = [
-        limits.contrast / max(evidence.contrast, 1e-9),
-        evidence.halves_mm / limits.halves_mm,
-        evidence.phases_mm / limits.phases_mm,
-    ]
-    for value, limit in ((evidence.parts_mm, limits.parts_mm), (evidence.edges_mm, limits.edges_mm)):
-        if value is not None:
-            checks.append(value / limit)
-    return float(max(check if math.isfinite(check) else math.inf for check in checks))
+def success_probability(worst_test_ratio: float) -> float:
+    """Chance that the mean error over the heart is below 2 mm, from the worst test of one registration."""
+    exponent = min(max(LOGISTIC_SLOPE * (worst_test_ratio - 1.0), -30.0), 30.0)
+    return 1.0 / (1.0 + math.exp(exponent))
 
 
-def success_probability(doubt: float) -> float:
-    """Chance that the mean error over the heart is below 2 mm, from `doubt_of` one registration."""
-    return 1.0 / (1.0 + math.exp(min(max(STEEPNESS * (doubt - 1.0), -30.0), 30.0)))
-
-
-def contrast_of(metric: Lc2, chart: PoseChart, rng: np.random.Generator) -> float:
+def wrong_pose_z_score(metric: Lc2, chart: PoseChart, rng: np.random.Generator) -> float:
     """How far the similarity at a pose stands above wrong poses, in their standard deviations.
 
-    Wrong poses are displaced by WRONG_MM at the heart's radius in random directions: the height at which this
-    image quality and these views score without being registered.
+    Wrong poses are displaced by WRONG_MM at the heart's radius in random directions: what this image quality
+    and these views score without being registered.
     """
-    directions = rng.normal(size=(WRONG_POSES, 6))
-    directions *= WRONG_MM / np.linalg.norm(directions, axis=1, keepdims=True)
-    wrong = np.array([metric.score(chart.pose(xi)).similarity for xi in directions])
+    displacements = random_displacements(rng, WRONG_POSES, WRONG_MM)
+    wrong = np.array([metric.score(chart.pose(xi)).similarity for xi in displacements])
     return float((metric.score(chart.base).similarity - wrong.mean()) / max(float(wrong.std()), 1e-12))
 
 
-def halves_mm(curvature: Curvature) -> float:
+def split_half_disagreement_mm(curvature: Curvature) -> float:
     """Disagreement of every second slice with the rest."""
-    even = np.arange(len(curvature.misfit)) % 2 == 0
+    even = np.arange(len(curvature.cost)) % 2 == 0
     return curvature.disagreement_mm(even, ~even)
 
 
-def phases_mm(curvature: Curvature, model_phase: FloatArray) -> float:
+def phase_disagreement_mm(curvature: Curvature, model_phase: FloatArray) -> float:
     """The largest disagreement of one part of the cycle with the rest; 0 where there is one phase only."""
     groups = phase_groups(model_phase)
     return max((curvature.disagreement_mm(group, ~group) for group in groups), default=0.0)

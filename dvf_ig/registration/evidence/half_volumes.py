@@ -1,50 +1,99 @@
-"""Where halves of space would rather have the pose: a bent heart fits in parts, but not as a whole."""
+"""Half-volumes registered on their own: deformation shows as disagreement between them and the whole."""
 
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration.lc2.channels import ModelChannels
 from dvf_ig.registration.lc2.lc2 import Lc2
-from dvf_ig.registration.lc2.optimise import ClimbOptions, climb
+from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 from dvf_ig.registration.lc2.slices import SliceSet
+from dvf_ig.registration.lc2.threads import SliceThreads
 from dvf_ig.registration.pose_chart import HEART_RADIUS_MM
 
-ALONE = ClimbOptions(steps=10, cap_mm=4.0, tolerance_mm=0.1)
+HALF_OPTIMISER = OptimiserOptions(steps=10, cap_mm=4.0, tolerance_mm=0.1)
 LEAST_SHARE = 0.1
-"""A half with fewer of the pixels than this is not asked."""
+"""A half with fewer of the pixels than this is left out."""
 
 
-def part_disagreement_mm(
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class HalfVolume:
+    """Attributes:
+    slices: what lies in one half of space.
+    points_mm: (k, 3) source frame, where poses are compared.
+    center_mm: (3,) target frame, about which its pose turns.
+    """
+
+    slices: SliceSet
+    points_mm: FloatArray
+    center_mm: FloatArray
+
+
+def half_volume_disagreements_mm(
+    halves: Iterable[HalfVolume],
+    model: ModelChannels,
+    pose: Rigid,
+    *,
+    patch_mm: float,
+    pitch_mm: float,
+    optimiser: OptimiserOptions = HALF_OPTIMISER,
+    threads: SliceThreads | None = None,
+) -> FloatArray:
+    """(n,) mean distance over the points of each half between its own optimum and `pose`."""
+    apart = []
+    for half in halves:
+        metric = Lc2(half.slices, model, patch_mm=patch_mm, pitch_mm=pitch_mm, threads=threads)
+        own = optimise(metric, pose, half.center_mm, None, optimiser).pose
+        difference = own.apply_array(half.points_mm) - pose.apply_array(half.points_mm)
+        apart.append(float(np.linalg.norm(difference, axis=1).mean()))
+    return np.array(apart)
+
+
+def half_volume_disagreement_mm(
     slices: SliceSet,
     model: ModelChannels,
     pose: Rigid,
     center_mm: FloatArray,
+    *,
     patch_mm: float,
     pitch_mm: float,
+    threads: SliceThreads | None = None,
 ) -> float:
-    """RMS over six half-spaces of the mean distance there between its own pose and that of all slices.
+    """RMS over six half-spaces of the distance there between their own optima and that of all slices.
 
     Args:
-        pose: near the optimum; all slices and each half climb from it.
-        center_mm: (3,) where space is cut, across each axis of the fixed frame.
+        pose: near the optimum; all slices and each half are optimised from it.
+        center_mm: (3,) where space is cut, across each axis of the target frame.
     Returns:
-        mm; NaN where no half has enough to say.
+        mm; NaN where no half has enough pixels.
     """
-    whole = _alone(slices, model, pose, center_mm, patch_mm, pitch_mm)
+    metric = Lc2(slices, model, patch_mm=patch_mm, pitch_mm=pitch_mm, threads=threads)
+    whole = optimise(metric, pose, center_mm, None, HALF_OPTIMISER).pose
+    apart = half_volume_disagreements_mm(
+        _half_spaces(slices, whole, center_mm),
+        model,
+        whole,
+        patch_mm=patch_mm,
+        pitch_mm=pitch_mm,
+        threads=threads,
+    )
+    return float(np.sqrt(np.mean(np.square(apart)))) if len(apart) else float("nan")
+
+
+def _half_spaces(slices: SliceSet, pose: Rigid, center_mm: FloatArray) -> Iterator[HalfVolume]:
+    """Both sides of the centre along each axis of the target frame, as far as they hold enough pixels."""
     corners = 0.5 * HEART_RADIUS_MM * np.vstack([np.eye(3), -np.eye(3)])
-    apart = []
+    source_from_target = pose.inverse()
     for axis in range(3):
         for sign in (1.0, -1.0):
-            part = half_space(slices, whole, center_mm, axis, sign)
+            part = half_space(slices, pose, center_mm, axis, sign)
             if part.masks.sum() < LEAST_SHARE * slices.masks.sum():
                 continue
-            own = _alone(part, model, whole, center_mm, patch_mm, pitch_mm)
             middle = center_mm + 0.5 * HEART_RADIUS_MM * sign * np.eye(3)[axis]
-            points = whole.inverse().apply_array(middle + corners)
-            apart.append(np.linalg.norm(own.apply_array(points) - whole.apply_array(points), axis=1).mean())
-    return float(np.sqrt(np.mean(np.square(apart)))) if apart else float("nan")
+            yield HalfVolume(part, source_from_target.apply_array(middle + corners), center_mm)
 
 
 def half_space(slices: SliceSet, pose: Rigid, center_mm: FloatArray, axis: int, sign: float) -> SliceSet:
@@ -56,15 +105,3 @@ def half_space(slices: SliceSet, pose: Rigid, center_mm: FloatArray, axis: int, 
     masks = slices.masks & (sign * (place + pose.translation_mm[axis] - center_mm[axis]) > 0)
     images = np.where(masks, slices.images, np.float32(0))
     return replace(slices, images=images, masks=masks).subset(np.flatnonzero(masks.any(axis=(1, 2))))
-
-
-def _alone(
-    slices: SliceSet,
-    model: ModelChannels,
-    pose: Rigid,
-    center_mm: FloatArray,
-    patch_mm: float,
-    pitch_mm: float,
-) -> Rigid:
-    metric = Lc2(slices, model, patch_mm=patch_mm, pitch_mm=pitch_mm)
-    return climb(metric, pose, center_mm, None, ALONE).pose

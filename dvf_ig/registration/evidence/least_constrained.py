@@ -1,7 +1,7 @@
-"""In which direction a registration is known worst, and which view would help: its covariance in words.
+"""The least-constrained direction of a registered pose, and which view would constrain it.
 
 The largest eigenvector of the covariance, in mm at the heart's radius, is a small screw motion; its larger
-part, turn or shift, names it.
+part, rotation or translation, names it.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
-from dvf_ig.registration.pose_chart import HEART_RADIUS_MM
+from dvf_ig.registration.pose_chart import covariance_to_mm
 
 AXES = ("left–right", "front–back", "head–foot")
 """The axes of LPS."""
@@ -19,14 +19,14 @@ NEAR = 0.9
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class Weakness:
-    """The worst known direction of a pose.
+class LeastConstrained:
+    """The least-constrained direction of a pose.
 
     Attributes:
-        sigma_mm: standard deviation along it, at the heart's radius; inf where the slices leave it open.
-        turning: whether it is mainly a turn.
-        axis: (3,) unit vector in the fixed frame (LPS): of the turn, or of the shift.
-        turn_share: part of the variance that turning has.
+        sigma_mm: standard deviation along it, at the heart's radius; inf where nothing constrains it.
+        turning: whether it is mainly a rotation.
+        axis: (3,) unit vector in the target frame (LPS): of the rotation, or of the translation.
+        turn_share: share of the variance that is rotation.
     """
 
     sigma_mm: float
@@ -35,7 +35,7 @@ class Weakness:
     turn_share: float
 
     def sentence(self) -> str:
-        """What is weak and which view would help."""
+        """The direction in words, and which view would help."""
         if not np.isfinite(self.sigma_mm):
             return "the slices leave the pose open; sweep the probe over more of the heart, from other sides"
         x, y, z = self.axis
@@ -50,8 +50,8 @@ class Weakness:
         return f"weakest: {self.sigma_mm:.1f} mm along {along}; add views whose plane holds that direction"
 
 
-def weak_direction(covariance: FloatArray) -> Weakness:
-    """The worst known direction.
+def least_constrained_direction(covariance: FloatArray) -> LeastConstrained:
+    """The direction of the largest variance, in mm at the heart's radius.
 
     Args:
         covariance: (6, 6) rad², mm²; rotation vector then translation, about the heart box's centre, axes
@@ -63,9 +63,8 @@ def weak_direction(covariance: FloatArray) -> Weakness:
     if matrix.shape != (6, 6):
         raise InvalidInputError(f"a pose covariance has shape {matrix.shape}; needed (6, 6)")
     if not np.isfinite(matrix).all():
-        return Weakness(float("inf"), False, np.zeros(3), 0.0)
-    unit = np.diag([HEART_RADIUS_MM] * 3 + [1.0] * 3)
-    values, vectors = np.linalg.eigh(unit @ matrix @ unit)
+        return LeastConstrained(float("inf"), False, np.zeros(3), 0.0)
+    values, vectors = np.linalg.eigh(covariance_to_mm(matrix))
     if values[0] < -1e-9 * max(values[-1], 1e-12):
         raise InvalidInputError(f"a pose covariance has a variance of {values[0]:.3g}; needed none below 0")
     worst = vectors[:, -1]
@@ -73,4 +72,4 @@ def weak_direction(covariance: FloatArray) -> Weakness:
     part = worst[:3] if turn_share > 0.5 else worst[3:]
     axis = part / np.linalg.norm(part)
     axis *= np.sign(axis[np.abs(axis).argmax()])
-    return Weakness(float(np.sqrt(values[-1])), turn_share > 0.5, axis, turn_share)
+    return LeastConstrained(float(np.sqrt(values[-1])), turn_share > 0.5, axis, turn_share)

@@ -7,7 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dvf_ig.core import AnyArray, FloatArray, Grid, InvalidInputError, Volume, VolumeSeries, read_only_arrays
+from dvf_ig.core import (
+    AnyArray,
+    FloatArray,
+    Grid,
+    IntArray,
+    InvalidInputError,
+    Volume,
+    VolumeSeries,
+    read_only_arrays,
+)
+from dvf_ig.registration.gating import nearest_phase
 
 WALL, BLOOD = 1, 2
 """Values of a label map made from surfaces."""
@@ -26,10 +36,9 @@ class ModelChannels:
     values: NDArray[np.float32]
     fractions: FloatArray
 
-    def nearest_phase(self, model_phase: NDArray[np.float64]) -> NDArray[np.int64]:
+    def nearest_phase(self, model_phase: FloatArray) -> IntArray:
         """(s,) index of the volume nearest in the cycle to each model phase."""
-        away = np.abs(model_phase[:, None] - self.fractions[None, :])
-        return np.asarray(np.minimum(away, 1 - away).argmin(axis=1), dtype=np.int64)
+        return nearest_phase(self.fractions, model_phase)
 
 
 def channels_from_mr(
@@ -38,7 +47,7 @@ def channels_from_mr(
     """MR intensity and its gradient magnitude, smoothed to what the slices resolve.
 
     Args:
-        phases: numbers of the phases that will be asked for; all without.
+        phases: numbers of the phases that slices will be compared with; all without.
     """
     chosen = list(range(len(mr.timing))) if phases is None else list(phases)
     return _intensity_channels(mr.grid, mr.values[chosen], mr.timing.fractions[chosen], smoothing_mm)
@@ -54,10 +63,10 @@ def _intensity_channels(
 ) -> ModelChannels:
     sigma = [0.0, *(smoothing_mm / grid.spacing_mm)]
     smooth = ndimage.gaussian_filter(values.astype(np.float32), sigma, mode="nearest")
-    return ModelChannels(grid, _stacked(smooth, _steepness(smooth, grid)), fractions)
+    return ModelChannels(grid, _stacked(smooth, _gradient_magnitude(smooth, grid)), fractions)
 
 
-def _steepness(smooth: NDArray[np.float32], grid: Grid) -> NDArray[np.float32]:
+def _gradient_magnitude(smooth: NDArray[np.float32], grid: Grid) -> NDArray[np.float32]:
     """Gradient magnitude per mm of each of (n, nx, ny, nz) volumes."""
     squares = np.zeros_like(smooth)
     for axis, step in enumerate(grid.spacing_mm, start=1):
@@ -78,7 +87,7 @@ def channels_from_labels(labels: VolumeSeries, *, smoothing_mm: float) -> ModelC
         for part in (labels.values == BLOOD, labels.values != 0)
     )
     return ModelChannels(
-        labels.grid, _stacked(blood, _steepness(heart, labels.grid)), labels.timing.fractions
+        labels.grid, _stacked(blood, _gradient_magnitude(heart, labels.grid)), labels.timing.fractions
     )
 
 

@@ -1,8 +1,8 @@
-"""How often each place was seen: what many slices show counts as often as what few show.
+"""Weights by the inverse density of patches: what many slices show counts as often as what few show.
 
 Where the heart differs from its images it does so over centimetres, and every slice through a place repeats
-that place's difference. Counted once a patch, the middle of a sweep, seen from everywhere, would pull the
-pose to its own difference; divided by how many patches lie about it, each place pulls alike.
+that place's difference. Counted once a patch, the middle of a sweep, imaged from everywhere, would bias the
+pose by its own difference; divided by how many patches lie about it, each place has the same influence.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ def patch_centers_mm(slices: SliceSet, first: IntArray, boxes: IntArray) -> Floa
     """(p, 3) mm, centres of patches in the frame of the slices.
 
     Args:
-        first, boxes: see `similarity.Patches`.
+        first, boxes: see `lc2.Patches`.
     """
     owner = np.repeat(np.arange(len(slices)), np.diff(first))
     column, row = boxes[:, 2:].sum(axis=1), boxes[:, :2].sum(axis=1)
@@ -28,7 +28,7 @@ def patch_centers_mm(slices: SliceSet, first: IntArray, boxes: IntArray) -> Floa
     return np.asarray(np.einsum("pij,pj->pi", slices.frame_from_pixel[owner], pixel))
 
 
-def even_weights(places_mm: FloatArray, width_mm: float) -> FloatArray:
+def inverse_density_weights(places_mm: FloatArray, width_mm: float) -> FloatArray:
     """(n,) one over the density of (n, 3) places, 1 at the median density.
 
     Args:

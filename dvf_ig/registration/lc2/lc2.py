@@ -1,22 +1,37 @@
 """LC2 of a slice set against the phase-matched model, as a function of the pose."""
 
-import itertools
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays, require_same_frame
-from dvf_ig.kernels.compiled import thread_count
-from dvf_ig.kernels.lc2 import SUMS, lc2_slices
-from dvf_ig.kernels.lc2_step import HELD, NORMAL, lc2_normal_slices
+from dvf_ig.kernels.lc2 import (
+    SLICE_OVERLAP,
+    SLICE_SCORE,
+    SLICE_WEIGHT,
+    SUMS,
+    PatchedSlices,
+    PlacedModel,
+    lc2_slices,
+)
+from dvf_ig.kernels.lc2_step import (
+    COEFFICIENT_SUMS,
+    STEP_SCORE,
+    STEP_SUMS,
+    STEP_WEIGHT,
+    TRIANGLE,
+    RigidMotion,
+    StepScratch,
+    lc2_normal_slices,
+)
 from dvf_ig.registration.pose_chart import HEART_RADIUS_MM
 
 from .channels import ModelChannels
-from .density_weights import even_weights, patch_centers_mm
+from .density_weights import inverse_density_weights, patch_centers_mm
 from .slices import SliceSet
+from .threads import SliceThreads
 
 MIN_FILL = 0.6
 """Least share of a patch that must lie inside the sector."""
@@ -40,7 +55,7 @@ class Score:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
-    """Quadratic model of Σ w(1 − S) in the coordinates of `chart`, local fits held.
+    """Quadratic model of Σ w(1 − S) in the coordinates of `PoseChart`, coefficients of the local fits fixed.
 
     Attributes:
         matrix: (6, 6) JᵀJ; right: (6,) Jᵀr, half the gradient of Σ w·S.
@@ -55,13 +70,13 @@ class NormalEquations:
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class Slopes:
+class CostGradient:
     """Attributes:
-    misfit: (s,) Σ w(1 − S) of each slice.
-    gradient: (s, 6) of the misfit, exact.
+    cost: (s,) Σ w(1 − S) of each slice.
+    gradient: (s, 6) of the cost in the coordinates of `PoseChart`, exact.
     """
 
-    misfit: FloatArray
+    cost: FloatArray
     gradient: FloatArray
 
 
@@ -74,7 +89,7 @@ class Patches:
         first: (s + 1,) where each slice's patches begin.
         boxes: (p, 4) first row, last row + 1, first column, last column + 1.
         moments: (p, 4) one over the pixel count, mean and variance of the ultrasound, and weight: its
-            standard deviation, over how often the place was seen where that is asked for.
+            standard deviation, over the density of patches where a width of density is given.
     """
 
     first: IntArray
@@ -82,11 +97,11 @@ class Patches:
     moments: FloatArray
 
 
-def patches_of(slices: SliceSet, radius: int, even_mm: float | None = None) -> Patches:
+def patches_of(slices: SliceSet, radius: int, density_width_mm: float | None = None) -> Patches:
     """Patches of (2·radius + 1)² pixels, cut at the image border, inside the sector, not flat.
 
     Args:
-        even_mm: width over which neighbours share their weight (see `coverage`); None: they do not.
+        density_width_mm: width over which neighbours share weight (see `density_weights`); None: they do not.
     """
     rows, cols = slices.images.shape[1:]
     row, col = (a.ravel() for a in np.mgrid[0:rows:CENTER_STEP, 0:cols:CENTER_STEP])
@@ -109,8 +124,8 @@ def patches_of(slices: SliceSet, radius: int, even_mm: float | None = None) -> P
     use = full & (variance > FLAT)
     first = np.concatenate([[0], np.cumsum(use.sum(axis=1))]).astype(np.int64)
     chosen, weight = boxes[np.nonzero(use)[1]], np.sqrt(variance[use])
-    if even_mm is not None:
-        weight *= even_weights(patch_centers_mm(slices, first, chosen), even_mm)
+    if density_width_mm is not None:
+        weight *= inverse_density_weights(patch_centers_mm(slices, first, chosen), density_width_mm)
     return Patches(first, chosen, np.column_stack([inverse[use], mean[use], variance[use], weight]))
 
 
@@ -137,107 +152,57 @@ class Lc2:
         *,
         patch_mm: float,
         pitch_mm: float,
-        even_mm: float | None = None,
+        density_width_mm: float | None = None,
+        threads: SliceThreads | None = None,
     ) -> None:
-        """`even_mm`: see `patches_of`."""
+        """Args:
+        slices, model: what is compared with what.
+        patch_mm: edge of a patch; pitch_mm: of a pixel.
+        density_width_mm: see `patches_of`.
+        threads: of the caller, who closes them; without any all slices run on the calling thread.
+        """
         self._slices = slices
         self._model = model
+        self._threads = threads
         self._phases = model.nearest_phase(slices.model_phase)
         radius = max(2, round(patch_mm / pitch_mm / 2))
-        self._patches = patches_of(slices, radius, even_mm)
+        patches = patches_of(slices, radius, density_width_mm)
         self._patch_pixels = (2 * radius + 1) ** 2
+        self._patched = PatchedSlices(
+            slices.images, slices.masks, patches.first, patches.boxes, patches.moments
+        )
         s, rows, cols = slices.images.shape
         self._values = np.empty((s, rows, cols, 2))
         self._tables = np.empty((s, rows + 1, cols + 1, SUMS))
-        self._out = np.empty((s, 3))
-        self._slopes: tuple[FloatArray, FloatArray] | None = None
-        self._constant = (
-            slices.images,
-            slices.masks,
-            self._patches.first,
-            self._patches.boxes,
-            self._patches.moments,
-        )
+        self._step_scratch: StepScratch | None = None
         self._index_from_mm = np.ascontiguousarray(np.linalg.inv(model.grid.axes_mm))
-        threads = max(1, min(thread_count(), s))
-        self._shares = [round(k * s / threads) for k in range(threads + 1)]
-        self._pool = ThreadPoolExecutor(max(1, threads - 1))
 
-    def per_slice(self, mr_from_tracker: Rigid) -> FloatArray:
+    def per_slice(self, target_from_source: Rigid) -> FloatArray:
         """(s, 3) weighted score, weight and overlap of each slice."""
-        mr_from_pixel = self._placed(mr_from_tracker)
-        arguments = (
-            *self._constant,
-            np.ascontiguousarray(self._index_from_mm @ mr_from_pixel),
-            self._phases,
-            self._model.values,
-            self._values,
-            self._tables,
-            self._out,
-        )
-        self._shared(lc2_slices, arguments)
-        return self._out.copy()
-
-    def normal_equations(self, mr_from_tracker: Rigid, center_mm: FloatArray) -> NormalEquations:
-        """How the score changes with small motions about `center_mm` (3,), fixed frame."""
-        sums = self._normal_sums(mr_from_tracker, center_mm).sum(axis=0)
-        lower = np.zeros((6, 6))
-        lower[np.tril_indices(6)] = sums[:21]
-        matrix = lower + lower.T - np.diag(np.diag(lower))
-        weight = max(float(sums[NORMAL + 1]), 1e-300)
-        return NormalEquations(matrix, sums[21:NORMAL], float(sums[NORMAL]) / weight, weight)
-
-    def slopes(self, mr_from_tracker: Rigid, center_mm: FloatArray) -> Slopes:
-        """Misfit of each slice and its gradient in the coordinates of `chart`."""
-        sums = self._normal_sums(mr_from_tracker, center_mm)
-        return Slopes(sums[:, NORMAL + 1] - sums[:, NORMAL], -2.0 * sums[:, 21:NORMAL])
-
-    def _normal_sums(self, mr_from_tracker: Rigid, center_mm: FloatArray) -> FloatArray:
-        """(s, NORMAL + 2) of `lc2_normal_slices`."""
-        mr_from_pixel = self._placed(mr_from_tracker)
-        s, rows, cols = self._slices.images.shape
-        if self._slopes is None:
-            self._slopes = np.empty((s, rows, cols, 6)), np.empty((s, rows + 1, cols + 1, HELD))
-        places = mr_from_pixel.copy()
-        places[:, :, 2] += self._model.grid.origin_mm - center_mm
-        out = np.empty((s, NORMAL + 2))
-        arguments = (
-            *self._constant,
-            np.ascontiguousarray(self._index_from_mm @ mr_from_pixel),
-            places,
-            self._index_from_mm,
-            self._phases,
-            self._model.values,
-            HEART_RADIUS_MM,
-            self._values,
-            self._slopes[0],
-            self._tables,
-            self._slopes[1],
-            out,
-        )
-        self._shared(lc2_normal_slices, arguments)
+        model, _ = self._placed(target_from_source)
+        out = np.empty((len(self._slices), 3))
+        self._run(lc2_slices, (self._patched, model, self._values, self._tables, out))
         return out
 
-    def _placed(self, mr_from_tracker: Rigid) -> FloatArray:
-        """(s, 3, 3) mm from the model grid's origin, from (column, row, 1)."""
-        require_same_frame(self._slices.frame, mr_from_tracker.source, "registration pose")
-        require_same_frame(self._model.grid.frame, mr_from_tracker.target, "registration pose")
-        mr_from_pixel = mr_from_tracker.rotation @ self._slices.frame_from_pixel
-        mr_from_pixel[:, :, 2] += mr_from_tracker.translation_mm - self._model.grid.origin_mm
-        return mr_from_pixel
-
-    def _shared(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-        """Run a kernel over all slices, a share of them on each thread."""
-        *others, (begin, end) = itertools.pairwise(self._shares)
-        running = [self._pool.submit(kernel, *arguments, *share) for share in others]
-        kernel(*arguments, begin, end)
-        for share in running:
-            share.result()
-
-    def score(self, mr_from_tracker: Rigid) -> Score:
+    def score(self, target_from_source: Rigid) -> Score:
         """Similarity and overlap of all slices together."""
-        out = self.per_slice(mr_from_tracker)
-        return Score(float(out[:, 0].sum() / max(out[:, 1].sum(), 1e-300)), float(out[:, 2].mean()))
+        out = self.per_slice(target_from_source)
+        weight = max(out[:, SLICE_WEIGHT].sum(), 1e-300)
+        return Score(float(out[:, SLICE_SCORE].sum() / weight), float(out[:, SLICE_OVERLAP].mean()))
+
+    def normal_equations(self, target_from_source: Rigid, center_mm: FloatArray) -> NormalEquations:
+        """How the score changes with small motions about `center_mm` (3,), target frame."""
+        sums = self._step_sums(target_from_source, center_mm).sum(axis=0)
+        lower = np.zeros((6, 6))
+        lower[np.tril_indices(6)] = sums[:TRIANGLE]
+        matrix = lower + lower.T - np.diag(np.diag(lower))
+        weight = max(float(sums[STEP_WEIGHT]), 1e-300)
+        return NormalEquations(matrix, sums[TRIANGLE:STEP_SCORE], float(sums[STEP_SCORE]) / weight, weight)
+
+    def cost_gradient(self, target_from_source: Rigid, center_mm: FloatArray) -> CostGradient:
+        """Cost of each slice and its gradient in the coordinates of `PoseChart`."""
+        sums = self._step_sums(target_from_source, center_mm)
+        return CostGradient(sums[:, STEP_WEIGHT] - sums[:, STEP_SCORE], -2.0 * sums[:, TRIANGLE:STEP_SCORE])
 
     @property
     def information(self) -> float:
@@ -246,3 +211,37 @@ class Lc2:
         Patches that fit into the slices without sharing pixels, over PATCHES_PER_OBSERVATION.
         """
         return float(self._slices.masks.sum()) / self._patch_pixels / PATCHES_PER_OBSERVATION
+
+    def _step_sums(self, target_from_source: Rigid, center_mm: FloatArray) -> FloatArray:
+        """(s, STEP_SUMS) of `lc2_normal_slices`."""
+        model, mm_from_pixel = self._placed(target_from_source)
+        mm_from_pixel[:, :, 2] += self._model.grid.origin_mm - center_mm
+        motion = RigidMotion(mm_from_pixel, self._index_from_mm, HEART_RADIUS_MM)
+        out = np.empty((len(self._slices), STEP_SUMS))
+        self._run(lc2_normal_slices, (self._patched, model, motion, self._scratch(), out))
+        return out
+
+    def _scratch(self) -> StepScratch:
+        """Made when a step is first asked for: a metric that only scores needs a third of the memory."""
+        if self._step_scratch is None:
+            s, rows, cols = self._slices.images.shape
+            gradients = np.empty((s, rows, cols, 6))
+            coefficients = np.empty((s, rows + 1, cols + 1, COEFFICIENT_SUMS))
+            self._step_scratch = StepScratch(self._values, gradients, self._tables, coefficients)
+        return self._step_scratch
+
+    def _placed(self, target_from_source: Rigid) -> tuple[PlacedModel, FloatArray]:
+        """The model at a pose, and (s, 3, 3) mm from its grid's origin from (column, row, 1)."""
+        require_same_frame(self._slices.frame, target_from_source.source, "registration pose")
+        require_same_frame(self._model.grid.frame, target_from_source.target, "registration pose")
+        mm_from_pixel = target_from_source.rotation @ self._slices.frame_from_pixel
+        mm_from_pixel[:, :, 2] += target_from_source.translation_mm - self._model.grid.origin_mm
+        index_from_pixel = np.ascontiguousarray(self._index_from_mm @ mm_from_pixel)
+        return PlacedModel(self._model.values, self._phases, index_from_pixel), mm_from_pixel
+
+    def _run(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+        """A kernel over all slices."""
+        if self._threads is None:
+            kernel(*arguments, 0, len(self._slices))
+        else:
+            self._threads.run(kernel, arguments, len(self._slices))

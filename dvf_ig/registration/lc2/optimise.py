@@ -1,8 +1,8 @@
-"""The search: quasi-Newton on LC2, some ten steps where a search without derivatives needs 100.
+"""Quasi-Newton optimisation of LC2 over the pose: some ten steps where a derivative-free search needs 100.
 
-The gradient is exact (`kernels.similarity_step`). The curvature starts as that of Gauss–Newton with the local
-fits held, divided by HELD_STIFFNESS: held fits make a valley look that much narrower, because α and β would
-have followed. From then on it learns from how the gradient changes (BFGS).
+The gradient is exact (`kernels.lc2_step`). The curvature starts as that of Gauss–Newton with the coefficients
+of the local fits fixed, divided by FIXED_FIT_STIFFNESS: fixed fits make a minimum appear that much narrower,
+because α and β would have followed. From then on it is updated from how the gradient changes (BFGS).
 """
 
 import math
@@ -17,14 +17,15 @@ from dvf_ig.registration.pose_chart import PoseChart
 from .lc2 import Lc2
 
 DAMPING = 1e-3
-HELD_STIFFNESS = 6.0
+FIXED_FIT_STIFFNESS = 6.0
 """Gauss–Newton's eigenvalues over the true ones: 8 to 12 at the optimum (tuning seeds 102, 106), less away
 from it."""
-SHORTER = 0.3
-LEAST_CURVED = 0.05
-"""A learnt curvature is at least this share of the step's own."""
-GIVE_UP = 8
-"""Steps in a row that made it worse."""
+STEP_REDUCTION = 0.3
+"""Of the next step's length after one that raised the cost."""
+MIN_CURVATURE_SHARE = 0.05
+"""The curvature learnt along a step is at least this share of what was expected (Powell's damping)."""
+MAX_REJECTED = 8
+"""Steps in a row that raised the cost, after which the search ends."""
 
 
 class PosePrior(Protocol):
@@ -36,7 +37,7 @@ class PosePrior(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class ClimbOptions:
+class OptimiserOptions:
     """Attributes:
     steps: most evaluations.
     cap_mm: longest step.
@@ -49,8 +50,15 @@ class ClimbOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Climb:
-    """Where a search ended: pose, cost (see `cost_of`), evaluations, and whether it came to rest."""
+class Optimum:
+    """Where a search ended.
+
+    Attributes:
+        pose: target_from_source.
+        cost: −log posterior per observation (see `optimise`).
+        evaluations: effort.
+        converged: whether the last step was shorter than the tolerance, or none lowered the cost any more.
+    """
 
     pose: Rigid
     cost: float
@@ -68,27 +76,20 @@ class _Local:
     curvature: FloatArray
 
 
-def cost_of(metric: Lc2, pose: Rigid, prior: PosePrior | None) -> float:
-    """−log posterior per observation.
+def optimise(
+    metric: Lc2, start: Rigid, center_mm: FloatArray, prior: PosePrior | None, options: OptimiserOptions
+) -> Optimum:
+    """Minimise −log posterior per observation from `start`.
 
     With S the explained share of variance over n observations, −n/2·log(1 − S) is the log likelihood of the
     local linear model up to a constant; touched landmarks, if any, add their own.
-    """
-    image = 0.5 * math.log(max(1.0 - metric.score(pose).similarity, 1e-12))
-    return image if prior is None else image + prior.energy(pose) / metric.information
-
-
-def climb(
-    metric: Lc2, start: Rigid, center_mm: FloatArray, prior: PosePrior | None, options: ClimbOptions
-) -> Climb:
-    """Search from `start`.
 
     Args:
-        center_mm: (3,) about which poses turn, fixed frame.
+        center_mm: (3,) about which poses turn, target frame.
         prior: what the pose must also agree with, as touched landmarks.
     """
     pose, here = start, _local(metric, start, center_mm, prior)
-    curvature, used, worse = here.curvature, 1, 0
+    curvature, used, rejected = here.curvature, 1, 0
     while used < options.steps:
         damped = curvature + DAMPING * np.diag(np.diag(curvature)) + 1e-12 * np.eye(6)
         step = -np.linalg.solve(damped, here.gradient).astype(np.float64)
@@ -97,25 +98,29 @@ def climb(
         tried = PoseChart(pose, center_mm).pose(step)
         there = _local(metric, tried, center_mm, prior)
         used += 1
-        curvature = _learnt(curvature, step, there.gradient - here.gradient)
+        curvature = _bfgs(curvature, step, there.gradient - here.gradient)
         if there.cost < here.cost:
-            pose, here, worse = tried, there, 0
+            pose, here, rejected = tried, there, 0
         else:
-            curvature, worse = curvature / SHORTER, worse + 1
-        if length < options.tolerance_mm or worse == GIVE_UP:
-            return Climb(pose, here.cost, used, True)
-    return Climb(pose, here.cost, used, False)
+            curvature, rejected = curvature / STEP_REDUCTION, rejected + 1
+        if length < options.tolerance_mm or rejected == MAX_REJECTED:
+            return Optimum(pose, here.cost, used, True)
+    return Optimum(pose, here.cost, used, False)
 
 
-def _learnt(curvature: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
-    """BFGS, damped where the cost is not convex along the step (Powell 1978)."""
+def _bfgs(curvature: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
+    """BFGS update, damped where the cost is not convex along the step (Powell 1978).
+
+    Args:
+        change: of the gradient over the step.
+    """
     pushed = curvature @ step
     expected = float(step @ pushed)
     if expected <= 0.0:
         return curvature
     along = float(step @ change)
-    if along < LEAST_CURVED * expected:
-        share = (1.0 - LEAST_CURVED) * expected / (expected - along)
+    if along < MIN_CURVATURE_SHARE * expected:
+        share = (1.0 - MIN_CURVATURE_SHARE) * expected / (expected - along)
         change = share * change + (1.0 - share) * pushed
         along = float(step @ change)
     return np.asarray(
@@ -127,7 +132,7 @@ def _local(metric: Lc2, pose: Rigid, center_mm: FloatArray, prior: PosePrior | N
     image = metric.normal_equations(pose, center_mm)
     left = max(image.weight * (1.0 - image.similarity), 1e-12)
     cost = 0.5 * math.log(max(1.0 - image.similarity, 1e-12))
-    gradient, curvature = -image.right / left, image.matrix / left / HELD_STIFFNESS
+    gradient, curvature = -image.right / left, image.matrix / left / FIXED_FIT_STIFFNESS
     if prior is None:
         return _Local(cost, gradient, curvature)
     touched = prior.normal_equations(pose, center_mm)

@@ -76,7 +76,7 @@ def within(slices: SliceSet, grid: Grid, pose: Rigid) -> SliceSet:
 
 
 def fan_mask_from_images(images: NDArray[np.uint8]) -> BoolArray:
-    """(rows, columns) pixels that were ever lit: the sector, where the scanner's geometry is not known."""
+    """(rows, columns) pixels ever above 0: the sector, where the scanner's geometry is not known."""
     return np.asarray(images.max(axis=0) > 0)
 
 
@@ -85,7 +85,7 @@ def root_amplitude(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(grey_to_root_amplitude()[grey])
 
 
-def shown_brightness(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
+def normalised_grey(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Grey levels as shown, 0 to 1."""
     return np.asarray(grey / np.float32(255.0))
 
@@ -99,28 +99,39 @@ def grey_to_root_amplitude() -> NDArray[np.float32]:
     return np.asarray(table)
 
 
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedImages:
+    """B-mode images of one tracked probe.
+
+    Attributes:
+        images: (s, rows, columns) grey levels.
+        rotations, translations_mm: (s, 3, 3), (s, 3) tracker_from_probe at each image's event time.
+        model_phase: (s,) where in the model's cycle each image was taken, [0, 1).
+        t_s: (s,) event times.
+    """
+
+    images: NDArray[np.uint8]
+    rotations: FloatArray
+    translations_mm: FloatArray
+    model_phase: FloatArray
+    t_s: FloatArray
+
+
 def prepare_slices(
-    images: NDArray[np.uint8],
+    tracked: TrackedImages,
     mask: BoolArray,
     probe_from_image: ImageMap,
-    rotations: FloatArray,
-    translations_mm: FloatArray,
-    model_phase: FloatArray,
-    t_s: FloatArray,
     *,
     pitch_mm: float,
-    frame: str = "tracker",
     brightness: Callable[[NDArray[np.uint8]], NDArray[np.float32]] = root_amplitude,
 ) -> SliceSet:
-    """Average log-compressed frames down to `pitch_mm` and place them in the tracker's frame.
+    """Average log-compressed images down to `pitch_mm` and place them in the frame "tracker".
 
     Args:
-        images: (s, rows, columns) B-mode.
         mask: (rows, columns) insonified sector.
         probe_from_image: calibration of the probe.
-        rotations, translations_mm: (s, 3, 3), (s, 3) tracker_from_probe at each frame's event time.
-        model_phase, t_s: (s,).
-        brightness: of grey levels, before they are averaged: `root_amplitude` or `shown_brightness`.
+        brightness: of grey levels, before they are averaged: `root_amplitude` or `normalised_grey`.
     Raises:
         InvalidInputError: nothing of the sector is left at this pitch.
     """
@@ -129,16 +140,18 @@ def prepare_slices(
     small_mask = shares > 0.999
     if not small_mask.any():
         raise InvalidInputError(f"no pixel of the ultrasound sector is left at a pitch of {pitch_mm:g} mm")
-    small = np.stack([_block_mean(brightness(f)[None], step_r, step_c)[0] for f in images])
+    small = np.stack([_block_mean(brightness(f)[None], step_r, step_c)[0] for f in tracked.images])
     small[:, ~small_mask] = 0
     pixel = np.array(
         [[step_c, 0, (step_c - 1) / 2], [0, step_r, (step_r - 1) / 2], [0, 0, 0], [0, 0, 1]], dtype=np.float64
     )
     probe_from_pixel = (probe_from_image.matrix @ pixel)[:3]
-    frame_from_pixel = rotations @ probe_from_pixel
-    frame_from_pixel[:, :, 2] += translations_mm
+    tracker_from_pixel = tracked.rotations @ probe_from_pixel
+    tracker_from_pixel[:, :, 2] += tracked.translations_mm
     masks = np.broadcast_to(small_mask, small.shape).copy()
-    return SliceSet(frame, small.astype(np.float32), masks, frame_from_pixel, model_phase, t_s)
+    return SliceSet(
+        "tracker", small.astype(np.float32), masks, tracker_from_pixel, tracked.model_phase, tracked.t_s
+    )
 
 
 def _block_mean(images: NDArray[np.float32], step_r: int, step_c: int) -> NDArray[np.float32]:
@@ -217,7 +230,7 @@ def joined(sets: Sequence[SliceSet]) -> SliceSet:
     )
 
 
-def spread(count: int, wanted: int) -> IntArray:
+def subsample(count: int, wanted: int) -> IntArray:
     """Indices of `wanted` of `count` items, evenly spread, in order."""
     if count <= wanted:
         return np.arange(count, dtype=np.int64)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -27,11 +28,13 @@ from dvf_ig.core import (
 )
 from dvf_ig.registration import (
     VOLUME_SMOOTHING_MM,
-    Edges,
-    EdgeTarget,
+    Boundary,
+    BoundaryTarget,
     Level,
     ModelChannels,
+    RegistrationData,
     RegistrationResult,
+    TrackedImages,
     boundary_points,
     channels_from_mr,
     prepare_slices,
@@ -77,7 +80,7 @@ class _PreOperative:
     mr: VolumeSeries
     labels: VolumeSeries
     gated: ModelChannels
-    surface: EdgeTarget
+    surface: BoundaryTarget
 
 
 @lru_cache(maxsize=1)
@@ -120,12 +123,14 @@ def _volumes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
 
 
 def _volume_problem(
-    pair: ImagePair, volumes: tuple[TrackedVolume, ...], preop: _PreOperative, surface: EdgeTarget | None
+    pair: ImagePair, volumes: tuple[TrackedVolume, ...], preop: _PreOperative, surface: BoundaryTarget | None
 ) -> RegistrationProblem:
     model, mr = preop.gated, preop.mr
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-        return register_volumes(volumes, model, start, pair.center_mm, rng=rng, surface=surface)
+        return register_volumes(
+            volumes, model, start, pair.center_mm, rng=rng, clock=perf_counter, surface=surface
+        )
 
     first = volumes[0]
     return RegistrationProblem(
@@ -185,18 +190,10 @@ def _planes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
     if images is None:
         raise TypeError("a cine loop has images")
     mask = probe.fan.mask(*images.shape[1:])
+    tracked = TrackedImages(images, stream.rotations, stream.translations_mm, model_phase, sequence.t_s)
     levels = [
         Level(
-            prepare_slices(
-                images,
-                mask,
-                image_map,
-                stream.rotations,
-                stream.translations_mm,
-                model_phase,
-                sequence.t_s,
-                pitch_mm=pitch,
-            ),
+            prepare_slices(tracked, mask, image_map, pitch_mm=pitch),
             _channels(pair.spec.seed, pair.spec.motion, smoothing),
             pitch,
         )
@@ -206,8 +203,9 @@ def _planes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
     surface = target_from_labels(preop.labels, model_phase)
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-        edges = Edges(boundary_points(levels[1].slices), surface)
-        return register_rigid(levels[0], levels[1], start, pair.center_mm, rng=rng, edges=edges)
+        boundary = Boundary(boundary_points(levels[1].slices), surface)
+        data = RegistrationData(levels[0], levels[1], pair.center_mm, boundary)
+        return register_rigid(data, start, rng=rng, clock=perf_counter)
 
     return RegistrationProblem(pair.mr_from_tracker, pair.targets.points, pair.center_mm, register)
 

@@ -84,17 +84,17 @@ def start_with_error(problem: RegistrationProblem, start_mm: float, rng: np.rand
 def _ours(problem: RegistrationProblem, start: Rigid, number: int) -> Line:
     result = problem.register(start, np.random.default_rng(number))
     return {
-        "pose": result.mr_from_tracker,
+        "pose": result.target_from_source,
         "stop": result.stop.name,
         "usable": result.stop.usable,
         "success_probability": result.success_probability,
         "seconds": result.seconds,
         "similarity": result.similarity,
-        "contrast": result.contrast,
-        "halves_mm": _finite(result.disagreement_mm),
-        "phases_mm": _finite(result.phase_disagreement_mm),
-        "parts_mm": result.part_disagreement_mm,
-        "edges_mm": result.edge_disagreement_mm,
+        "contrast": result.evidence.z_score,
+        "halves_mm": _finite(result.evidence.split_half_mm),
+        "phases_mm": _finite(result.evidence.phase_mm),
+        "parts_mm": result.evidence.half_volume_mm,
+        "edges_mm": result.evidence.boundary_mm,
         "sigma_mm": _finite(_sigma_mm(result.covariance)),
         "evaluations": result.evaluations,
     }

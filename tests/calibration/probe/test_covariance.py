@@ -61,10 +61,10 @@ def test_one_block_that_decides_alone_is_refused() -> None:
 
 
 @given(st.lists(st.floats(-0.2, 0.2), min_size=8, max_size=8), st.booleans())
-def test_away_undoes_stepped(step: list[float], isotropic: bool) -> None:
+def test_step_to_undoes_stepped(step: list[float], isotropic: bool) -> None:
     parameters = MapParameters(MAP, CENTER, isotropic)
     taken = np.array(step[: parameters.count])
-    back = parameters.away(parameters.stepped(taken))
+    back = parameters.step_to(parameters.stepped(taken))
     np.testing.assert_allclose(back, np.append(taken, taken[6:])[:8] if isotropic else taken, atol=1e-9)
 
 

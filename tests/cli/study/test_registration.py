@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from dvf_ig.cli.main import app
 from dvf_ig.core import InvalidInputError, Points, Rigid
 from dvf_ig.registration import (
     Level,
+    RegistrationData,
     RegistrationOptions,
     RegistrationResult,
     channels_from_mr,
@@ -37,7 +39,8 @@ def found() -> RegistrationResult:
     slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.1)
     level = Level(slices, channels_from_mr(toy_mr(), smoothing_mm=3.0), 3.0)
     options = RegistrationOptions(starts=1)
-    return register_rigid(level, level, toy_pose(), CENTER_MM, rng=np.random.default_rng(0), options=options)
+    data = RegistrationData(level, level, CENTER_MM)
+    return register_rigid(data, toy_pose(), rng=np.random.default_rng(0), clock=perf_counter, options=options)
 
 
 @pytest.fixture(autouse=True)

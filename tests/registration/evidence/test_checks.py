@@ -14,22 +14,21 @@ from dvf_ig.registration import (
     RegistrationOptions,
     SliceSet,
     channels_from_mr,
-    distance_between,
+    mean_displacement_mm,
 )
 from dvf_ig.registration.evidence.checks import (
     TRACKED_LIMITS,
     VOLUME_LIMITS,
     Evidence,
-    contrast_of,
-    doubt_of,
-    halves_mm,
+    phase_disagreement_mm,
     phase_groups,
-    phases_mm,
+    split_half_disagreement_mm,
     success_probability,
+    wrong_pose_z_score,
 )
-from dvf_ig.registration.evidence.half_volumes import half_space, part_disagreement_mm
+from dvf_ig.registration.evidence.half_volumes import half_space, half_volume_disagreement_mm
 from dvf_ig.registration.lc2.curvature import Curvature, curvature_about
-from dvf_ig.registration.lc2.optimise import ClimbOptions, climb
+from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 from dvf_ig.registration.lc2.slices import joined
 
 MODEL = channels_from_mr(toy_mr(), smoothing_mm=3.0)
@@ -57,13 +56,15 @@ def moved(part: BoolArray, pose: Rigid) -> SliceSet:
 
 def optimum(slices: SliceSet) -> Curvature:
     lc2 = Lc2(slices, MODEL, patch_mm=13.0, pitch_mm=3.0)
-    found = climb(lc2, toy_pose(), CENTER_MM, None, ClimbOptions(30, 2.0, 0.01))
+    found = optimise(lc2, toy_pose(), CENTER_MM, None, OptimiserOptions(30, 2.0, 0.01))
     assert found.converged
     return curvature_about(lc2, PoseChart(found.pose, CENTER_MM))
 
 
 def evidence(curvature: Curvature, phases: FloatArray = PHASES) -> Evidence:
-    return Evidence(6.0, halves_mm(curvature), phases_mm(curvature, phases), 1.0, 1.0)
+    return Evidence(
+        6.0, split_half_disagreement_mm(curvature), phase_disagreement_mm(curvature, phases), 1.0, 1.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -80,11 +81,11 @@ def test_halves_made_with_two_poses_disagree_by_their_distance(xi_mm: tuple[floa
     even = np.arange(len(SLICES)) % 2 == 0
     odd, other = ~even, displaced(np.array(xi_mm))
     found = optimum(moved(odd, other))
-    apart = distance_between(toy_pose(), other, CENTER_MM)
+    apart = mean_displacement_mm(toy_pose(), other, CENTER_MM)
     # one step of Newton's from between the two; what is left without displacement is the 3 mm pixel
-    assert evidence(found).halves_mm == pytest.approx(apart, rel=0.25, abs=0.2)
+    assert evidence(found).split_half_mm == pytest.approx(apart, rel=0.25, abs=0.2)
     for half, truth in ((even, toy_pose()), (odd, other)):
-        assert distance_between(found.wish(half), truth, CENTER_MM) < 0.35 * apart + 0.35
+        assert mean_displacement_mm(found.subset_optimum(half), truth, CENTER_MM) < 0.35 * apart + 0.35
 
 
 @pytest.mark.parametrize("group", [0, 1, 2])
@@ -93,10 +94,10 @@ def test_a_displaced_part_of_the_cycle_is_found(group: int) -> None:
     part = phase_groups(PHASES)[group]
     other = displaced(np.array([0.0, 0.0, 0.0, 2.0, -1.0, 1.0]))
     found = evidence(optimum(moved(part, other)))
-    apart = distance_between(toy_pose(), other, CENTER_MM)
-    assert still.phases_mm < 0.25 * apart
-    assert found.phases_mm == pytest.approx(apart, rel=0.3)
-    assert found.phases_mm > found.halves_mm, "the halves hold as much of it each"
+    apart = mean_displacement_mm(toy_pose(), other, CENTER_MM)
+    assert still.phase_mm < 0.25 * apart
+    assert found.phase_mm == pytest.approx(apart, rel=0.3)
+    assert found.phase_mm > found.split_half_mm, "the halves hold as much of it each"
 
 
 def test_parts_of_the_cycle_are_contiguous_equal_and_complete() -> None:
@@ -112,40 +113,41 @@ def test_slices_of_one_phase_stay_together_and_few_phases_are_no_parts() -> None
     np.testing.assert_array_equal(np.sum(groups, axis=0), 1)
     assert sorted(tuple(np.unique(phases[g])) for g in groups) == [(0.0,), (0.35,), (0.75,)]
     assert phase_groups(np.repeat([0.0, 0.4], 6)) == ()
-    assert evidence(optimum(SLICES), np.zeros(24)).phases_mm == 0.0
+    assert evidence(optimum(SLICES), np.zeros(24)).phase_mm == 0.0
 
 
-def test_contrast_is_of_the_match_and_not_of_the_image() -> None:
+def test_the_z_score_is_of_the_match_and_not_of_the_image() -> None:
     rng = np.random.default_rng(3)
     noise = replace(SLICES, images=rng.random(SLICES.images.shape).astype(np.float32))
     chart, away = PoseChart(toy_pose(), CENTER_MM), PoseChart(displaced(15 * np.eye(6)[4]), CENTER_MM)
     at, off, none = (
-        contrast_of(Lc2(s, MODEL, patch_mm=13.0, pitch_mm=3.0), c, np.random.default_rng(8))
+        wrong_pose_z_score(Lc2(s, MODEL, patch_mm=13.0, pitch_mm=3.0), c, np.random.default_rng(8))
         for s, c in ((SLICES, chart), (SLICES, away), (noise, chart))
     )
-    enough = RegistrationOptions().limits.contrast
+    enough = RegistrationOptions().limits.z_score
     assert at > enough > off
     assert abs(none) < 3.0, "one draw among wrong ones: three standard deviations"
 
 
-def test_the_weakest_check_decides() -> None:
-    good = Evidence(contrast=11.0, halves_mm=0.2, phases_mm=0.5, parts_mm=0.9, edges_mm=0.8)
-    assert doubt_of(good, VOLUME_LIMITS) == pytest.approx(0.5)
+def test_the_worst_test_decides() -> None:
+    good = Evidence(z_score=11.0, split_half_mm=0.2, phase_mm=0.5, half_volume_mm=0.9, boundary_mm=0.8)
+    assert good.worst_test_ratio(VOLUME_LIMITS) == pytest.approx(0.5)
     for name, bad in (
-        ("contrast", 2.75),
-        ("halves_mm", 4.0),
-        ("phases_mm", 2.44),
-        ("parts_mm", 4.5),
-        ("edges_mm", 4.8),
+        ("z_score", 2.75),
+        ("split_half_mm", 4.0),
+        ("phase_mm", 2.44),
+        ("half_volume_mm", 4.5),
+        ("boundary_mm", 4.8),
     ):
-        assert doubt_of(replace(good, **{name: bad}), VOLUME_LIMITS) == pytest.approx(2.0)
-    assert doubt_of(replace(good, parts_mm=None, edges_mm=None), VOLUME_LIMITS) == pytest.approx(0.5)
-    assert doubt_of(replace(good, parts_mm=float("nan")), VOLUME_LIMITS) == np.inf
-    assert doubt_of(replace(good, phases_mm=100.0), TRACKED_LIMITS) < 1.0
+        assert replace(good, **{name: bad}).worst_test_ratio(VOLUME_LIMITS) == pytest.approx(2.0)
+    untested = replace(good, half_volume_mm=None, boundary_mm=None)
+    assert untested.worst_test_ratio(VOLUME_LIMITS) == pytest.approx(0.5)
+    assert replace(good, half_volume_mm=float("nan")).worst_test_ratio(VOLUME_LIMITS) == np.inf
+    assert replace(good, phase_mm=100.0).worst_test_ratio(TRACKED_LIMITS) < 1.0
 
 
-def test_probability_falls_with_doubt_and_is_even_at_the_limit() -> None:
-    chances = [success_probability(doubt) for doubt in (0.0, 0.5, 0.9, 1.0, 1.1, 2.0, np.inf)]
+def test_probability_falls_with_the_worst_test_and_is_even_at_the_limit() -> None:
+    chances = [success_probability(ratio) for ratio in (0.0, 0.5, 0.9, 1.0, 1.1, 2.0, np.inf)]
     assert all(0.0 <= chance <= 1.0 for chance in chances)
     assert chances == sorted(chances, reverse=True)
     assert chances[3] == 0.5
@@ -153,22 +155,22 @@ def test_probability_falls_with_doubt_and_is_even_at_the_limit() -> None:
     assert chances[-1] < 1e-9
 
 
-def test_halves_of_space_hold_each_pixel_once() -> None:
+def test_half_volumes_hold_each_pixel_once() -> None:
     for axis in range(3):
         sides = [half_space(SLICES, toy_pose(), CENTER_MM, axis, sign) for sign in (1.0, -1.0)]
         assert sum(int(side.masks.sum()) for side in sides) == int(SLICES.masks.sum())
         assert all((side.images[~side.masks] == 0).all() for side in sides)
 
 
-def test_halves_of_space_tear_a_bent_heart_apart() -> None:
+def test_half_volumes_of_a_deformed_heart_disagree() -> None:
     """Slices on one side of the centre were seen with the heart 4 mm along: no one pose fits."""
-    whole = part_disagreement_mm(SLICES, MODEL, toy_pose(), CENTER_MM, 13.0, 3.0)
+    whole = half_volume_disagreement_mm(SLICES, MODEL, toy_pose(), CENTER_MM, patch_mm=13.0, pitch_mm=3.0)
     side = half_space(SLICES, toy_pose(), CENTER_MM, 0, 1.0)
     rest = half_space(SLICES, toy_pose(), CENTER_MM, 0, -1.0)
     step = displaced(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 4.0])).inverse() @ toy_pose()
     maps = step.rotation @ side.frame_from_pixel
     maps[:, :, 2] += step.translation_mm
     bent = joined([rest, replace(side, frame_from_pixel=maps)])
-    torn = part_disagreement_mm(bent, MODEL, toy_pose(), CENTER_MM, 13.0, 3.0)
+    deformed = half_volume_disagreement_mm(bent, MODEL, toy_pose(), CENTER_MM, patch_mm=13.0, pitch_mm=3.0)
     assert whole < 0.7
-    assert torn > whole + 0.8
+    assert deformed > whole + 0.8

@@ -1,4 +1,4 @@
-"""Gradient and curvature of the misfit against differences of the score, and closed forms of what follows."""
+"""Gradient and curvature of the cost against differences of the score, and closed forms of what follows."""
 
 import numpy as np
 import pytest
@@ -12,10 +12,10 @@ from dvf_ig.registration import (
     ModelChannels,
     PoseChart,
     channels_from_mr,
-    distance_between,
+    mean_displacement_mm,
 )
 from dvf_ig.registration.lc2.curvature import STEP_MM, Curvature, curvature_about
-from dvf_ig.registration.lc2.optimise import ClimbOptions, climb
+from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 
 AWAY = np.array([2.0, -1.0, 1.5, 1.0, -2.0, 1.5])
 AXES = np.vstack([np.eye(3), -np.eye(3)])
@@ -40,7 +40,7 @@ def metric(model: ModelChannels, speckle: float = 0.1) -> Lc2:
     return Lc2(slices, model, patch_mm=13.0, pitch_mm=3.0)
 
 
-def misfit(lc2: Lc2, pose: Rigid) -> FloatArray:
+def cost(lc2: Lc2, pose: Rigid) -> FloatArray:
     """(s,) Σ w(1 − S), from the score's own kernel."""
     out = lc2.per_slice(pose)
     return np.asarray(out[:, 1] - out[:, 0])
@@ -52,24 +52,26 @@ def test_gradient_of_each_slice_is_that_of_the_score_also_beyond_the_model(
 ) -> None:
     lc2, chart = metric(model), PoseChart(PoseChart(toy_pose(), CENTER_MM).pose(AWAY), CENTER_MM)
     assert 0.35 < lc2.score(chart.base).overlap < most_overlap
-    slopes, step = lc2.slopes(chart.base, CENTER_MM), 1e-4
-    np.testing.assert_allclose(slopes.misfit, misfit(lc2, chart.base), rtol=1e-9)
-    expected = np.empty_like(slopes.gradient)
+    found, step = lc2.cost_gradient(chart.base, CENTER_MM), 1e-4
+    np.testing.assert_allclose(found.cost, cost(lc2, chart.base), rtol=1e-9)
+    expected = np.empty_like(found.gradient)
     for i, xi in enumerate(step * np.eye(6)):
-        expected[:, i] = (misfit(lc2, chart.pose(xi)) - misfit(lc2, chart.pose(-xi))) / (2 * step)
+        expected[:, i] = (cost(lc2, chart.pose(xi)) - cost(lc2, chart.pose(-xi))) / (2 * step)
     # trilinear channels bend at voxel faces, which a pixel in some ten thousand crosses within such a step
-    np.testing.assert_allclose(slopes.gradient, expected, atol=1e-3 * np.abs(expected).max())
+    np.testing.assert_allclose(found.gradient, expected, atol=1e-3 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("model", [whole_model(3.0), cut_model(3.0)])
 def test_hessian_is_that_of_the_score(model: ModelChannels) -> None:
     lc2 = metric(model)
-    chart = PoseChart(climb(lc2, toy_pose(), CENTER_MM, None, ClimbOptions(30, 2.0, 0.01)).pose, CENTER_MM)
+    chart = PoseChart(
+        optimise(lc2, toy_pose(), CENTER_MM, None, OptimiserOptions(30, 2.0, 0.01)).pose, CENTER_MM
+    )
     found = curvature_about(lc2, chart)
 
     def slope_of_score(about: Rigid) -> FloatArray:
         local, step = PoseChart(about, CENTER_MM), 1e-4 * np.eye(6)
-        ahead, behind = ([misfit(lc2, local.pose(s * xi)).sum() for xi in step] for s in (1, -1))
+        ahead, behind = ([cost(lc2, local.pose(s * xi)).sum() for xi in step] for s in (1, -1))
         return (np.array(ahead) - behind) / 2e-4
 
     ends = [[slope_of_score(chart.pose(s * xi)) for xi in STEP_MM * np.eye(6)] for s in (1, -1)]
@@ -77,11 +79,11 @@ def test_hessian_is_that_of_the_score(model: ModelChannels) -> None:
     expected = 0.5 * (expected + expected.T)
     np.testing.assert_allclose(found.hessian, expected, atol=2e-3 * np.abs(expected).max())
     assert found.definite
-    np.testing.assert_array_equal(found.gradient, lc2.slopes(chart.base, CENTER_MM).gradient)
+    np.testing.assert_array_equal(found.gradient, lc2.cost_gradient(chart.base, CENTER_MM).gradient)
 
 
 def bowls(centers: FloatArray, weights: FloatArray, matrix: FloatArray) -> Curvature:
-    """Curvature at ξ = 0 of slices with misfits of one shape, quadratic about optima (s, 6) of their own."""
+    """Curvature at ξ = 0 of slices with costs of one shape, quadratic about optima (s, 6) of their own."""
     shares = weights / weights.sum()
     gradient = -shares[:, None] * (centers @ matrix)
     return Curvature(PoseChart(toy_pose(), CENTER_MM), weights, gradient, matrix)
@@ -92,7 +94,7 @@ def spd(rng: np.random.Generator) -> FloatArray:
     return np.asarray(root @ root.T + 2.0 * np.eye(6))
 
 
-def test_a_part_wishes_for_the_optimum_it_has() -> None:
+def test_a_subset_has_its_own_optimum() -> None:
     rng = np.random.default_rng(4)
     wanted = np.array([[1.0, -0.5, 0.2, 0.6, -0.8, 1.2], [-0.4, 0.3, 0.9, -1.1, 0.2, 0.5]])
     weights = np.array([3.0, 3.0, 2.0, 4.0])
@@ -102,23 +104,23 @@ def test_a_part_wishes_for_the_optimum_it_has() -> None:
     found = bowls(centers, weights, spd(rng))
     part = np.array([True, True, False, False])
     for chosen, center in ((part, centers[0]), (~part, centers[2])):
-        np.testing.assert_allclose(found.chart.coordinates(found.wish(chosen)), center, atol=1e-9)
-    apart = distance_between(found.chart.pose(centers[0]), found.chart.pose(centers[2]), CENTER_MM)
+        np.testing.assert_allclose(found.chart.coordinates(found.subset_optimum(chosen)), center, atol=1e-9)
+    apart = mean_displacement_mm(found.chart.pose(centers[0]), found.chart.pose(centers[2]), CENTER_MM)
     assert found.disagreement_mm(part, ~part) == pytest.approx(apart, rel=1e-9)
     all_of_it = np.ones(4, dtype=np.bool_)
-    np.testing.assert_allclose(found.wish(all_of_it).matrix, toy_pose().matrix, atol=1e-12)
+    np.testing.assert_allclose(found.subset_optimum(all_of_it).matrix, toy_pose().matrix, atol=1e-12)
 
 
-def test_what_the_parts_have_in_common_is_no_disagreement() -> None:
+def test_what_the_subsets_have_in_common_is_no_disagreement() -> None:
     rng = np.random.default_rng(5)
     weights, matrix, part = rng.uniform(1, 2, 8), spd(rng), np.arange(8) % 2 == 0
     alike = bowls(np.tile(rng.normal(size=6), (8, 1)), weights, matrix)
     assert alike.disagreement_mm(part, ~part) < 1e-9
-    # what pulls the whole, as where landmarks hold it off its optimum, is not the part's own wish
-    np.testing.assert_allclose(alike.wish(part).matrix, toy_pose().matrix, atol=1e-9)
+    # what pulls the whole, as where landmarks hold it off its optimum, is not the subset's own optimum
+    np.testing.assert_allclose(alike.subset_optimum(part).matrix, toy_pose().matrix, atol=1e-9)
 
 
-def test_no_minimum_and_no_part_disagree_without_bound() -> None:
+def test_no_minimum_and_no_subset_disagree_without_bound() -> None:
     weights, part = np.ones(4), np.arange(4) % 2 == 0
     saddle = bowls(np.zeros((4, 6)), weights, np.diag([1.0, 1, 1, 1, 1, -0.1]))
     assert not saddle.definite
@@ -128,15 +130,15 @@ def test_no_minimum_and_no_part_disagree_without_bound() -> None:
 
 def six_landmarks(sigma_mm: float, reach_mm: float) -> LandmarkPrior:
     """Points on the axes about the heart's centre, met exactly at the toy's pose."""
-    fixed = CENTER_MM + reach_mm * AXES
-    moving = toy_pose().inverse().apply_array(fixed)
-    return LandmarkPrior(Points("mr", fixed), Points("tracker", moving), sigma_mm)
+    target = CENTER_MM + reach_mm * AXES
+    source = toy_pose().inverse().apply_array(target)
+    return LandmarkPrior(Points("mr", target), Points("tracker", source), sigma_mm)
 
 
 def test_covariance_is_that_of_the_likelihood() -> None:
     information, weights, stiff = 90.0, np.array([1.5, 2.5]), 3.0
     found = bowls(np.zeros((2, 6)), weights, stiff * np.eye(6))
-    # −n/2·log(1 − S) with 1 − S ∝ Σ w(1 − S): its curvature is n/2 of the misfit's over the misfit
+    # −n/2·log(1 − S) with 1 − S ∝ Σ w(1 − S): its curvature is n/2 of the cost's over the cost
     variance = 2.0 * weights.sum() / (information * stiff)
     expected = np.diag([variance / HEART_RADIUS_MM**2] * 3 + [variance] * 3)
     np.testing.assert_allclose(found.covariance(information, None), expected, rtol=1e-12)

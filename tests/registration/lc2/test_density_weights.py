@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from toy_heart import toy_mr, toy_pose, toy_slices
 
-from dvf_ig.registration import Lc2, SliceSet, channels_from_mr, even_weights
+from dvf_ig.registration import Lc2, SliceSet, channels_from_mr, inverse_density_weights
 from dvf_ig.registration.lc2.density_weights import LEAST_DENSITY, patch_centers_mm
 from dvf_ig.registration.lc2.lc2 import patches_of
 
@@ -14,7 +14,7 @@ def seen(place_mm: list[float], times: int) -> np.ndarray:
 
 
 def test_places_weigh_alike_though_one_was_seen_more_often() -> None:
-    weights = even_weights(
+    weights = inverse_density_weights(
         np.vstack([seen([0, 90, 0], 20), seen([90, 0, 40], 40), seen([0, 0, 0], 40)]), 12.0
     )
     np.testing.assert_allclose(weights[:20].sum(), weights[20:60].sum())
@@ -22,16 +22,18 @@ def test_places_weigh_alike_though_one_was_seen_more_often() -> None:
 
 
 def test_a_lone_patch_counts_for_no_more_than_the_bound() -> None:
-    weights = even_weights(np.vstack([seen([0, 0, 0], 50), seen([80, 10, 5], 1)]), 12.0)
+    weights = inverse_density_weights(np.vstack([seen([0, 0, 0], 50), seen([80, 10, 5], 1)]), 12.0)
     np.testing.assert_allclose(weights[:50], 1.0)
     assert weights[50] == pytest.approx(1 / LEAST_DENSITY)
-    assert len(even_weights(np.zeros((0, 3)), 12.0)) == 0
+    assert len(inverse_density_weights(np.zeros((0, 3)), 12.0)) == 0
 
 
 def test_weights_do_not_depend_on_the_order() -> None:
     rng = np.random.default_rng(0)
     places, order = rng.normal(scale=20.0, size=(300, 3)), rng.permutation(300)
-    np.testing.assert_allclose(even_weights(places[order], 12.0), even_weights(places, 12.0)[order])
+    np.testing.assert_allclose(
+        inverse_density_weights(places[order], 12.0), inverse_density_weights(places, 12.0)[order]
+    )
 
 
 def test_patch_centres_lie_where_the_slices_put_them() -> None:
@@ -56,8 +58,8 @@ def test_repeated_slices_do_not_outvote_the_others() -> None:
         weight = metric.per_slice(toy_pose())[:, 1]
         return float((weight[[0, 1]].sum() + weight[len(slices) :].sum()) / weight.sum())
 
-    def of(which: SliceSet, even_mm: float | None) -> float:
-        return share(Lc2(which, model, patch_mm=13.0, pitch_mm=4.0, even_mm=even_mm))
+    def of(which: SliceSet, density_width_mm: float | None) -> float:
+        return share(Lc2(which, model, patch_mm=13.0, pitch_mm=4.0, density_width_mm=density_width_mm))
 
     grown_plain = of(again, None) / of(slices, None)
     grown_even = of(again, 12.0) / of(slices, 12.0)

@@ -8,7 +8,7 @@ from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import Rigid
 from dvf_ig.kernels.lc2 import RIDGE, sample_channels
-from dvf_ig.registration import Lc2, ModelChannels, SliceSet, channels_from_mr
+from dvf_ig.registration import Lc2, ModelChannels, SliceSet, SliceThreads, channels_from_mr
 from dvf_ig.registration.pose_chart import PoseChart
 
 
@@ -75,8 +75,9 @@ def test_sampling_is_trilinear_inside_and_counts_the_overlap() -> None:
     assert inside == within.mean()
 
 
-def _metric(slices: SliceSet) -> Lc2:
-    return Lc2(slices, channels_from_mr(toy_mr(), smoothing_mm=1.0), patch_mm=13.0, pitch_mm=3.0)
+def _metric(slices: SliceSet, threads: SliceThreads | None = None) -> Lc2:
+    model = channels_from_mr(toy_mr(), smoothing_mm=1.0)
+    return Lc2(slices, model, patch_mm=13.0, pitch_mm=3.0, threads=threads)
 
 
 def test_score_ignores_brightness_and_contrast_of_the_ultrasound() -> None:
@@ -123,10 +124,11 @@ def test_normal_equations_carry_the_score_and_its_gradient() -> None:
 @pytest.mark.parametrize("threads", [2, 5])
 def test_score_is_the_same_at_any_thread_count(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
-    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 1)
     alone = _metric(slices).per_slice(toy_pose())
     monkeypatch.setattr(config, "NUMBA_NUM_THREADS", threads)
-    np.testing.assert_array_equal(_metric(slices).per_slice(toy_pose()), alone)
+    with SliceThreads() as shared:
+        metric = _metric(slices, shared)
+        np.testing.assert_array_equal(metric.per_slice(toy_pose()), alone)
 
 
 def test_overlap_falls_to_nothing_far_away() -> None:

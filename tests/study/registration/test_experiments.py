@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
+from time import perf_counter
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,6 +20,7 @@ import dvf_ig.study.registration.trial as trials
 from dvf_ig.core import InvalidInputError, Points, Rigid, Stop, VolumeSeries
 from dvf_ig.registration import (
     Level,
+    RegistrationData,
     RegistrationOptions,
     RegistrationResult,
     channels_from_mr,
@@ -55,7 +57,8 @@ def any_result() -> RegistrationResult:
     slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.1)
     level = Level(slices, channels_from_mr(toy_mr(), smoothing_mm=3.0), 3.0)
     options = RegistrationOptions(starts=1)
-    return register_rigid(level, level, toy_pose(), CENTER_MM, rng=np.random.default_rng(0), options=options)
+    data = RegistrationData(level, level, CENTER_MM)
+    return register_rigid(data, toy_pose(), rng=np.random.default_rng(0), clock=perf_counter, options=options)
 
 
 def stub_problem(pair: int, condition: dict[str, Any]) -> RegistrationProblem:
@@ -65,7 +68,9 @@ def stub_problem(pair: int, condition: dict[str, Any]) -> RegistrationProblem:
         if pair == 13:
             raise InvalidInputError("pair 13 is refused")
         off = toy_pose().perturbed_left([0, 0, 0], [0.0, OFFSET_MM, 0.0], CENTER_MM)
-        return replace(any_result(), mr_from_tracker=off, stop=Stop.CONVERGED, disagreement_mm=np.inf)
+        found = any_result()
+        evidence = replace(found.evidence, split_half_mm=np.inf)
+        return replace(found, target_from_source=off, stop=Stop.CONVERGED, evidence=evidence)
 
     return RegistrationProblem(toy_pose(), TARGETS, CENTER_MM, register)
 

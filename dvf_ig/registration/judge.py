@@ -1,0 +1,100 @@
+"""Judgement of a registered pose: the evidence for it, and whether it may be used."""
+
+import numpy as np
+
+from dvf_ig.core import Rigid, Stop
+from dvf_ig.registration.evidence.checks import (
+    Evidence,
+    phase_disagreement_mm,
+    split_half_disagreement_mm,
+    wrong_pose_z_score,
+)
+from dvf_ig.registration.evidence.half_volumes import half_volume_disagreement_mm
+from dvf_ig.registration.lc2.lc2 import Lc2
+from dvf_ig.registration.lc2.slices import within
+from dvf_ig.registration.lc2.threads import SliceThreads
+
+from .data import RegistrationData, RegistrationOptions
+from .fuse import Fused
+from .pose_chart import DISTINCT_MM, PoseChart, mean_displacement_mm
+from .refine import Refined
+
+
+def gather_evidence(
+    data: RegistrationData,
+    coarse: Lc2,
+    refined: Refined,
+    fused: Fused,
+    *,
+    rng: np.random.Generator,
+    options: RegistrationOptions,
+    threads: SliceThreads,
+) -> Evidence:
+    """What the pose is tested by.
+
+    Args:
+        coarse: LC2 on the coarse slices.
+        rng: draws the wrong poses.
+    """
+    best, boundary = refined.best.pose, fused.boundary
+    return Evidence(
+        z_score=wrong_pose_z_score(coarse, PoseChart(best, data.center_mm), rng),
+        split_half_mm=split_half_disagreement_mm(fused.curvature),
+        phase_mm=phase_disagreement_mm(fused.curvature, data.fine.slices.model_phase),
+        half_volume_mm=_half_volumes(data, best, options, threads) if options.half_volumes else None,
+        boundary_mm=None if boundary is None else mean_displacement_mm(best, boundary.pose, data.center_mm),
+    )
+
+
+def _half_volumes(
+    data: RegistrationData, pose: Rigid, options: RegistrationOptions, threads: SliceThreads
+) -> float:
+    """On the coarse slices, as far as they lie within the model's volume."""
+    covered = within(data.coarse.slices, data.coarse.model.grid, pose)
+    return half_volume_disagreement_mm(
+        covered,
+        data.coarse.model,
+        pose,
+        data.center_mm,
+        patch_mm=options.patch_mm,
+        pitch_mm=data.coarse.pitch_mm,
+        threads=threads,
+    )
+
+
+def second_best(data: RegistrationData, refined: Refined, pose: Rigid) -> float:
+    """LC2 of the best candidate that lies elsewhere; 0 if there was none."""
+    others = [
+        refined.whole.score(other.pose).similarity
+        for other in refined.optima[1:]
+        if mean_displacement_mm(other.pose, pose, data.center_mm) > DISTINCT_MM
+    ]
+    return max(others, default=0.0)
+
+
+def stop_of(
+    refined: Refined,
+    fused: Fused,
+    evidence: Evidence,
+    *,
+    moved_mm: float,
+    overlap: float,
+    options: RegistrationOptions,
+) -> Stop:
+    """How the registration ended: the first reason against the pose, or CONVERGED.
+
+    Args:
+        moved_mm: mean distance over the heart from the start.
+        overlap: share of the slices inside the model's volume.
+    """
+    if overlap < options.min_overlap:
+        return Stop.LOW_OVERLAP
+    if evidence.z_score < options.limits.z_score:
+        return Stop.POOR_MATCH
+    if not refined.best.converged or moved_mm > options.bound_mm:
+        return Stop.MAX_ITERATIONS
+    if not np.isfinite(fused.covariance).all():
+        return Stop.WEAK_GEOMETRY
+    if evidence.worst_test_ratio(options.limits) > 1.0:
+        return Stop.DISAGREEMENT
+    return Stop.CONVERGED

@@ -1,0 +1,42 @@
+"""The threads that LC2 of many slices is shared among; who makes them closes them."""
+
+import itertools
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
+from typing import Any
+
+from dvf_ig.kernels.compiled import thread_count
+
+
+class SliceThreads:
+    """Runs a kernel over slices, an equal share of them on each thread, the caller's own among them.
+
+    A context manager: its threads end with it. Kernels write one row a slice, so results do not depend on the
+    number of threads.
+    """
+
+    def __init__(self) -> None:
+        self._count = thread_count()
+        self._pool = ThreadPoolExecutor(max(1, self._count - 1))
+
+    def __enter__(self) -> "SliceThreads":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._pool.shutdown()
+
+    def run(self, kernel: Callable[..., Any], arguments: tuple[Any, ...], slices: int) -> None:
+        """kernel(*arguments, begin, end) over 0 <= s < `slices`, in as many ranges as there are threads."""
+        count = max(1, min(self._count, slices))
+        limits = [round(k * slices / count) for k in range(count + 1)]
+        *others, (begin, end) = itertools.pairwise(limits)
+        running = [self._pool.submit(kernel, *arguments, *share) for share in others]
+        kernel(*arguments, begin, end)
+        for share in running:
+            share.result()
