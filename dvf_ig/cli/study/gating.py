@@ -132,10 +132,10 @@ def _cells(phase: dict[str, float]) -> tuple[str, str, str, str]:
 def _draw(scored: "Sequence[RecordGating]", path: Path) -> None:
     from dvf_ig.report import write_png
     from dvf_ig.report.study.gating import RiskCoverage, risk_coverage_figure
-    from dvf_ig.study.gating.records import pool, risk_coverage, summarise_phase
+    from dvf_ig.study.gating.records import RHYTHMS, pool, risk_coverage, summarise_phase
 
     classes: dict[str, PhaseErrors] = {}
-    for rhythm in ("sinus", "ectopic", "fibrillation"):
+    for rhythm in RHYTHMS:
         chosen = [r.errors for r in scored if r.rhythm == rhythm and not r.tuning]
         if chosen:
             classes[rhythm] = pool(chosen)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
-from dvf_ig.report.style import SUSPENDED, ESTIMATE, ON_GREY, REFUSED, START, TRUTH, without_ticks
+from dvf_ig.report.style import ESTIMATE, ON_GREY, REFUSED, START, SUSPENDED, TRUTH, without_ticks
 
 from .values import BeatTrace, EcgStrip, PlaneOverlay, RegistrationMark, TickTrace
 

@@ -1,4 +1,4 @@
-"""Automatic tracking on a small beating ball: the fixture holds the tool, friction keeps it off."""
+"""A stylus on a small beating ball: the fixture holds it to the surface, friction keeps it off."""
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from dvf_ig.study.stylus.holding import (
     BeatingSurface,
     held_styli,
     hold_stylus,
+    pool_hearts,
     spare_friction_n,
     with_fixture,
 )
@@ -130,6 +131,13 @@ def test_the_figure_shows_errors_within_the_bound_of_friction(ball: BeatingSurfa
     surface, tool = axes[0].lines
     np.testing.assert_allclose(surface.get_ydata() - tool.get_ydata(), runs[0].distance_mm[-1], atol=1e-9)
     assert tracking_png(runs, motion="paper5mm", cycle_s=0.6).startswith(b"\x89PNG")
+
+
+def test_hearts_are_pooled_place_by_place(ball: BeatingSurface) -> None:
+    run = hold_stylus(ball, with_fixture(DEVICES["premium"], "force", compensate=False), cycles=1)
+    both = pool_hearts([run, run])
+    assert both.distance_mm.shape == (4, 600)
+    assert both.summary() == pytest.approx(run.summary())
 
 
 def test_senseless_numbers_are_refused(ball: BeatingSurface) -> None:
