@@ -1,4 +1,4 @@
-"""The phase clock: never backwards, honest states, causal, accurate."""
+"""The phase clock: never backwards, states that hold, causal, accurate."""
 
 import numpy as np
 import pytest

@@ -48,7 +48,7 @@ def test_it_takes_as_many_steps_as_scipy_on_the_scaled_system():
     assert solve(a, b, tolerance=1e-6).iterations == pytest.approx(len(steps), abs=1)
 
 
-def test_arrays_of_any_shape_and_every_step_is_told():
+def test_arrays_of_any_shape_and_every_step_is_reported():
     a, b = system(24)
     steps = []
     flat = solve(a, b, on_iteration=steps.append)
