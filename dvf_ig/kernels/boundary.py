@@ -10,6 +10,7 @@ so that a point counts only where its normal agrees with the surface's (Geman–
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +23,40 @@ from .spline import cell_value_gradient, find_cell, inside_box
 
 UNKNOWNS = 7
 """Six of the pose (see `registration.pose_chart`), then the uniform offset o."""
-SUMS = UNKNOWNS * UNKNOWNS + UNKNOWNS + 3
-"""JᵀωJ row by row, Jᵀωr, then Σ of the shares, Σ a m, and Σ ωr²."""
+RIGHT = UNKNOWNS * UNKNOWNS
+"""Where Jᵀωr begins in the sums of a step: JᵀωJ comes first, row by row."""
+SHARE, MATCHED, SQUARES = RIGHT + UNKNOWNS, RIGHT + UNKNOWNS + 1, RIGHT + UNKNOWNS + 2
+"""Places of Σ of the shares, Σ a m, and Σ ωr²."""
+SUMS = RIGHT + UNKNOWNS + 3
+
+
+class OrientedPoints(NamedTuple):
+    """Boundary points before they are moved.
+
+    Attributes:
+        points: (n, 3) mm; normals: (n, 3) unit.
+        weights: (n,) a.
+        phases: (n,) which spline each is compared with.
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    weights: FloatArray
+    phases: IntArray
+
+
+class DistanceSplines(NamedTuple):
+    """Signed distance, one spline a phase.
+
+    Attributes:
+        coefficients: (k, cx, cy, cz) mm.
+        knots_from_mm: (3, 4).
+        polarity: s.
+    """
+
+    coefficients: NDArray[np.float32]
+    knots_from_mm: FloatArray
+    polarity: float
 
 
 @inlined
@@ -45,7 +78,7 @@ def _at(
 
 
 @inlined
-def _turned(pose: FloatArray, vectors: FloatArray, i: int) -> tuple[float, float, float]:
+def _rotated(pose: FloatArray, vectors: FloatArray, i: int) -> tuple[float, float, float]:
     """R v of one row."""
     x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
     return (
@@ -61,7 +94,7 @@ def _agreement(pose: FloatArray, normals: FloatArray, i: int, gx: float, gy: flo
     length = math.sqrt(gx * gx + gy * gy + gz * gz)
     if not length > 1e-6:
         return 0.0
-    nx, ny, nz = _turned(pose, normals, i)
+    nx, ny, nz = _rotated(pose, normals, i)
     return (nx * gx + ny * gy + nz * gz) / length
 
 
@@ -72,18 +105,13 @@ def _add_row(out: FloatArray, row: FloatArray, w: float, r: float) -> None:
         wj = w * row[j]
         for k in range(j + 1):
             out[UNKNOWNS * j + k] += wj * row[k]
-        out[UNKNOWNS * UNKNOWNS + j] += wj * r
+        out[RIGHT + j] += wj * r
 
 
 @kernel
 def boundary_step_sums(
-    points: FloatArray,
-    normals: FloatArray,
-    weights: FloatArray,
-    phases: IntArray,
-    coefficients: NDArray[np.float32],
-    knots_from_mm: FloatArray,
-    polarity: float,
+    boundary: OrientedPoints,
+    splines: DistanceSplines,
     pose: FloatArray,
     center_mm: FloatArray,
     radius_mm: float,
@@ -94,29 +122,26 @@ def boundary_step_sums(
     """Sums of one step; see the module docstring.
 
     Args:
-        points, normals, weights, phases: (n, 3), (n, 3), (n,) a, (n,) which spline.
-        coefficients: (k, cx, cy, cz) mm.
-        knots_from_mm: (3, 4).
-        polarity: s.
         pose: (3, 4) R and t.
         center_mm: (3,) c; radius_mm: ρ; offset_mm: o; sigma_mm: σ.
         out: (SUMS,).
     """
+    points, normals = boundary.points, boundary.normals
     out[:] = 0.0
     row = np.empty(UNKNOWNS)
     share, matched, squares = 0.0, 0.0, 0.0
     for i in range(len(points)):
-        x, y, z = _turned(pose, points, i)
+        x, y, z = _rotated(pose, points, i)
         x, y, z = x + pose[0, 3], y + pose[1, 3], z + pose[2, 3]
-        inside, d, gx, gy, gz = _at(coefficients, phases[i], knots_from_mm, x, y, z)
+        inside, d, gx, gy, gz = _at(splines.coefficients, boundary.phases[i], splines.knots_from_mm, x, y, z)
         if not inside:
             continue
-        agree = _agreement(pose, normals, i, gx, gy, gz) * polarity
+        agree = _agreement(pose, normals, i, gx, gy, gz) * splines.polarity
         if agree <= 0.0:
             continue
         r = d - offset_mm
         near = 1.0 / (1.0 + r * r / (sigma_mm * sigma_mm))
-        a = weights[i] * agree
+        a = boundary.weights[i] * agree
         w = a * near * near
         x -= center_mm[0]
         y -= center_mm[1]
@@ -132,25 +157,21 @@ def boundary_step_sums(
     for j in range(UNKNOWNS):
         for k in range(j):
             out[UNKNOWNS * k + j] = out[UNKNOWNS * j + k]
-    out[SUMS - 3], out[SUMS - 2], out[SUMS - 1] = share, matched, squares
+    out[SHARE], out[MATCHED], out[SQUARES] = share, matched, squares
 
 
 @kernel
 def boundary_residuals(
-    points: FloatArray,
-    normals: FloatArray,
-    phases: IntArray,
-    coefficients: NDArray[np.float32],
-    knots_from_mm: FloatArray,
-    polarity: float,
+    boundary: OrientedPoints,
+    splines: DistanceSplines,
     pose: FloatArray,
     distance_mm: FloatArray,
     agreement: FloatArray,
 ) -> None:
     """Distance and agreement of the normal at every point, into (n,) each; NaN and 0 outside the spline."""
-    for i in range(len(points)):
-        x, y, z = _turned(pose, points, i)
+    for i in range(len(boundary.points)):
+        x, y, z = _rotated(pose, boundary.points, i)
         x, y, z = x + pose[0, 3], y + pose[1, 3], z + pose[2, 3]
-        inside, d, gx, gy, gz = _at(coefficients, phases[i], knots_from_mm, x, y, z)
+        inside, d, gx, gy, gz = _at(splines.coefficients, boundary.phases[i], splines.knots_from_mm, x, y, z)
         distance_mm[i] = d if inside else math.nan
-        agreement[i] = _agreement(pose, normals, i, gx, gy, gz) * polarity if inside else 0.0
+        agreement[i] = _agreement(pose, boundary.normals, i, gx, gy, gz) * splines.polarity if inside else 0.0

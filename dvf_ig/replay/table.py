@@ -76,7 +76,7 @@ def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     )
     rows.append(("registration", text, error))
     if usable:
-        rows.append(("weak direction", usable[-1]["weakness"], ""))
+        rows.append(("least constrained", usable[-1]["weakness"], ""))
     return rows
 
 

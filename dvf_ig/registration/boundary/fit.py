@@ -16,7 +16,17 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays, require_same_frame
 from dvf_ig.core.rigid import nearest_rotation
-from dvf_ig.kernels.boundary import SUMS, UNKNOWNS, boundary_residuals, boundary_step_sums
+from dvf_ig.kernels.boundary import (
+    RIGHT,
+    SHARE,
+    SQUARES,
+    SUMS,
+    UNKNOWNS,
+    DistanceSplines,
+    OrientedPoints,
+    boundary_residuals,
+    boundary_step_sums,
+)
 from dvf_ig.registration.pose_chart import (
     HEART_RADIUS_MM,
     PoseChart,
@@ -100,26 +110,22 @@ class _Problem:
 
     def __init__(self, boundary: Boundary, center_mm: FloatArray) -> None:
         points, target = boundary.points, boundary.target
-        self.data = (
+        self.points = OrientedPoints(
             points.points_mm,
             points.normals,
             points.weights,
             target.nearest_phase(points.model_phase),
         )
-        self.target = target
+        self.splines = DistanceSplines(target.coefficients, target.knots_from_mm, target.polarity)
         self.center_mm = np.array(center_mm, dtype=np.float64)
         self.total = float(points.weights.sum())
         self.out = np.empty(SUMS)
 
-    def sums(
-        self, pose: FloatArray, offset_mm: float, sigma_mm: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(7, 7) curvature, (7,) gradient, (3,) other sums at a (3, 4) pose: views of the buffer."""
+    def sums(self, pose: FloatArray, offset_mm: float, sigma_mm: float) -> FloatArray:
+        """(SUMS,) of `boundary_step_sums` at a (3, 4) pose: the buffer."""
         boundary_step_sums(
-            *self.data,
-            self.target.coefficients,
-            self.target.knots_from_mm,
-            self.target.polarity,
+            self.points,
+            self.splines,
             pose,
             self.center_mm,
             HEART_RADIUS_MM,
@@ -127,8 +133,7 @@ class _Problem:
             sigma_mm,
             self.out,
         )
-        square = UNKNOWNS * UNKNOWNS
-        return self.out[:square].reshape(UNKNOWNS, UNKNOWNS), self.out[square:-3], self.out[-3:]
+        return self.out
 
 
 @read_only_arrays
@@ -170,9 +175,8 @@ def _descend(problem: _Problem, start: Rigid, opts: BoundaryFitOptions) -> _End:
         last = level == len(opts.sigmas_mm) - 1
         size = UNKNOWNS if sigma <= opts.free_offset_mm else UNKNOWNS - 1
         for _ in range(opts.last_steps if last else opts.steps):
-            matrix, right, _ = problem.sums(pose, offset, sigma)
+            step = _step(problem.sums(pose, offset, sigma), offset, size, opts)
             used += 1
-            step = _step(matrix, right, offset, size, opts)
             pose = _moved(pose, step, problem.center_mm)
             offset += float(step[6])
             converged = float(np.linalg.norm(step)) < opts.tolerance_mm * (1 if last else 10)
@@ -189,10 +193,9 @@ def _moved(pose: FloatArray, xi_mm: FloatArray, center_mm: FloatArray) -> FloatA
     return np.asarray(out)
 
 
-def _step(
-    matrix: FloatArray, right: FloatArray, offset_mm: float, size: int, opts: BoundaryFitOptions
-) -> FloatArray:
+def _step(sums: FloatArray, offset_mm: float, size: int, opts: BoundaryFitOptions) -> FloatArray:
     """(7,) Gauss–Newton step of the first `size` unknowns, the others 0; none where nothing matches."""
+    matrix, right = _normal_matrix(sums), sums[RIGHT:SHARE]
     curvature = matrix[:size, :size].copy()
     downhill = -right[:size]
     if size == UNKNOWNS:
@@ -209,43 +212,39 @@ def _step(
 
 def _fit_of(problem: _Problem, start: Rigid, end: _End, opts: BoundaryFitOptions) -> BoundaryFit:
     sigma = opts.sigmas_mm[-1]
-    matrix, _, tail = problem.sums(end.pose, end.offset_mm, sigma)
-    distance, agreement = np.empty((2, len(problem.data[0])))
-    boundary_residuals(
-        problem.data[0],
-        problem.data[1],
-        problem.data[3],
-        problem.target.coefficients,
-        problem.target.knots_from_mm,
-        problem.target.polarity,
-        end.pose,
-        distance,
-        agreement,
-    )
+    sums = problem.sums(end.pose, end.offset_mm, sigma)
+    distance, agreement = np.empty((2, len(problem.points.points)))
+    boundary_residuals(problem.points, problem.splines, end.pose, distance, agreement)
     apart = distance - end.offset_mm
     near = (np.abs(apart) < NEAR_MM) & (agreement > 0)
-    weight = problem.data[2]
+    weight = problem.points.weights
     residual = float(np.sqrt(np.mean(apart[near] ** 2))) if near.any() else float("nan")
     return BoundaryFit(
         pose=Rigid(start.target, start.source, nearest_rotation(end.pose[:, :3]), end.pose[:, 3]),
         offset_mm=end.offset_mm,
         share_near=float(weight[near].sum()) / problem.total,
         residual_mm=residual,
-        covariance=_covariance(matrix, float(tail[2]), opts),
-        score=float(tail[0]) / problem.total,
+        covariance=_covariance(sums, opts),
+        score=float(sums[SHARE]) / problem.total,
         converged=end.converged and bool(near.any()),
         evaluations=end.evaluations,
     )
 
 
-def _covariance(matrix: FloatArray, squares: float, opts: BoundaryFitOptions) -> FloatArray:
+def _normal_matrix(sums: FloatArray) -> FloatArray:
+    """(7, 7) JᵀωJ."""
+    return sums[:RIGHT].reshape(UNKNOWNS, UNKNOWNS)
+
+
+def _covariance(sums: FloatArray, opts: BoundaryFitOptions) -> FloatArray:
     """Of the pose with the offset unknown: inverse curvature times the variance of one observation."""
+    matrix = _normal_matrix(sums)
     size = UNKNOWNS if opts.free_offset_mm > 0 else UNKNOWNS - 1
     curvature = matrix[:size, :size]
     weight = float(matrix[6, 6])
     if not weight > 0 or np.linalg.cond(curvature) > 1e10:
         return np.full((6, 6), np.nan)
-    variance = POINTS_PER_OBSERVATION * squares / weight
+    variance = POINTS_PER_OBSERVATION * float(sums[SQUARES]) / weight
     return covariance_from_mm(np.asarray((variance * np.linalg.inv(curvature))[:6, :6], dtype=np.float64))
 
 

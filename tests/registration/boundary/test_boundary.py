@@ -18,7 +18,7 @@ from dvf_ig.core import (
     Rigid,
     VolumeSeries,
 )
-from dvf_ig.kernels.boundary import SUMS, UNKNOWNS, boundary_step_sums
+from dvf_ig.kernels.boundary import SUMS, UNKNOWNS, DistanceSplines, OrientedPoints, boundary_step_sums
 from dvf_ig.kernels.spline import spline_batch
 from dvf_ig.registration import (
     EPICARDIUM_FIT,
@@ -182,13 +182,10 @@ def test_the_kernel_s_sums_are_those_of_its_twin(points: BoundaryPoints, target:
     pose, center = displaced(7.0, 4), CENTER_MM.copy()
     out = np.empty(SUMS)
     boundary_step_sums(
-        points.points_mm,
-        points.normals,
-        points.weights,
-        target.nearest_phase(points.model_phase),
-        target.coefficients,
-        target.knots_from_mm,
-        target.polarity,
+        OrientedPoints(
+            points.points_mm, points.normals, points.weights, target.nearest_phase(points.model_phase)
+        ),
+        DistanceSplines(target.coefficients, target.knots_from_mm, target.polarity),
         pose.matrix[:3],
         center,
         HEART_RADIUS_MM,
