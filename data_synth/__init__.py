@@ -1,9 +1,46 @@
-"""The synthetic world with its truth."""
+"""The synthetic world with its truth.
 
+Whole interventions (`phantom_scenario`, `surface_scenario`) and image pairs (`image_pair`), and their parts,
+each of use alone: a beating heart, its MR and ultrasound, signals, calibration phantoms, an operator's hands.
+"""
+
+from .heart.anatomy import BeatingAnatomy as BeatingAnatomy
+from .heart.anatomy import PhantomAnatomy as PhantomAnatomy
+from .heart.anatomy import phantom_anatomy as phantom_anatomy
+from .heart.clock import HeartClock as HeartClock
+from .heart.clock import two_segment_phase as two_segment_phase
 from .heart.motion import MotionPreset as MotionPreset
+from .heart.tissue import Tissue as Tissue
+from .mr.cine import MrProtocol as MrProtocol
+from .mr.cine import cine_preop as cine_preop
+from .mr.stack import StackCine as StackCine
+from .mr.stack import StackProtocol as StackProtocol
+from .mr.stack import short_axis_cine as short_axis_cine
+from .operator.contact import MovingSurface as MovingSurface
+from .operator.contact import tool_truth as tool_truth
 from .operator.probe_path import ReplayedPath as ReplayedPath
 from .operator.probe_path import replayed_path as replayed_path
+from .operator.tool_path import ToolSpec as ToolSpec
+from .phantoms.crosswire import CrossWireSpec as CrossWireSpec
+from .phantoms.crosswire import crosswire_recording as crosswire_recording
+from .phantoms.nwire import NWireSpec as NWireSpec
+from .phantoms.nwire import nwire_images as nwire_images
+from .phantoms.nwire import nwire_recording as nwire_recording
+from .phantoms.pivot import pivot_recording as pivot_recording
+from .phantoms.wall import WallSpec as WallSpec
+from .phantoms.wall import wall_recording as wall_recording
+from .phantoms.watertank import WaterTankSpec as WaterTankSpec
+from .phantoms.watertank import watertank_images as watertank_images
+from .phantoms.watertank import watertank_recording as watertank_recording
+from .scenario.displacement import Displacement as Displacement
+from .scenario.displacement import random_displacement as random_displacement
 from .scenario.faults import describe_faults as describe_faults
+from .scenario.ground_truth import GroundTruth as GroundTruth
+from .scenario.ground_truth import draw_ground_truth as draw_ground_truth
+from .scenario.image_pair import ImagePair as ImagePair
+from .scenario.image_pair import PairSpec as PairSpec
+from .scenario.image_pair import image_pair as image_pair
+from .scenario.image_pair import plane_views as plane_views
 from .scenario.presets import MOTIONS as MOTIONS
 from .scenario.presets import PRESETS as PRESETS
 from .scenario.presets import Preset as Preset
@@ -11,3 +48,29 @@ from .scenario.presets import ScenarioSpec as ScenarioSpec
 from .scenario.presets import preset_name as preset_name
 from .scenario.recording import phantom_scenario as phantom_scenario
 from .scenario.recording import surface_scenario as surface_scenario
+from .seeds import child_rng as child_rng
+from .seeds import child_seed as child_seed
+from .signals.ecg import EcgSpec as EcgSpec
+from .signals.ecg import synthetic_ecg as synthetic_ecg
+from .signals.occlusion import OcclusionSpec as OcclusionSpec
+from .signals.rhythm import RhythmSpec as RhythmSpec
+from .signals.rhythm import beat_series as beat_series
+from .signals.tracker import TrackerSpec as TrackerSpec
+from .surfaces.anatomy import SurfaceAnatomy as SurfaceAnatomy
+from .surfaces.anatomy import surface_anatomy as surface_anatomy
+from .ultrasound.image_faults import ImageSpec as ImageSpec
+from .ultrasound.label_anatomy import LabelAnatomy as LabelAnatomy
+from .ultrasound.label_anatomy import label_anatomy as label_anatomy
+from .ultrasound.presets import PROBES as PROBES
+from .ultrasound.presets import probe_named as probe_named
+from .ultrasound.probe import SectorProbe as SectorProbe
+from .ultrasound.sequence import simulate_frame as simulate_frame
+from .ultrasound.sequence import simulate_lines as simulate_lines
+from .ultrasound.sequence import simulate_sequence as simulate_sequence
+from .ultrasound.views import VIEW_PROBE as VIEW_PROBE
+from .ultrasound.views import VIEWS as VIEWS
+from .ultrasound.views import standard_view as standard_view
+from .ultrasound.views import view_from as view_from
+from .ultrasound.volume import EchoVolume as EchoVolume
+from .ultrasound.volume import MatrixProbe as MatrixProbe
+from .ultrasound.volume import simulate_volume as simulate_volume

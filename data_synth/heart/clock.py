@@ -82,13 +82,13 @@ def two_segment_phase(
     lower, upper = min(SYSTOLE_SHARE[0], es_fraction), max(SYSTOLE_SHARE[1], es_fraction)
     x = np.clip(wanted / rr, lower, upper)
     rise, fall = es_fraction / x, (1.0 - es_fraction) / (1.0 - x)
-    knee = 3.0 / ((2.0 - x) / rise + (1.0 + x) / fall)
-    ends = 3.0 / ((1.0 + x) / fall + (2.0 - x) / rise)
+    slope_es = 3.0 / ((2.0 - x) / rise + (1.0 + x) / fall)
+    slope_ed = 3.0 / ((1.0 + x) / fall + (2.0 - x) / rise)
     first = np.asarray(phi) < x
     width = np.where(first, x, 1.0 - x)
     u = np.where(first, phi, phi - x) / width
     low, high = np.where(first, 0.0, es_fraction), np.where(first, es_fraction, 1.0)
-    slope_low, slope_high = np.where(first, ends, knee), np.where(first, knee, ends)
+    slope_low, slope_high = np.where(first, slope_ed, slope_es), np.where(first, slope_es, slope_ed)
     phase = (
         low * (1 + 2 * u) * (1 - u) ** 2
         + high * u**2 * (3 - 2 * u)

@@ -104,14 +104,14 @@ def _insonify_line(
     depend on the angle at which it crosses an interface, so what is reflected returns in proportion to the
     cosine between beam and interface normal, to the given power.
     """
+    # arrays are taken out of the tuple once: each access counts a reference
+    acoustics, origin, fibres = fields.acoustics, fields.origin, fields.fibres
     absorb = -2.0 * pulse.frequency_mhz * 0.1 * pulse.step_mm * np.log(10.0) / 20.0
     loss, passed, run, last, transmitted = 0.0, 1.0, 0.0, 0.0, 1.0
     reflector[0] = -1.0
     for i in range(len(tissue)):
-        x, y, z = _middle(path[i], path[i + 1])
-        impedance, alpha, muscle, plasma, slope = channels_at(
-            x, y, z, fields.acoustics, fields.origin, fields.per_mm
-        )
+        x, y, z = _middle(path, i)
+        impedance, alpha, muscle, plasma, slope = channels_at(x, y, z, acoustics, origin, fields.per_mm)
         rise = impedance - last if i > 0 else 0.0
         last = impedance
         if rise * run < 0.0 or abs(rise) < 1e-5:
@@ -131,34 +131,46 @@ def _insonify_line(
                 pulse.specular * abs(after - before) * facing**pulse.specular_power * level * passed
             )
         if muscle > 0.0:
-            muscle *= _fibre_factor(x, y, z, path[i], path[i + 1], fields)
+            muscle *= _fibre_factor(x, y, z, path, i, fibres, origin, fields.fibres_per_mm)
         tissue[i] = muscle * level * passed * transmitted
         blood[i] = plasma * level * passed * transmitted
         if reflector[0] < 0.0 and abs(after) > TOTAL_REFLECTION:
             reflector[0], reflector[1], reflector[2] = i, after, level * passed
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _middle(a: AnyArray, b: AnyArray) -> Point:
-    return 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _middle(path: AnyArray, i: int) -> Point:
+    return (
+        0.5 * (path[i, 0] + path[i + 1, 0]),
+        0.5 * (path[i, 1] + path[i + 1, 1]),
+        0.5 * (path[i, 2] + path[i + 1, 2]),
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fibre_factor(
-    x: float, y: float, z: float, start: AnyArray, stop: AnyArray, fields: TissueFields
+    x: float,
+    y: float,
+    z: float,
+    path: AnyArray,
+    i: int,
+    fibres: AnyArray,
+    origin: AnyArray,
+    fibres_per_mm: float,
 ) -> float:
     """Amplitude factor of muscle: its scatter drops by the sine squared of beam and wall normal, in dB."""
-    fibres = fields.fibres
-    normal = fibres[
-        nearest((x - fields.origin[0]) * fields.fibres_per_mm, fibres.shape[0]),
-        nearest((y - fields.origin[1]) * fields.fibres_per_mm, fibres.shape[1]),
-        nearest((z - fields.origin[2]) * fields.fibres_per_mm, fibres.shape[2]),
-    ]
-    gx, gy, gz = normal[0], normal[1], normal[2]
+    a = nearest((x - origin[0]) * fibres_per_mm, fibres.shape[0])
+    b = nearest((y - origin[1]) * fibres_per_mm, fibres.shape[1])
+    c = nearest((z - origin[2]) * fibres_per_mm, fibres.shape[2])
+    gx, gy, gz = fibres[a, b, c, 0], fibres[a, b, c, 1], fibres[a, b, c, 2]
     drop_db = gx * gx + gy * gy + gz * gz
     if drop_db <= 0.0:
         return 1.0
-    dx, dy, dz = stop[0] - start[0], stop[1] - start[1], stop[2] - start[2]
+    dx, dy, dz = (
+        path[i + 1, 0] - path[i, 0],
+        path[i + 1, 1] - path[i, 1],
+        path[i + 1, 2] - path[i, 2],
+    )
     along = gx * dx + gy * dy + gz * dz
     rest_db = drop_db - along * along / (dx * dx + dy * dy + dz * dz + 1e-12)
     return float(10.0 ** (-0.05 * rest_db))

@@ -73,32 +73,38 @@ def scatter(
         real, imaginary: (lines·fine, 2·samples) float32, added to: in each row all first halves of the
             samples, then all second halves.
     """
-    tissue, blood, table = amplitudes.tissue, amplitudes.blood, scatterers.deviates
+    # arrays are taken out of the tuples once: each access counts a reference
+    tissue, blood, interface = amplitudes.tissue, amplitudes.blood, amplitudes.interface
+    reflector, table = amplitudes.reflector, scatterers.deviates
+    per_x, per_y, per_z = scatterers.per_mm[0], scatterers.per_mm[1], scatterers.per_mm[2]
+    tissue_seed, blood_seed = scatterers.tissue_seed, scatterers.blood_seed
     lines, samples = tissue.shape
     for m in range(lines * fine):
         p = min(max((m + 0.5) / fine - 0.5, 0.0), lines - 1.0)
         left = min(int(p), lines - 2)
         g, near = p - left, m // fine
-        deeper = _deeper(amplitudes.reflector, left, g, near)
+        deeper = _deeper(reflector, left, g, near)
+        moved_from = reflector[near, 0] - ECHO_REACH + min(deeper, 0)
         for i in range(samples):
-            t, b = tissue[near, i], blood[near, i]
-            s = _interface_echo(amplitudes, near, i, deeper)
+            t, b, s = tissue[near, i], blood[near, i], interface[near, i]
+            if deeper != 0 and i > moved_from:
+                s = interface[near, min(max(i - deeper, 0), samples - 1)]
             for half in range(2):
                 j = half * samples + i
                 if t < 1e-6 and b < 1e-6:
                     real[m, j] += s
                     continue
                 u, v, w = _between(path, left, i, g, 0.25 + 0.5 * half)
-                ui = np.int64(np.floor(u * scatterers.per_mm[0]))
-                vi = np.int64(np.floor(v * scatterers.per_mm[1]))
-                wi = np.int64(np.floor(w * scatterers.per_mm[2]))
+                ui = np.int64(np.floor(u * per_x))
+                vi = np.int64(np.floor(v * per_y))
+                wi = np.int64(np.floor(w * per_z))
                 re, im = np.float32(s), np.float32(0.0)
                 if t >= 1e-6:
-                    h = lattice_hash(ui, vi, wi, scatterers.tissue_seed)
+                    h = lattice_hash(ui, vi, wi, tissue_seed)
                     re += t * table[h, 0]
                     im += t * table[h, 1]
                 if b >= 1e-6:
-                    h = lattice_hash(ui, vi, wi, scatterers.blood_seed)
+                    h = lattice_hash(ui, vi, wi, blood_seed)
                     re += b * table[h, 0]
                     im += b * table[h, 1]
                 real[m, j] += re
@@ -117,16 +123,7 @@ def _deeper(reflector: AnyArray, left: int, g: float, near: int) -> int:
     return 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _interface_echo(amplitudes: Amplitudes, near: int, i: int, deeper: int) -> float:
-    """Specular amplitude at sample i of a fine line, moved with the total reflector."""
-    interface = amplitudes.interface
-    if deeper != 0 and i > amplitudes.reflector[near, 0] - ECHO_REACH + min(deeper, 0):
-        return interface[near, min(max(i - deeper, 0), interface.shape[1] - 1)]  # type: ignore[no-any-return]
-    return interface[near, i]  # type: ignore[no-any-return]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _between(path: AnyArray, left: int, i: int, g: float, f: float) -> Point:
     """Bilinear between scan lines `left` and the next (share g) and between ends i and i + 1 (share f)."""
     n1, f1 = (1.0 - g) * (1.0 - f), (1.0 - g) * f

@@ -113,20 +113,20 @@ def _exact_samples(anatomy: MovingMesh) -> tuple[FloatArray, FloatArray, float]:
         middles = lows + 0.5 * steps
         found = [anatomy.surface_vertices(phase) for phase in middles.tolist()]
         guesses = (_cubic(phases, vertices, i, 0.5) for i in waiting.tolist())
-        misses = np.array(
+        errors = np.array(
             [np.linalg.norm(g - f, axis=1).max() / 4.0 for g, f in zip(guesses, found, strict=True)]
         )
-        good = misses <= 0.5 * MAX_INTERPOLATION_ERROR_MM
-        worst = max(worst, float(misses[good].max(initial=0.0)))
+        good = errors <= 0.5 * MAX_INTERPOLATION_ERROR_MM
+        worst = max(worst, float(errors[good].max(initial=0.0)))
         order = np.argsort(np.append(phases, middles), kind="stable")
         phases, joined = np.append(phases, middles)[order], vertices + found
         vertices = [joined[k] for k in order.tolist()]
         if good.all():
             return phases, np.stack(vertices), worst
         if steps[~good].min() < SMALLEST_STEP:
-            k = int(misses.argmax())
+            k = int(errors.argmax())
             raise InvalidInputError(
-                f"the true surface jumps by {4 * misses[k]:.3g} mm at phase {middles[k]:.4f}; "
+                f"the true surface jumps by {4 * errors[k]:.3g} mm at phase {middles[k]:.4f}; "
                 "it must move smoothly"
             )
         waiting = np.sort(np.searchsorted(phases, np.append(lows[~good], middles[~good])))

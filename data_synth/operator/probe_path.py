@@ -56,9 +56,9 @@ class HeartOutline:
 
     def radius_mm(self, directions: FloatArray) -> FloatArray:
         """(n,) outline along unit directions (n, 3): mean vertex radius within about 10°, smoothly."""
-        arms = self.vertices_mm[:: max(1, len(self.vertices_mm) // 3000)] - self.center_mm
-        lengths = np.linalg.norm(arms, axis=1)
-        weights = np.exp(40.0 * (np.asarray(directions) @ (arms / lengths[:, None]).T - 1.0))
+        offsets = self.vertices_mm[:: max(1, len(self.vertices_mm) // 3000)] - self.center_mm
+        lengths = np.linalg.norm(offsets, axis=1)
+        weights = np.exp(40.0 * (np.asarray(directions) @ (offsets / lengths[:, None]).T - 1.0))
         return np.asarray(weights @ lengths / weights.sum(axis=1))
 
 

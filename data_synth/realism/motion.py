@@ -94,7 +94,7 @@ def block_matching_gates(shift_mm: tuple[float, float] = (1.37, -0.83), turn_deg
 def beating_gates(heart: PhantomAnatomy, phases: tuple[float, float]) -> list[Gate]:
     """The same in the wall of a beating left ventricle, against the motion it was made with.
 
-    Blocks whose tissue leaves the plane by more than a third of the slice are not asked.
+    Blocks whose tissue leaves the plane by more than a third of the slice are left out.
     """
     probe = STANDARD
     pose = standard_view("epicardial short-axis", heart.reference)

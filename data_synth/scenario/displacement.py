@@ -66,8 +66,8 @@ class DisplacedPose:
         """Rotations (n, 3, 3) and translations (n, 3) at any times."""
         share = self._share(np.asarray(t_s, dtype=np.float64))[:, None]
         turn = Rotation.from_rotvec(share * self.turn_rad).as_matrix()
-        arm = self.before.translation_mm - self.center_mm
-        return turn @ self.before.rotation, turn @ arm + self.center_mm + share * self.shift_mm
+        offset = self.before.translation_mm - self.center_mm
+        return turn @ self.before.rotation, turn @ offset + self.center_mm + share * self.shift_mm
 
     def steps(self) -> tuple[tuple[float, Rigid], ...]:
         """Poses with the time from which each holds; in a gradual change, the one half-way through a step."""

@@ -134,8 +134,8 @@ class ImagePair:
         faults = PRESETS["poor-image" if self.spec.quality == "poor-image" else "calm"].image
         array = replace(array, sector=replace(array.sector, dynamic_range_db=faults.dynamic_range_db))
         views = [standard_view(name, self.now.reference) for name in VOLUME_VIEWS]
-        held = child_rng(self.spec.seed, "pair view")
-        poses = [_held_freely(view, held) for view in views]
+        view_rng = child_rng(self.spec.seed, "pair view")
+        poses = [_hand_held(view, view_rng) for view in views]
         rng = child_rng(self.spec.seed, "pair poses")
         seed = child_seed(self.spec.seed, "pair ultrasound")
         rows = array.tall // BEATS_PER_VOLUME
@@ -238,7 +238,7 @@ def plane_views(anatomy: PhantomAnatomy, kind: PlaneSet, rng: np.random.Generato
         center = anatomy.box_mm.mean(axis=0)
         reach = 0.5 * (anatomy.box_mm[1, 0] - anatomy.box_mm[0, 0]) + COUPLING_MM
         chosen = [*turned, across, view_from(center + np.array([reach, 0.0, 0.0]), center)]
-    return tuple(_held_freely(view, rng) for view in chosen)
+    return tuple(_hand_held(view, rng) for view in chosen)
 
 
 def _turned(view: Rigid, angle_rad: float) -> Rigid:
@@ -251,7 +251,7 @@ def _turned(view: Rigid, angle_rad: float) -> Rigid:
     )
 
 
-def _held_freely(view: Rigid, rng: np.random.Generator) -> Rigid:
+def _hand_held(view: Rigid, rng: np.random.Generator) -> Rigid:
     """Where an operator really holds the probe: up to 12° and 6 mm from the textbook's view."""
     turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-12.0, 12.0, 3))).as_matrix()
     return Rigid("mr", "plane", view.rotation @ turn, view.translation_mm + rng.uniform(-6.0, 6.0, 3))

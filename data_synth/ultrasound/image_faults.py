@@ -1,4 +1,4 @@
-"""What spoils ultrasound images beyond the physics of tissue: clutter, shadows, little dynamic range.
+"""What degrades ultrasound images beyond the physics of tissue: clutter, shadows, little dynamic range.
 
 Applied to compressed images, whose grey is a linear scale of decibels: shadows subtract from it, and clutter
 adds as power.

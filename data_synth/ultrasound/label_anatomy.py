@@ -89,10 +89,10 @@ def label_anatomy(
     inner = np.where(organ_mm > 0, codes, Tissue.ATRIAL_WALL).astype(np.uint8)
     outer = np.where(organ_mm > 0, Tissue.MEDIASTINUM, codes).astype(np.uint8)
     fields = _acoustic_fields(codes, spacing_mm)
-    unseen = np.zeros(codes.shape, dtype=np.float32)
+    no_signal = np.zeros(codes.shape, dtype=np.float32)
     fibres = fibre_orientation(codes, spacing_mm)
     return LabelAnatomy(
-        ReferenceMap(origin, spacing_mm, organ_mm, inner, outer, unseen, fields, fibres), NoMotion()
+        ReferenceMap(origin, spacing_mm, organ_mm, inner, outer, no_signal, fields, fibres), NoMotion()
     )
 
 

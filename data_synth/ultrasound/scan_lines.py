@@ -93,8 +93,8 @@ class Seeds:
     @classmethod
     def of(cls, seed: int, frame: int, bands: int) -> "Seeds":
         texture = np.random.SeedSequence([seed, 1]).generate_state(bands, np.uint64)
-        once = np.random.SeedSequence([seed, 2, frame]).generate_state(1, np.uint64)[0]
-        return cls(tuple(texture), once)
+        own = np.random.SeedSequence([seed, 2, frame]).generate_state(1, np.uint64)[0]
+        return cls(tuple(texture), own)
 
 
 @read_only_arrays

@@ -203,7 +203,9 @@ def _elevation_taps(probe: MatrixProbe) -> Raster:
     s = probe.sector
     pitch = 2 * s.half_angle_rad / (probe.tall - 1) / s.fine_lines
     taps = beam.lateral_taps(s.lateral_fwhm_mm(s.depths_mm) / s.depths_mm, pitch, s.depths_mm)
-    return np.tile(taps, (1, s.lines))
+    wide = np.tile(taps, (1, s.lines))
+    wide.setflags(write=False)
+    return wide
 
 
 def _converted(grey: NDArray[np.float32], probe: MatrixProbe, threads: int) -> EchoVolume:

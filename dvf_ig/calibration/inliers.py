@@ -29,7 +29,7 @@ class InlierRule:
 
     Attributes:
         keep_sigma: an inlier's residual is at most this many robust standard deviations long.
-        dimensions: components of one residual vector; they turn the median length into a standard deviation.
+        dimensions: components of one residual vector; they relate its median length to a standard deviation.
         scale_from_inliers: the standard deviation is that of the current inliers, not of all samples.
         scale_below: residuals longer than this take no part in the standard deviation.
     """

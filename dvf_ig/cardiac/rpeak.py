@@ -54,7 +54,7 @@ class RPeakDetector:
         """Take the next samples and return the peaks detected with them.
 
         Args:
-            samples: (n, leads), in any unit; NaN where the recorder delivered nothing.
+            samples: (n, leads), in any unit; NaN where samples are missing.
             start_s: time of the first of them; after a gap the detector restarts.
         Raises:
             InvalidInputError: wrong number of leads, or samples that go back in time.

@@ -69,7 +69,7 @@ def force(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Evaluate a dynamic fixture; a point outside the model's box gets no force and says so."""
+    """Evaluate a dynamic fixture; a point outside the model's box gets no force and status OUT_OF_VOLUME."""
     with command():
         if not math.isfinite(phase):
             raise typer.BadParameter(f"--phase is {phase}; needed a finite number")

@@ -1,4 +1,4 @@
-"""`dvf-ig gate`: R peaks and phase of an ECG or a trigger, as they would have been known live."""
+"""`dvf-ig gate`: causal R peaks and phase of an ECG or a trigger."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -33,7 +33,7 @@ def gate(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Find R peaks causally and say where the heart's phase could be trusted."""
+    """Detect R peaks causally and report where the heart's phase is valid."""
     with command():
         from dvf_ig.io import write_json
 
@@ -137,15 +137,15 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     shown = ", ".join(f"{start:.1f}–{stop:.1f}" for start, stop in segments[:8])
     more = f" and {len(segments) - 8} more" if len(segments) > 8 else ""
     delays = sorted(
-        known - peak for known, peak in zip(result["detected_at_s"], result["beats_s"], strict=True)
+        detected - peak for detected, peak in zip(result["detected_at_s"], result["beats_s"], strict=True)
     )
     return [
         ("beats", f"{len(result['beats_s'])}"),
         ("rate", f"{result['rate_bpm']:.1f} /min"),
-        ("known after", f"{1000 * delays[len(delays) // 2]:.0f} ms (median)"),
+        ("detection delay", f"{1000 * delays[len(delays) // 2]:.0f} ms (median)"),
         ("phase valid", f"{100 * result['valid_share']:.1f} % of the time"),
         ("not valid", f"{shown}{more} s" if segments else "never"),
-        ("because", ", ".join(_reasons(result["state_segments"])) or "–"),
+        ("states", ", ".join(_reasons(result["state_segments"])) or "–"),
     ]
 
 

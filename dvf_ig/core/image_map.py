@@ -16,10 +16,13 @@ MAX_SHEAR_DEG = 1.0
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageMap:
-    """sensor_from_image = rigid · diag(sx, sy, 1): pixel (column, row) to mm at the sensor.
+    """probe_from_image = rigid · diag(sx, sy, 1): pixel (column, row) to mm at the probe's sensor.
+
+    The frame "probe" is that of the sensor on the probe; PLUS calls the map ImageToProbe, JSON results
+    `sensor_from_image`. A sensor of another name gives the map its name: `rigid.target`.
 
     Attributes:
-        rigid: sensor_from_image without its scale (source frame "image", in mm).
+        rigid: probe_from_image without its scale (source frame "image", in mm).
         scale_mm_per_px: (2,) column and row pixel size.
         shear_deg: how far columns 1–2 of an imported matrix were from orthogonal (0 when made here).
     """
@@ -36,7 +39,7 @@ class ImageMap:
 
     @property
     def matrix(self) -> FloatArray:
-        """(4, 4) sensor_from_image in mm per pixel; third column of unit norm."""
+        """(4, 4) probe_from_image in mm per pixel; third column of unit norm."""
         out = self.rigid.matrix
         out[:3, 0] *= self.scale_mm_per_px[0]
         out[:3, 1] *= self.scale_mm_per_px[1]
@@ -66,6 +69,6 @@ class ImageMap:
         return cls(Rigid(sensor, image, rotation, m[:3, 3]), scale, shear_deg)
 
     def apply_pixels(self, pixels: FloatArray) -> Points:
-        """(n, 2) pixel positions (column, row) to mm in the sensor frame."""
+        """(n, 2) pixel positions (column, row) to mm in the probe's frame."""
         flat = np.column_stack([pixels * self.scale_mm_per_px, np.zeros(len(pixels))])
         return Points(self.rigid.target, self.rigid.apply_array(flat))

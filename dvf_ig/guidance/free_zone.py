@@ -52,8 +52,7 @@ def gaussian_for_free_zone(
         raise InvalidInputError(
             f"a free zone of ±{zone.half_width_mm:g} mm below {zone.detection_threshold_n:g} N needs a "
             f"stiffer wall than the device's {allowed_n_per_m:.4g} N/m; the narrowest it renders is "
-            f"±{narrowest:.3g} mm; "
-            f"widen it or lower the cap of {cap_n:g} N"
+            f"±{narrowest:.3g} mm; widen it or lower the cap of {cap_n:g} N"
         )
     return best
 

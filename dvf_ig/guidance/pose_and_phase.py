@@ -49,8 +49,8 @@ class PoseAndPhase:
                 frame. Only the rotation acts: a force is a free vector.
             refusal: (n,) `Status` to report where not valid; default NO_PHASE.
         Raises:
-            FrameMismatchError: the model lives in another frame than the registration's target.
-            InvalidInputError: shapes that do not fit, or a refusal that says OK.
+            FrameMismatchError: the model is in another frame than the registration's target.
+            InvalidInputError: shapes that do not fit, or a refusal that is OK.
         """
         ok = np.asarray(valid, dtype=np.bool_)
         reason = np.full(len(ok), int(Status.NO_PHASE)) if refusal is None else np.asarray(refusal)

@@ -57,9 +57,9 @@ class ModelOptions:
         if not self.band_mm > 0.0:
             raise InvalidInputError(f"band is {self.band_mm:g} mm; it must be positive")
         if self.threads < 1:
-            raise InvalidInputError(f"{self.threads} threads asked for; needed at least 1")
+            raise InvalidInputError(f"{self.threads} threads requested; needed at least 1")
         if self.accuracy_mm is not None and not 0.001 <= self.accuracy_mm <= 1.0:
-            raise InvalidInputError(f"wanted accuracy is {self.accuracy_mm:g} mm; needed 0.001 to 1 mm")
+            raise InvalidInputError(f"the wanted accuracy is {self.accuracy_mm:g} mm; needed 0.001 to 1 mm")
 
 
 def build_model(

@@ -52,7 +52,7 @@ def conjugate_gradients(
         preconditioner: r ↦ M⁻¹ r, symmetric and positive definite.
         tolerance: ends when the residual's norm √(rᵀM⁻¹r) has fallen to this share of the first one.
         max_iterations: most steps.
-        on_iteration: told x after every step.
+        on_iteration: called with x after every step.
     Source: Hestenes and Stiefel 1952; Saad, Iterative Methods for Sparse Linear Systems, algorithm 9.1.
     """
     x, residual = np.zeros_like(right), right

@@ -21,8 +21,8 @@ BEAT_COMPUTE_S = 0.15
 """A beat's evaluation takes effect this long after its R peak was detected: an allowance for computing it."""
 BEAT_WINDOW = 0.025
 """Half the distance between twenty phases of a model: every frame is compared with the nearest."""
-FEWEST_SLICES = 4
-LEAST_OVERLAP = 0.35
+MIN_SLICES = 4
+MIN_OVERLAP = 0.35
 GATING_PEAKS = 12
 """R peaks that place a beat and tell whether it is regular."""
 
@@ -75,7 +75,7 @@ class BeatSlices:
         """Compare the beat with a pose; None where the slices hardly overlap the model."""
         began = self.clock()
         measurement = measure_beat(self.metric, pose, center_mm)
-        if measurement.overlap < LEAST_OVERLAP:
+        if measurement.overlap < MIN_OVERLAP:
             return None
         if not self.updates_pose:
             measurement = replace(
@@ -106,7 +106,7 @@ def beat_slices(
         known_s=end.detected_at_s,
         window=BEAT_WINDOW,
     )
-    if len(frames.used) < FEWEST_SLICES:
+    if len(frames.used) < MIN_SLICES:
         return None
     slices = slices_of(recording, frames, ultrasound_mask(recording, frames), pitch_mm=BEAT_PITCH_MM)
     metric = Lc2(

@@ -9,7 +9,7 @@ from dvf_ig.registration import PoseChart
 
 from .pose_history import PoseHistory, PoseUpdates
 
-LEAST_SPAN_S = 10.0
+MIN_SPAN_S = 10.0
 """Drift over less than this is within the scatter of single beats' updates."""
 
 
@@ -66,7 +66,7 @@ def drift_mm_per_min(updates: PoseUpdates, center_mm: FloatArray) -> float | Non
             since = []
         else:
             since.append((from_s, pose))
-    if len(since) < 3 or since[-1][0] - since[0][0] < LEAST_SPAN_S:
+    if len(since) < 3 or since[-1][0] - since[0][0] < MIN_SPAN_S:
         return None
     chart = PoseChart(since[0][1], center_mm)
     times = np.array([from_s for from_s, _ in since])

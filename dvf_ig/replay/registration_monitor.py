@@ -25,7 +25,7 @@ SUSPEND_LOG_RATIO = 7.0
 101, calm and with poor images, 170 beats reach 4.4; of beats after a shift of 8 mm, 95 % lie above 9."""
 CONSISTENT_LOG_RATIO = 5.0
 """The same up to which a beat confirms a pose: beats of good poses on tuning seeds reach 4.4."""
-CONFIRMING_BEATS, MOST_CONFIRMING_BEATS = 3, 10
+CONFIRMING_BEATS, MAX_CONFIRMING_BEATS = 3, 10
 """Consecutive beats that confirm a pose, and twice as many after each registration that beats contradicted: a
 patient who moved lies still again, but a slipped marker is wrong in another way from view to view."""
 
@@ -108,7 +108,7 @@ class RegistrationMonitor:
     def _contradicted(self) -> "RegistrationMonitor":
         if self.pending is None:
             return replace(self, consistent_beats=0)
-        needed = min(2 * self.needed_beats, MOST_CONFIRMING_BEATS)
+        needed = min(2 * self.needed_beats, MAX_CONFIRMING_BEATS)
         return replace(self, pending=None, consistent_beats=0, needed_beats=needed)
 
 

@@ -1,4 +1,4 @@
-"""Sphinx settings of the documentation: Markdown pages, formulas as MathML, API read from docstrings.
+"""Sphinx settings of the documentation: Markdown pages, formulas as SVG, API read from docstrings.
 
 The packages are parsed, never imported. Nothing is loaded from a network.
 """
@@ -12,23 +12,26 @@ sys.path.insert(0, str(HERE))
 
 project = "dvf_ig"
 copyright = "the dvf_ig authors, Apache-2.0"
-extensions = ["myst_parser", "autoapi.extension", "docstrings", "mathml", "module_links"]
+extensions = ["myst_parser", "autoapi.extension", "docstrings", "formulas", "module_links"]
 
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
 myst_dmath_double_inline = True
+html_math_renderer = "svg"
 
 autoapi_dirs = [str(ROOT / "dvf_ig"), str(ROOT / "data_synth")]
 # commands are described in the guide and by their own --help
 autoapi_ignore = ["*/cli/*"]
 autoapi_root = "api"
-autoapi_options = ["members", "undoc-members", "show-module-summary"]
+# fields of values are described in their docstrings
+autoapi_options = ["members", "show-module-summary"]
 autoapi_member_order = "bysource"
 autoapi_add_toctree_entry = False
 autoapi_python_class_content = "class"
 # types are linked where their name is unique
 suppress_warnings = ["autoapi.python_import_resolution", "ref.python"]
 
+highlight_language = "none"
 html_theme = "furo"
 html_title = "dvf_ig"
 html_static_path = [str(HERE / "static")]

@@ -35,7 +35,7 @@ def nudged(rng, contributions, step):
     return out
 
 
-def test_one_region_takes_the_theory_s_share_of_the_inward_part():
+def test_one_region_rejects_the_theory_s_share_of_the_inward_part():
     """F_g − f·max(0, F_g·n)·n with n into the region, f its activation."""
     inward = np.array([0.0, 0.6, -0.8])
     for f in (0.0, 0.25, 0.5, 0.99, 1.0):
@@ -55,7 +55,7 @@ def test_two_parallel_regions_do_not_take_twice():
 
 
 @given(seeds, st.integers(1, 4))
-def test_full_firmness_leaves_nothing_that_leads_in(seed, count):
+def test_full_activation_rejects_all_that_leads_in(seed, count):
     rng = np.random.default_rng(seed)
     inward = rng.normal(size=(count, 3))
     inward /= np.linalg.norm(inward, axis=1, keepdims=True)
@@ -84,7 +84,7 @@ def test_bounded_and_the_sum_of_its_parts(seed, walls, guides):
     np.testing.assert_allclose(out.force_n, out.forbidden_n + out.guidance_n, atol=1e-15)
     if forbidden:
         total = np.sum([c.force_n for c in forbidden], axis=0)
-        share = min(1.0, CAP / max(np.linalg.norm(total), 1e-300))
+        share = min(1.0, CAP / max(float(np.linalg.norm(total)), 1e-300))
         np.testing.assert_allclose(out.forbidden_n, share * total, atol=1e-12)
 
 

@@ -38,6 +38,8 @@ def test_force_in_the_device_s_frame_is_a_free_vector(ball, shell_points, shape)
     np.testing.assert_allclose(in_device.force_n, in_tracker.force_n @ device.rotation, atol=1e-12)
     np.testing.assert_allclose(in_device.gradient, in_tracker.gradient @ device.rotation, atol=1e-12)
     assert np.array_equal(in_device.distance_mm, in_tracker.distance_mm)
+    frames = (args[0].force(shell_points, 0.4).frame, in_tracker.frame, in_device.frame)
+    assert frames == ("mr", "tracker", "device")
 
 
 def test_no_force_unless_the_state_is_valid(ball, shell_points):
@@ -97,11 +99,11 @@ def test_the_bound_tick_leaves_what_it_was_not_given(ball):
     assert buffer[7:].tolist() == [-1.0, -1.0]
 
 
-@pytest.mark.parametrize("known", [s for s in Status if s is not Status.OK])
-def test_the_bound_tick_passes_a_refusal_on(ball, known):
+@pytest.mark.parametrize("refusal", [s for s in Status if s is not Status.OK])
+def test_the_bound_tick_passes_a_refusal_on(ball, refusal):
     out = np.ones(7)
     tick = PoseAndPhase(POSE).bind(Evaluator(ball, Sigmoid()))
-    assert tick(POSE.inverse().apply_array(np.array([0.0, 0.0, 14.0])), 0.1, int(known), out) == known
+    assert tick(POSE.inverse().apply_array(np.array([0.0, 0.0, 14.0])), 0.1, int(refusal), out) == refusal
     assert not out[:3].any()
     assert np.isnan(out[3:]).all()
 

@@ -131,7 +131,7 @@ def test_force_has_vanished_at_the_border(model):
 
 
 def test_progress_reaches_one(beating_sphere):
-    told = []
+    told: list[float] = []
     model_from_surfaces(beating_sphere, progress=told.append)
     assert told == pytest.approx([1 / 3, 2 / 3, 1.0])
 

@@ -12,14 +12,15 @@ from dvf_ig.replay.report import report_html
 
 
 def test_estimates_are_within_their_errors(replay: Replay) -> None:
+    """At most 1.3 times the worst of tuning seeds 101 to 106, which stands beside each."""
     result = result_of(replay)
     assert result["start_tre_mm"]["mean"] > 8
-    assert result["tre_mm"]["median"] <= 2.0
-    assert result["phase_error_percent_rr"]["mean"] <= 3.0
-    assert abs(result["lag_error_s"]) <= 0.005
-    assert result["probe_error_mm"] <= 1.0
-    assert result["tip_error_mm"] <= 0.2
-    assert result["force_error_n"]["median"] <= 0.1
+    assert result["tre_mm"]["median"] <= 2.0  # 1.77
+    assert result["phase_error_percent_rr"]["mean"] <= 1.2  # 0.94
+    assert abs(result["lag_error_s"]) <= 0.0009  # 0.00066
+    assert result["probe_error_mm"] <= 0.7  # 0.54
+    assert result["tip_error_mm"] <= 0.025  # 0.018
+    assert result["force_error_n"]["median"] <= 0.1  # 0.112; this seed 0.082
     assert result["nonfinite_ticks"] == 0
     assert result["force_n"]["max"] <= 0.6
 

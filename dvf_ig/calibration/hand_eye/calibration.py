@@ -46,7 +46,8 @@ class HandEyeOptions:
         keep_sigma: pairs within this many robust standard deviations are inliers.
         min_span_deg: smallest accepted largest rotation between two poses of the hand.
         min_axis_spread: smallest accepted ratio of the second to the first principal size of the hand's
-            rotation vectors; 0 where all rotations are about one axis, which leaves the shift along it open.
+            rotation vectors; 0 where all rotations are about one axis, which does not determine the
+            shift along it.
         min_inlier_share: smallest accepted share of pairs that agree.
     """
 
@@ -112,7 +113,7 @@ def calibrate_hand_eye(
     Raises:
         InvalidInputError: frames that repeat, or fewer than 3 pairs.
         NoOverlapError: the two streams share no time.
-        QualityGateError: the hand turns too little or about one axis, or too few pairs agree.
+        QualityGateError: the hand rotates too little or about one axis, or too few pairs agree.
     Source: Tsai & Lenz 1989, Park & Martin 1994, Shah 2013 (in OpenCV); MSAC of Torr & Zisserman 2000.
     """
     options = options or HandEyeOptions()
@@ -186,13 +187,13 @@ def _refuse_still(chain: Chain, name: str, options: HandEyeOptions) -> tuple[flo
     span, spread = rotation_span_deg(chain.hand_rotations), chain.axis_spread()
     if span < options.min_span_deg:
         raise QualityGateError(
-            f"{name} turns by {span:.1f}° only, needed at least {options.min_span_deg:g}°; tilt the hand in "
-            "all directions while the camera sees the target"
+            f"{name} rotates by {span:.1f}° only, needed at least {options.min_span_deg:g}°; tilt the hand "
+            "in all directions while the camera sees the target"
         )
     if spread < options.min_axis_spread:
         raise QualityGateError(
-            f"{name} turns about one axis only (spread of the axes {spread:.3f}, needed at least "
-            f"{options.min_axis_spread:g}); the camera's place along it stays unknown: turn about a second "
+            f"{name} rotates about one axis only (spread of the axes {spread:.3f}, needed at least "
+            f"{options.min_axis_spread:g}); the camera's place along it stays unknown: rotate about a second "
             "axis too"
         )
     return span, spread

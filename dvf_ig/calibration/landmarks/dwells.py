@@ -20,6 +20,10 @@ KEEP_SIGMA = 3.0
 """Samples within this many robust standard deviations of their dwell's pivot take part in `check_tip`."""
 
 
+TipShift = tuple[FloatArray, FloatArray]
+"""(3,) shift of a tip, and (n,) distance of each sample from the pivot of its dwell."""
+
+
 @dataclass(frozen=True, slots=True)
 class DwellOptions:
     """When a stylus dwells on a landmark.
@@ -60,10 +64,10 @@ class Dwells:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TipCheck:
-    """Whether a stylus turned about the tip it was said to have.
+    """Whether a stylus pivoted about its stated tip.
 
     Attributes:
-        shift_mm: (3,) from the stated tip to the point about which the stylus turned in all dwells, in the
+        shift_mm: (3,) from the stated tip to the point about which the stylus pivoted in all dwells, in the
             stylus's frame.
         spread_mm: root mean square distance of the tip from its dwells' centres, as stated.
         spread_after_mm: the same of the shifted tip.
@@ -100,14 +104,14 @@ def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = 
         t_s: (n,) times; tip: (n, 3) positions in a frame in which the landmarks stand still.
         options: see DwellOptions.
     Raises:
-        QualityGateError: the tip never dwelt.
+        QualityGateError: the tip was never held still.
     """
     options = options or DwellOptions()
     runs = _merged(_still_runs(t_s, tip.xyz_mm, options), tip.xyz_mm, options)
     if not runs:
         raise QualityGateError(
-            f"the tip never rested within {options.radius_mm:g} mm for {options.min_s:g} s; hold it on each "
-            "landmark for a few seconds"
+            f"the tip was never held still within {options.radius_mm:g} mm for {options.min_s:g} s; hold it "
+            "on each landmark for a few seconds"
         )
     kept = [_samples(k, runs, tip.xyz_mm, options) for k in range(len(runs))]
     centers = np.array([tip.xyz_mm[run].mean(axis=0) for run in kept])
@@ -122,43 +126,39 @@ def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = 
 
 
 def check_tip(poses: PoseStream, tip: Points, dwells: Dwells) -> TipCheck:
-    """The point about which a stylus turned, from all dwells together, against its stated tip.
+    """The point about which a stylus pivoted, from all dwells together, against its stated tip.
 
     Least squares on R_i (tip + shift) + t_i = c_k for the samples i of each dwell k: a pivot calibration with
     one pivot a dwell. Samples of the approach, further than KEEP_SIGMA from their pivot, are left out. Of a
-    stylus that was hardly turned the smallest shift that explains the samples is taken.
+    stylus that was hardly rotated the smallest shift that explains the samples is taken.
     """
-    dwelt = []
+    parts = []
     for start, stop in zip(dwells.start_s, dwells.stop_s, strict=True):
         inside = poses.valid & (poses.t_s >= start) & (poses.t_s <= stop)
         rotations = poses.rotations[inside]
-        dwelt.append((rotations, rotations @ tip.xyz_mm[0] + poses.translations_mm[inside]))
-    ends = np.cumsum([len(placed) for _, placed in dwelt])
+        parts.append((rotations, rotations @ tip.xyz_mm[0] + poses.translations_mm[inside]))
+    ends = np.cumsum([len(placed) for _, placed in parts])
 
-    def fit(keep: BoolArray, _: _Pivots | None) -> _Pivots:
-        return _common_shift(dwelt, np.split(keep, ends[:-1]))
+    def fit(keep: BoolArray, _: TipShift | None) -> TipShift:
+        return _common_shift(parts, np.split(keep, ends[:-1]))
 
     rule = InlierRule(KEEP_SIGMA, scale_from_inliers=True)
     agreed = fit_inliers(fit, lambda found: [found[1]], np.ones(ends[-1], dtype=np.bool_), rule)
     keep = agreed.inliers
-    shift, after = fit(keep, None) if agreed.model is None else agreed.model
-    before = _common_shift(dwelt, np.split(keep, ends[:-1]), solve=False)[1]
+    shift, after = agreed.model or fit(keep, None)
+    before = _common_shift(parts, np.split(keep, ends[:-1]), solve=False)[1]
     spreads = [float(np.sqrt((distance[keep] ** 2).mean())) for distance in (before, after)]
     return TipCheck(shift, spreads[0], spreads[1])
 
 
-_Pivots = tuple[FloatArray, FloatArray]
-"""(3,) shift of the tip, and (n,) distance of each sample from the pivot of its dwell."""
-
-
 def _common_shift(
-    dwelt: list[tuple[FloatArray, FloatArray]], keep: list[BoolArray], *, solve: bool = True
-) -> _Pivots:
+    parts: list[tuple[FloatArray, FloatArray]], keep: list[BoolArray], *, solve: bool = True
+) -> TipShift:
     """Shift of the tip (zero unless solved for) from the kept samples, and the distances of all."""
     # each pivot is eliminated by taking the kept samples of its dwell from their mean
-    means = [(r[k].mean(axis=0), p[k].mean(axis=0)) for (r, p), k in zip(dwelt, keep, strict=True)]
-    rotated = [r - mean for (r, _), (mean, _) in zip(dwelt, means, strict=True)]
-    placed = [p - mean for (_, p), (_, mean) in zip(dwelt, means, strict=True)]
+    means = [(r[k].mean(axis=0), p[k].mean(axis=0)) for (r, p), k in zip(parts, keep, strict=True)]
+    rotated = [r - mean for (r, _), (mean, _) in zip(parts, means, strict=True)]
+    placed = [p - mean for (_, p), (_, mean) in zip(parts, means, strict=True)]
     shift = np.zeros(3)
     if solve:
         matrix = np.concatenate([r[k].reshape(-1, 3) for r, k in zip(rotated, keep, strict=True)])

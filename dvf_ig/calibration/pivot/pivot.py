@@ -95,7 +95,7 @@ def calibrate_pivot(poses: PoseStream, *, rng: Generator, options: PivotOptions 
     keep = _inliers(rotations, translations, rng, options)
     if keep.sum() < max(3, options.min_inlier_share * len(valid)):
         raise QualityGateError(
-            f"only {int(keep.sum())} of {len(valid)} poses of {poses.name} turn about one point within "
+            f"only {int(keep.sum())} of {len(valid)} poses of {poses.name} rotate about one point within "
             f"{options.consensus_mm:g} mm; needed {options.min_inlier_share:.0%}: keep the tip in the divot"
         )
     return _result(poses, valid, keep, options)
@@ -123,7 +123,7 @@ def _result(
     condition = float(np.linalg.cond(matrix))
     if condition > options.max_condition:
         raise QualityGateError(
-            f"{poses.name} turns about one axis only (condition number {condition:.0f}, needed at most "
+            f"{poses.name} rotates about one axis only (condition number {condition:.0f}, needed at most "
             f"{options.max_condition:g}); tilt the tool in all directions about the divot"
         )
     solution = _solve(rotations, translations)
@@ -206,6 +206,6 @@ def _residual_lengths(solutions: FloatArray, rotations: FloatArray, translations
 def _refuse_still(name: str, span_deg: float, options: PivotOptions) -> None:
     if span_deg < options.min_span_deg:
         raise QualityGateError(
-            f"{name} turns by {span_deg:.1f}° only, needed at least {options.min_span_deg:g}°; "
+            f"{name} rotates by {span_deg:.1f}° only, needed at least {options.min_span_deg:g}°; "
             "tilt the tool in all directions about the divot while recording"
         )

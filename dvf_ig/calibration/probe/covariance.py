@@ -1,4 +1,4 @@
-"""Uncertainty of an image calibration by a jackknife over blocks of time, and what the motion leaves open.
+"""Uncertainty of an image calibration: a jackknife over blocks of time, and motion that is too little.
 
 Neither dots nor frames are independent samples: the dots of one frame share one pose error, and neighbouring
 frames of a sweep share much of what no model holds (a bent wire, a beam's thickness, a wrong placement of the
@@ -18,8 +18,8 @@ from .map_parameters import MapParameters
 from .tracked_points import IndexArray
 
 BLOCKS = 10
-"""Blocks of time of a recording that are left out in turn."""
-SHOWN_NAMES = {
+"""Blocks of time into which a recording is cut; each is left out once."""
+DISPLAY_NAMES = {
     "about_lateral_rad": "rotation about the lateral axis",
     "about_axial_rad": "rotation about the axial direction",
     "about_elevation_rad": "rotation within the image plane",
@@ -35,7 +35,7 @@ SHOWN_NAMES = {
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class MapUncertainty:
-    """Spread of an image calibration about its estimate.
+    """Uncertainty of an image calibration.
 
     Attributes:
         parameters: the estimate, the pixel that its shifts are of, and what was free.
@@ -81,7 +81,7 @@ class MapUncertainty:
         return self.parameters.estimate.scale_mm_per_px[:, None] * np.exp(np.stack([-factor, factor], axis=1))
 
     def about(self, center_px: FloatArray) -> "MapUncertainty":
-        """The same spread with the position of another pixel in place of `parameters.center_px`."""
+        """The same uncertainty with the position of another pixel in place of `parameters.center_px`."""
         old = self.parameters
         change = np.eye(old.count)
         change[3:6] = old.jacobian(np.asarray(center_px, dtype=np.float64))
@@ -100,7 +100,7 @@ class MapUncertainty:
         width = self.half_width
         if self.parameters.isotropic:
             width = np.append(width, width[-1])
-        return np.asarray(self.parameters.away(truth) / width)
+        return np.asarray(self.parameters.step_to(truth) / width)
 
 
 def time_blocks(frames: int) -> list[IndexArray]:
@@ -172,7 +172,7 @@ def refuse_unconstrained(
     limit = np.repeat(limits, 3)[: parameters.count]
     undetermined = [n for n, s, top in zip(parameters.names, sd, limit, strict=False) if s > top]
     if undetermined:
-        worst = [f"{SHOWN_NAMES[n]} (SD {_shown(n, sd[parameters.names.index(n)])})" for n in undetermined]
+        worst = [f"{DISPLAY_NAMES[n]} (SD {_shown(n, sd[parameters.names.index(n)])})" for n in undetermined]
         actions = ", and ".join(dict.fromkeys(advice[n] for n in undetermined))
         needed = f"{np.degrees(limits[0]):.1f}°, {limits[1]:g} mm, {100 * limits[2]:g} %"
         raise QualityGateError(

@@ -22,14 +22,14 @@ from .target_start import centred_pixels, map_from_solution
 from .tracked_points import TrackedPoints, require_same_probe, usable_points
 
 _MOVE = "let the crossing wander over the whole image, left and right, near and far"
-_TURN = "turn and tilt the probe about all three axes while the crossing stays in the image"
+_ROTATE = "turn and tilt the probe about all three axes while the crossing stays in the image"
 ADVICE = {
     "about_lateral_rad": _MOVE,
     "about_axial_rad": _MOVE,
     "about_elevation_rad": _MOVE,
-    "lateral_mm": _TURN,
-    "axial_mm": _TURN,
-    "elevation_mm": _TURN,
+    "lateral_mm": _ROTATE,
+    "axial_mm": _ROTATE,
+    "elevation_mm": _ROTATE,
     "log_column_size": _MOVE,
     "log_row_size": _MOVE,
     "log_pixel_size": _MOVE,

@@ -57,7 +57,7 @@ class MapParameters:
         origin = center - rotation[:, :2] @ (self.center_px * size)
         return ImageMap(Rigid(rigid.target, rigid.source, rotation, origin), size)
 
-    def away(self, other: ImageMap) -> FloatArray:
+    def step_to(self, other: ImageMap) -> FloatArray:
         """(8,) step that leads from the estimate to `other`, whatever the pixel sizes."""
         rigid = self.estimate.rigid
         rotation = Rotation.from_matrix(rigid.rotation.T @ other.rigid.rotation).as_rotvec()

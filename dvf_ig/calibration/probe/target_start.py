@@ -29,7 +29,7 @@ def map_from_solution(solution: FloatArray, points: TrackedPoints) -> ImageMap:
 def _map_from_columns(columns: FloatArray, sensor: str) -> ImageMap:
     """Rotation times sizes near a (3, 3) linear map [u, v, 1] to mm, however far from orthogonal that is.
 
-    The bisector of the two axes is kept and both are turned to 45° from it; an axis that is not determined
+    The bisector of the two axes is kept and both are rotated to 45° from it; an axis that is not determined
     (zero, or along the other one) becomes some direction across the other.
     """
     size = np.maximum(np.linalg.norm(columns[:, :2], axis=0), 1e-6)

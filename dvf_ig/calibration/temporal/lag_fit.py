@@ -55,7 +55,7 @@ def lag_interval(motions: Motions, lag_s: float, memory_s: float) -> tuple[float
     """95 % confidence interval about the least-squares lag, with residuals correlated over `memory_s`.
 
     Gauss–Newton sensitivity J of the row to lag, gain and offset; covariance (JᵀJ)⁻¹ S (JᵀJ)⁻¹ with S the sum
-    of the scores' autocovariances, so that slow sway and a wandering lag count for what they are.
+    of the scores' autocovariances, so that slow sway of the hand and a drifting lag widen the interval.
 
     Source: Newey and West 1987 (Bartlett weights); 1.5 n/m degrees of freedom per Priestley 1981, table 6.1.
     """
@@ -71,7 +71,7 @@ def lag_interval(motions: Motions, lag_s: float, memory_s: float) -> tuple[float
     return lag_s - half_width, lag_s + half_width
 
 
-def misfit_sigmas(motions: Motions, lag_s: float, other_s: float, memory_s: float) -> float:
+def excess_sigmas(motions: Motions, lag_s: float, other_s: float, memory_s: float) -> float:
     """By how many standard errors `other_s` leaves larger squared residuals than `lag_s`.
 
     Source: Diebold and Mariano 1995, the mean of a difference of squared errors over its long-run error.

@@ -15,7 +15,7 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 
-from .lag_fit import Motions, lag_interval, misfit_sigmas, period_lags
+from .lag_fit import Motions, excess_sigmas, lag_interval, period_lags
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +63,8 @@ class LatencyResult:
         halves_s: lags of the first and of the second half.
         periods: up-and-down movements in the recording.
         period_t_s, period_lags_s: (k,) middle of each movement on the video clock and the lag of it alone;
-            a spread far beyond interval_s says that the lag itself wanders (a grabber that runs beside the
-            scanner's frame rate, filtered time stamps).
+            a spread far beyond interval_s shows that the lag itself drifts (a frame grabber that is not
+            synchronised with the scanner, filtered time stamps).
         lags_s, correlations: (k,) the signed correlation over all lags tried.
         motions: the two motions compared.
     """
@@ -117,7 +117,7 @@ def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | N
     memory_s = options.memory_periods * float(np.ptp(motions.video_t_s)) / periods
     second_lag, second = _second_peak(motions, lags, correlations, best, options)
     ratio = second / abs(value) if value else 1.0
-    sigmas = misfit_sigmas(motions, lag, second_lag, memory_s) if second else np.inf
+    sigmas = excess_sigmas(motions, lag, second_lag, memory_s) if second else np.inf
     _refuse_poor(lag, abs(value), second_lag, ratio, sigmas, options)
     sign = float(np.sign(value))
     early = np.arange(len(motions.video_t_s)) < len(motions.video_t_s) // 2

@@ -24,7 +24,7 @@ from .pattern import FoundWires, PatternOptions, find_wires
 from .plan import WirePlan, plan_wires
 
 SCALE_FRAMES = 10
-"""Frames looked at to estimate the pixel size."""
+"""Frames from which the pixel size is estimated."""
 SCALE_STEP = 1.25
 """Ratio of one pixel size tried to the next, where none is given."""
 SCALE_SHARE = 0.08
@@ -143,12 +143,12 @@ def _spacing(
 
     Of several sizes tried, the one at which most frames show the phantom, and then with the least misfit.
     """
-    looked_at = (
+    sampled = (
         valid[np.unique(np.linspace(0, len(valid) - 1, SCALE_FRAMES).astype(int))] if len(valid) else valid
     )
     best, best_score = None, (0, -np.inf)
     for size in _sizes(images.shape[2], plan, options):
-        tried = [_frame(images[i], True, plan, size, options).wires for i in looked_at.tolist()]
+        tried = [_frame(images[i], True, plan, size, options).wires for i in sampled.tolist()]
         found = [wires for wires in tried if isinstance(wires, FoundWires)]
         if found:
             score = (len(found), -float(np.median([wires.misfit_mm for wires in found])))

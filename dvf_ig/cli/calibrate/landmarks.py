@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dvf_ig.core import Landmarks, Points, PoseStream
 
 TIP_SHIFT_MM = 1.0
-"""Distance of the point about which a stylus turned from its stated tip beyond which the user is told."""
+"""Distance of the point about which a stylus pivoted from its stated tip beyond which the user is warned."""
 
 
 def landmarks(
@@ -134,13 +134,13 @@ def _rows(
         ),
     ]
     errors = zip(phantom.names, found.residuals_mm, found.leave_one_out_mm, samples, strict=True)
-    for name, miss, without, count in errors:
+    for name, residual, without, count in errors:
         left_out = f", {without:.3f} left out" if without == without else ""
-        rows.append((f"landmark {name}", f"{miss:.3f} mm{left_out}; {count} samples"))
+        rows.append((f"landmark {name}", f"{residual:.3f} mm{left_out}; {count} samples"))
     rows.append(("other order", f"{found.second_rms_mm:.2f} mm RMS at best"))
     rows.append(
         (
-            "stylus turned",
+            "stylus pivoted",
             f"about a point {vector(checked.shift_mm.tolist())} mm from its tip; spread "
             f"{checked.spread_mm:.2f} mm, {checked.spread_after_mm:.2f} about that point",
         )
@@ -165,6 +165,6 @@ def _warn(found: "LandmarkResult", checked: "TipCheck", tool: str) -> None:
     shift = float((checked.shift_mm**2).sum() ** 0.5)
     if shift > TIP_SHIFT_MM:
         warn(
-            f"in its divots '{tool}' turned about a point {shift:.1f} mm from its stated tip; calibrate the "
+            f"in its divots '{tool}' pivoted about a point {shift:.1f} mm from its stated tip; calibrate the "
             "tip again (dvf-ig calibrate pivot)"
         )

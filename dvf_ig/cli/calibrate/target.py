@@ -14,7 +14,7 @@ METHODS = ("orthogonal", "isotropic")
 Printed = tuple[dict[str, Any], list[tuple[str, ...]], float]
 
 
-def calibrate_target(
+def target_result(
     phantom: str,
     sequence: Path,
     points: Path | None,
@@ -54,7 +54,7 @@ def calibrate_target(
         *map_rows(found.uncertainty),
         *rows,
         ("calibration", error_row(found.calibration)),
-        ("left out in turn", error_row(found.held_out)),
+        ("leave-one-out", error_row(found.held_out)),
     ]
     if checked is not None:
         table.append(("validation", error_row(checked)))
@@ -65,10 +65,10 @@ def calibrate_target(
 Solved = tuple[
     "TargetResult[Any]", "CalibrationErrors | None", dict[str, Any], list[tuple[str, ...]]
 ]  # fmt: skip
-Seen = tuple["PoseStream", "FloatArray"]
+PosesAndPoints = tuple["PoseStream", "FloatArray"]
 
 
-def _crosswire(seen: Seen, second: Seen | None, options: Any, rng: Any) -> Solved:
+def _crosswire(seen: PosesAndPoints, second: PosesAndPoints | None, options: Any, rng: Any) -> Solved:
     from dvf_ig.calibration import calibrate_crosswire, validate_crosswire
 
     found = calibrate_crosswire(*seen, rng=rng, options=options)
@@ -78,7 +78,7 @@ def _crosswire(seen: Seen, second: Seen | None, options: Any, rng: Any) -> Solve
     return found, checked, place, [("crossing", f"{vector(crossing)} mm in '{frame}'")]
 
 
-def _wall(seen: Seen, second: Seen | None, options: Any, rng: Any) -> Solved:
+def _wall(seen: PosesAndPoints, second: PosesAndPoints | None, options: Any, rng: Any) -> Solved:
     from dvf_ig.calibration import calibrate_wall, validate_wall
 
     found = calibrate_wall(*seen, rng=rng, options=options)
@@ -93,7 +93,7 @@ def _wall(seen: Seen, second: Seen | None, options: Any, rng: Any) -> Solved:
     return found, checked, place, [("wall", shown)]
 
 
-def _recording(phantom: str, sequence: Path, points: Path | None, option: str, rng: Any) -> Seen:
+def _recording(phantom: str, sequence: Path, points: Path | None, option: str, rng: Any) -> PosesAndPoints:
     """Poses and points; a wall's line is found in the images where no points are given."""
     from dvf_ig.calibration import find_wall_lines
     from dvf_ig.core import InvalidInputError

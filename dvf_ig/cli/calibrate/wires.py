@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenWires:
+class WireRecording:
     """A recording, and how its wires were found; None where a table gave them."""
 
     recording: "NWireRecording"
@@ -25,11 +25,11 @@ def read_wires(
     table: Path | None,
     section: Literal["CalibrationData", "ValidationData"],
     picture: Path | None = None,
-) -> SeenWires:
+) -> WireRecording:
     """Wires from a section of a PLUS result, or from the images where there is no table.
 
     Args:
-        picture: PNG of what was found in the images; written before a failure is told.
+        picture: PNG of what was found in the images; written even where too little was found.
     """
     from dvf_ig.calibration import recording_of, segment_wires
     from dvf_ig.core import InvalidInputError
@@ -45,7 +45,7 @@ def read_wires(
     if table is not None:
         if picture is not None:
             raise InvalidInputError("--picture shows wires found in images; leave out --points to find them")
-        return SeenWires(read_nwire_recording(sequence, device_set, table, section), None)
+        return WireRecording(read_nwire_recording(sequence, device_set, table, section), None)
     phantom = read_nwire_phantom(device_set)
     recorded = read_sequence(sequence)
     poses = phantom_from_probe(sequence, recorded, device_set)
@@ -54,7 +54,7 @@ def read_wires(
         title = f"{sequence.name}: wires found in {found.used} of {len(found.frames)} frames"
         write_wire_picture(picture, recorded, found, title=title)
         wrote(picture, "image")
-    return SeenWires(recording_of(found, phantom, poses), found)
+    return WireRecording(recording_of(found, phantom, poses), found)
 
 
 def wire_image_options(search: "WireSearch") -> "WireImageOptions":
@@ -71,7 +71,7 @@ def wire_image_options(search: "WireSearch") -> "WireImageOptions":
     return replace(options, spacing_mm=search.spacing_mm, clip=search.clip, dots=dots, pattern=pattern)
 
 
-def segmentation_json(seen: SeenWires | None) -> dict[str, Any] | None:
+def segmentation_json(seen: WireRecording | None) -> dict[str, Any] | None:
     """Frames used and left out by reason; None where a table gave the wires."""
     if seen is None or seen.segmentation is None:
         return None
@@ -79,7 +79,7 @@ def segmentation_json(seen: SeenWires | None) -> dict[str, Any] | None:
     return {"frames_used": found.used, "frames": len(found.frames), "reasons": found.reasons}
 
 
-def segmentation_rows(seen: SeenWires, validated: SeenWires | None) -> list[tuple[str, str]]:
+def segmentation_rows(seen: WireRecording, validated: WireRecording | None) -> list[tuple[str, str]]:
     """Share of frames used, and how many were left out for which reason."""
     rows = []
     for what, wires in (("calibration", seen), ("validation", validated)):

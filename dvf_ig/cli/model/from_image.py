@@ -1,6 +1,5 @@
 """`dvf-ig model build --image 4D`: from an image and its labels or seeds to the model, with evidence."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,64 +8,59 @@ import typer
 from dvf_ig.cli.shell import emit, progress, warn, wrote
 from dvf_ig.core import DvfModel, Volume, VolumeSeries
 
+from .request import BuildRequest
+
 if TYPE_CHECKING:
-    from dvf_ig.preop import CineModel, ModelOptions
-
-METHODS = ("bspline", "demons")
+    from dvf_ig.preop import CineModel
 
 
-@dataclass(frozen=True, slots=True)
-class ImageRequest:
-    """What the user typed.
+def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tuple[DvfModel, dict[str, Any]]:
+    """Segment where seeds are given, propagate by the motion, fit; print the evidence and write it.
 
-    Attributes:
-        image: 4-D image.
-        labels, seeds: one of them.
-        organ, cavity: label values.
-        ed_phase, method, timing, patient, surface: as the options of the same names.
-        output: the model's file; JSON and picture go beside it.
+    Args:
+        request: with an image, and labels or seeds.
+        path: the image.
+    Returns:
+        the model, and the evidence that is also written as JSON beside it.
     """
+    from dvf_ig.io import read_volume_series
+    from dvf_ig.preop import CineOptions, model_from_cine
 
-    image: Path
-    labels: Path | None
-    seeds: Path | None
-    organ: tuple[int, ...]
-    cavity: tuple[int, ...]
-    ed_phase: int
-    method: str
-    timing: Path | None
-    patient: str | None
-    surface: str
-    output: Path
-
-
-def model_from_image(
-    request: ImageRequest, options: "ModelOptions", *, as_json: bool
-) -> tuple[DvfModel, dict[str, Any]]:
-    """Segment if need be, carry, fit; print the evidence, write it and a picture beside the model."""
-    from dvf_ig.io import read_volume_series, write_json, write_motion_picture
-    from dvf_ig.preop import CineOptions, MotionOptions, model_from_cine
-
-    if request.method not in METHODS:
-        raise typer.BadParameter(f"--motion is '{request.method}'; needed one of {', '.join(METHODS)}")
-    if (request.labels is None) == (request.seeds is None):
-        raise typer.BadParameter("--image needs either --labels (of end-diastole) or --seeds FILE")
-    image = read_volume_series(request.image, request.timing)
+    image = read_volume_series(path, request.timing)
     labels, truth, cavity = _labels(request, image)
-    motion = MotionOptions(
-        method="demons" if request.method == "demons" else "bspline", threads=options.threads
+    options = CineOptions(
+        request.organ,
+        cavity,
+        request.ed_phase,
+        request.surface,
+        request.motion_options(),
+        request.model_options(),
     )
     with progress("motion, then fitting phases") as report:
         result = model_from_cine(
             image,
             labels,
-            patient_id=request.patient or request.image.name.split(".")[0],
-            options=CineOptions(request.organ, cavity, request.ed_phase, request.surface, motion, options),
+            patient_id=request.patient_id(path),
+            options=options,
             truth=truth,
             progress=report,
-            sources=(f"{request.image.name}: motion by {request.method}",),
+            sources=(f"{path.name}: motion by {request.method}",),
         )
     payload = _payload(result, request)
+    _write_evidence(result, image, payload, request)
+    _warn_of_limits(result, request)
+    if not as_json:
+        emit({}, _phase_rows(result), as_json=False)
+        emit({}, _summary_rows(result), as_json=False)
+    return result.model, payload
+
+
+def _write_evidence(
+    result: "CineModel", image: VolumeSeries, payload: dict[str, Any], request: BuildRequest
+) -> None:
+    """JSON and a picture beside the model."""
+    from dvf_ig.io import write_json, write_motion_picture
+
     evidence, picture = request.output.with_suffix(".json"), request.output.with_suffix(".png")
     write_json(evidence, payload)
     es_phase = int(result.volume_mm3.argmin())
@@ -75,15 +69,10 @@ def model_from_image(
     )
     wrote(evidence)
     wrote(picture, image.grid.frame)
-    _tell_limits(result, request)
-    if not as_json:
-        emit({}, _phase_rows(result), as_json=False)
-        emit({}, _summary_rows(result), as_json=False)
-    return result.model, payload
 
 
 def _labels(
-    request: ImageRequest, image: VolumeSeries
+    request: BuildRequest, image: VolumeSeries
 ) -> tuple[Volume, VolumeSeries | None, tuple[int, ...]]:
     """Labels of end-diastole, those of every phase where given, and the cavity's values."""
     from dvf_ig.io import read_cine_labels, read_seeds, write_volume
@@ -95,23 +84,22 @@ def _labels(
         return labels, truth, request.cavity
     if request.seeds is None:
         raise typer.BadParameter("--image needs either --labels or --seeds")
-    if request.organ or request.cavity:
-        raise typer.BadParameter("--organ and --cavity belong to --labels; seeds name what they are in")
     seeds = read_seeds(request.seeds, image.grid.frame)
     labels = segment_from_seeds(image.phase(request.ed_phase), seeds)
     path = request.output.with_name(f"{request.output.stem}_ed_labels.nii.gz")
     write_volume(labels, path)
     wrote(path, labels.grid.frame)
-    warn(f"labels grown from seeds are a start: correct {path.name} by hand and give it as --labels")
+    warn(f"labels grown from seeds are a first segmentation: correct {path.name} and give it as --labels")
     return labels, None, (CAVITY,) if len(seeds.cavity) else ()
 
 
-def _tell_limits(result: "CineModel", request: ImageRequest) -> None:
+def _warn_of_limits(result: "CineModel", request: BuildRequest) -> None:
     quality = result.quality
     if quality.slice_pitch_mm is not None:
         warn(
-            f"slices lie {quality.slice_pitch_mm:.1f} mm apart: motion was sought within them only, motion "
-            "across them (shortening of the heart) is missing, and shape between two of them is interpolated"
+            f"slices lie {quality.slice_pitch_mm:.1f} mm apart: motion was estimated within them only, "
+            "motion across them (shortening of the heart) is missing, and shape between two of them is "
+            "interpolated"
         )
     if quality.folds:
         worst = int(quality.folded_share.argmax())
@@ -123,7 +111,7 @@ def _tell_limits(result: "CineModel", request: ImageRequest) -> None:
         )
 
 
-def _payload(result: "CineModel", request: ImageRequest) -> dict[str, Any]:
+def _payload(result: "CineModel", request: BuildRequest) -> dict[str, Any]:
     quality, budget = result.quality, result.budget
     return {
         "method": request.method,
@@ -156,7 +144,7 @@ def _payload(result: "CineModel", request: ImageRequest) -> dict[str, Any]:
 def _phase_rows(result: "CineModel") -> list[tuple[str, ...]]:
     quality = result.quality
     rows: list[tuple[str, ...]] = [
-        ("phase", "correlation", "left", "min volume ratio", "folded", "Dice", "motion mm", "volume ml")
+        ("phase", "correlation", "residual", "min volume ratio", "folded", "Dice", "motion mm", "volume ml")
     ]
     for i, now in enumerate(quality.correlation):
         rows.append(
@@ -178,9 +166,9 @@ def _summary_rows(result: "CineModel") -> list[tuple[str, ...]]:
     quality, budget = result.quality, result.budget
     return [
         (
-            "cycle closes",
-            f"to {quality.closure_mean_mm:.2f} mm mean, {quality.closure_p95_mm:.2f} p95 over the organ, "
-            f"where both directions meet (phase {quality.meeting_phase})",
+            "closure error",
+            f"{quality.closure_mean_mm:.2f} mm mean, {quality.closure_p95_mm:.2f} p95 over the organ, "
+            f"in the phase where both directions meet ({quality.meeting_phase})",
         ),
         (
             "ED surface",

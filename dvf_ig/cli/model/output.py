@@ -1,4 +1,4 @@
-"""What `dvf-ig model build` and `check` print: numbers, and what each one means."""
+"""Output of `dvf-ig model build` and `check`: numbers with their definitions."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -87,7 +87,7 @@ def model_rows(model: DvfModel, result: "ModelCheck", seconds: float | None) -> 
             f"{DEFINITIONS['normal_error_deg.facet']}",
         ),
         (
-            "not judged",
+            "left out",
             f"{result.excluded_area_share:.0%} of the area: caps and {result.rim_mm:g} mm around them",
         ),
         ("time", f"{seconds:.1f} s" if seconds is not None else "-"),

@@ -10,6 +10,7 @@ from .options import TrialsCommand
 from .registration import add_registration_commands
 from .retiming import retiming
 from .stylus import tracking
+from .training import training
 
 app = typer.Typer(help="Many trials with a known truth.", no_args_is_help=True)
 app.command("tracking")(tracking)
@@ -17,5 +18,6 @@ app.command("distance")(distance_maps)
 app.command("blending")(blending)
 app.command("gating")(gating)
 app.command("retiming")(retiming)
+app.command("training")(training)
 add_registration_commands(app)
 app.command("calibration", cls=TrialsCommand)(calibration)

@@ -131,10 +131,10 @@ def _cells(phase: dict[str, float]) -> tuple[str, str, str, str]:
 
 def _draw(scored: "Sequence[RecordGating]", path: Path) -> None:
     from dvf_ig.report.study.gating_study import risk_coverage_figure
-    from dvf_ig.study.gating.records import pool
+    from dvf_ig.study.gating.records import RHYTHMS, pool
 
     classes: dict[str, PhaseErrors] = {}
-    for rhythm in ("sinus", "ectopic", "fibrillation"):
+    for rhythm in RHYTHMS:
         chosen = [r.errors for r in scored if r.rhythm == rhythm and not r.tuning]
         if chosen:
             classes[rhythm] = pool(chosen)

@@ -10,14 +10,14 @@ from .xml import parse_xml, read_transforms
 
 
 def read_image_map(path: Path | str, sensor: str = "probe") -> ImageMap:
-    """sensor_from_image of a PLUS configuration or probe-calibration result.
+    """probe_from_image of a PLUS configuration or probe-calibration result.
 
     The columns of such a matrix are a fit of their own each: the first two are made orthogonal, the third,
     of arbitrary length in PLUS's files, is rebuilt. How far they were off is `shear_deg` of the result.
 
     Args:
         path: PLUS XML with `<Transform From="Image" To="Probe">`.
-        sensor: frame that the image is placed in.
+        sensor: name of the frame that the image is placed in, where it is not "probe".
     Raises:
         UnreadableFileError: absent, not XML, no such transform, or image axes more than 1° off orthogonal.
     """

@@ -27,7 +27,7 @@ def dilation_distance_mm(mask: BoolArray, spacing_mm: float, neighbours: int) ->
         InvalidInputError: another neighbourhood, or a mask without inside or outside.
     """
     if neighbours not in NEIGHBOURHOODS:
-        raise InvalidInputError(f"{neighbours} neighbours asked for; choose 6, 18 or 26")
+        raise InvalidInputError(f"{neighbours} neighbours requested; choose 6, 18 or 26")
     if mask.all() or not mask.any():
         raise InvalidInputError("a distance map needs voxels inside and outside the surface")
     element = generate_binary_structure(3, NEIGHBOURHOODS[neighbours])

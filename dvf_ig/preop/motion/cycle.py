@@ -73,7 +73,7 @@ class MotionOptions:
         if not 2.0 <= self.rim_mm <= 50.0:
             raise InvalidInputError(f"rim around the organ is {self.rim_mm:g} mm; needed 2 to 50 mm")
         if self.threads < 1:
-            raise InvalidInputError(f"{self.threads} threads asked for; needed at least 1")
+            raise InvalidInputError(f"{self.threads} threads requested; needed at least 1")
 
 
 @read_only_arrays

@@ -10,7 +10,7 @@ from dvf_ig.preop.distance.signed import LEVELS, signed_distance_mm
 from .fit import SAMPLES_PER_KNOT, AxisSolver, AxisSolvers, fit_weighted, surface_weights
 
 CELL_MULTIPLE = (1 << LEVELS) // SAMPLES_PER_KNOT
-"""The number of knot cells along an axis is a multiple of this, as the sampling asks."""
+"""The number of knot cells along an axis is a multiple of this, as the sampling of distance needs."""
 
 
 def sample_grid(reference: Sequence[Mesh], frame: str, knot_spacing_mm: float, margin_mm: float) -> Grid:

@@ -64,7 +64,7 @@ def surface_of_mask(mask: BoolArray, grid: Grid, *, smoothing_voxels: float = SM
         InvalidInputError: an empty mask.
     """
     if not mask.any():
-        raise InvalidInputError("the mask has no voxel inside; nothing to take a surface of")
+        raise InvalidInputError("the mask has no voxel inside; there is no surface to extract")
     return _surface(_Crop(mask, np.zeros(3, dtype=np.int64)), grid, smoothing_voxels)
 
 

@@ -93,8 +93,8 @@ def _propagated_flips(graph: csr_array, count: int) -> BoolArray:
     _, roots = np.unique(label, return_index=True)
     for root in roots:
         order, parent = breadth_first_order(graph, root, directed=False)
-        asks = np.asarray(graph[parent[order[1:]], order[1:]]).ravel() == 2
-        for triangle, flip in zip(order[1:], asks, strict=True):
+        different = np.asarray(graph[parent[order[1:]], order[1:]]).ravel() == 2
+        for triangle, flip in zip(order[1:], different, strict=True):
             flipped[triangle] = flipped[parent[triangle]] ^ flip
     return flipped
 

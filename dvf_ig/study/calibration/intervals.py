@@ -79,7 +79,7 @@ def calibration_trial(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
     middle = np.array(probe.apex_px) + np.array([0.0, 0.5 * (probe.fan.start_px + probe.fan.stop_px)])
     uncertainty = uncertainty.about(middle)
     parameters = uncertainty.parameters
-    error = -parameters.away(planted.probe_from_image) * _MAP_UNITS
+    error = -parameters.step_to(planted.probe_from_image) * _MAP_UNITS
     half = uncertainty.half_width[[*range(parameters.count), *[-1] * (8 - parameters.count)]]
     return {**_line(_MAP_NAMES, error, half * _MAP_UNITS), **extra}
 

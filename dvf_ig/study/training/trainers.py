@@ -30,7 +30,7 @@ PROBE_TOLERANCE = 1e-4
 """Largest relative error with which a known network must be recovered from its own values at the samples."""
 
 OnIteration = Callable[[FloatArray], None]
-"""Told the coefficients after every iteration."""
+"""Called with the coefficients after every iteration."""
 
 
 @read_only_arrays
@@ -104,7 +104,7 @@ def train_gradient(
         tolerance: ends when the gradient has fallen to this share of the first one.
         max_iterations: a network of pitch close to the samples' has a condition number in the thousands, and
             needs about that many steps for each factor of e.
-        on_iteration: told the coefficients after every step.
+        on_iteration: called with the coefficients after every step.
     Raises:
         InvalidInputError: as train_separable.
     """
@@ -143,7 +143,7 @@ def train_scattered(
         weights: (n,) positive; None: all 1.
         ridge: weight of Σ p²; a positive one makes the minimum unique.
         tolerance: ends when the preconditioned residual has fallen to this share of the first one.
-        on_iteration: told the coefficients, as (functions,) in `ravel` order, after every step.
+        on_iteration: called with the coefficients, (functions,) in `ravel` order, after every step.
     Raises:
         InvalidInputError: shapes that do not fit, or, without a ridge, samples that leave the network
             undetermined.

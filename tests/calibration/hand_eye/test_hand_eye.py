@@ -56,8 +56,8 @@ class Bench:
 
     def error(self, found: Rigid) -> FloatArray:
         """(6,) rotation vector in the hand's axes, rad, and shift, mm."""
-        turn = Rotation.from_matrix(found.rotation @ self.hand_from_camera.rotation.T).as_rotvec()
-        return np.concatenate([turn, found.translation_mm - self.hand_from_camera.translation_mm])
+        rotation = Rotation.from_matrix(found.rotation @ self.hand_from_camera.rotation.T).as_rotvec()
+        return np.concatenate([rotation, found.translation_mm - self.hand_from_camera.translation_mm])
 
 
 def stacked(vectors: FloatArray, shifts: FloatArray) -> FloatArray:
@@ -105,8 +105,8 @@ def test_no_closed_form_of_opencv_does_better(solved: list[tuple[Bench, HandEyeR
         parts = [list(s) for s in (bench.hand.rotations, bench.hand.translations_mm)]
         parts += [list(s) for s in (bench.camera.rotations, bench.camera.translations_mm)]
         for name in names:
-            turn, shift = cv2.calibrateHandEye(*parts, method=getattr(cv2, f"CALIB_HAND_EYE_{name}"))
-            found = Rigid("hand", "camera", np.asarray(turn), np.ravel(shift))
+            rotation, shift = cv2.calibrateHandEye(*parts, method=getattr(cv2, f"CALIB_HAND_EYE_{name}"))
+            found = Rigid("hand", "camera", np.asarray(rotation), np.ravel(shift))
             theirs[name].append(float(np.linalg.norm(bench.error(found)[3:])))
     # the two agree where the noise is small; ten trials tell errors apart to some 15 %
     assert np.mean(ours) < 1.15 * min(np.mean(errors) for errors in theirs.values())
@@ -139,13 +139,13 @@ def test_the_hand_is_interpolated_at_the_cameras_times() -> None:
     assert not ((found.t_s > t_s[500]) & (found.t_s < t_s[598])).any(), (
         "lost samples are not interpolated over"
     )
-    # chords of 0.02 s miss a turn of 0.6 rad/s² by 0.6 · 0.02² / 8 = 3e-5 rad, 0.03 mm a metre away
+    # chords of 0.02 s miss a rotation of 0.6 rad/s² by 0.6 · 0.02² / 8 = 3e-5 rad, 0.03 mm a metre away
     assert np.abs(bench.error(found.hand_from_camera)[3:]).max() < 0.1
     assert found.rms_mm < 0.1
 
 
 def test_refusals() -> None:
-    with pytest.raises(QualityGateError, match=r"turns by \d\.\d° only, needed at least 15°"):
+    with pytest.raises(QualityGateError, match=r"rotates by \d\.\d° only, needed at least 15°"):
         Bench(0, tilt_deg=3.0).solve()
     with pytest.raises(QualityGateError, match="about one axis only"):
         Bench(0, one_axis=True).solve()
@@ -168,4 +168,4 @@ def test_refusals() -> None:
     with pytest.raises(NoOverlapError, match="record both on one clock"):
         calibrate_hand_eye(bench.hand, later, rng=rng)
     with pytest.raises(InvalidInputError, match="'kabsch' is not one of tsai, park"):
-        calibrate_hand_eye(bench.hand, bench.camera, rng=rng, options=HandEyeOptions(method="kabsch"))  # type: ignore[arg-type]
+        calibrate_hand_eye(bench.hand, bench.camera, rng=rng, options=HandEyeOptions(method="kabsch"))

@@ -103,7 +103,7 @@ def test_dwells_are_found_and_matched_among_others() -> None:
 
 def test_refused_dwells() -> None:
     moving = np.outer(np.arange(300.0), [1.0, 0, 0])
-    with pytest.raises(QualityGateError, match="never rested"):
+    with pytest.raises(QualityGateError, match="never held still"):
         find_dwells(np.arange(300) / 15.0, Points("reference", moving))
     dwells = find_dwells(*stylus_path(BOX[:3]))
     with pytest.raises(InvalidInputError, match="3 places for 5 landmarks"):
@@ -115,7 +115,7 @@ def test_a_square_is_ambiguous_and_a_lopsided_set_is_not() -> None:
     square = np.array([[0.0, 0, 0], [60, 0, 0], [60, 60, 0], [0, 60, 0]])
     found = register_landmarks(Points("a", square + 0.1 * rng.standard_normal((4, 3))), Points("b", square))
     assert found.ambiguous
-    assert found.second_rms_mm < 0.5, "a quarter turn fits as well"
+    assert found.second_rms_mm < 0.5, "a rotation by 90° fits as well"
     lopsided = register_landmarks(Points("a", BOX + 0.1 * rng.standard_normal((5, 3))), Points("b", BOX))
     assert not lopsided.ambiguous
     # brute force over all 120 orders
@@ -129,7 +129,7 @@ def test_a_square_is_ambiguous_and_a_lopsided_set_is_not() -> None:
 
 
 def register_rms(target: np.ndarray[tuple[int, ...], np.dtype[np.float64]], source: object) -> float:
-    points = Points("b", source)  # type: ignore[arg-type]
+    points = Points("b", source)
     misses = fit_paired_points(Points("a", target), points).apply(points).xyz_mm - target
     return float(np.sqrt((misses**2).sum(axis=1).mean()))
 
@@ -152,16 +152,16 @@ TIP = np.array([110.0, 5.0, 2.0])
 def pivoting_stylus(error_mm: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[PoseStream, Points]:
     """3 s on each corner of BOX while the stylus circles in its divot, a second between; 0.1 mm noise."""
     rng = np.random.default_rng(3)
-    turns, tips = [], []
+    parts, tips = [], []
     for k, corner in enumerate(BOX):
         around = 2 * np.pi * np.arange(60) / 60
         tilt = np.radians(25) * np.column_stack([0 * around, np.cos(around), np.sin(around)])
-        turns.append((Rotation.from_rotvec([0.1 * k, 0, 0]) * Rotation.from_rotvec(tilt)).as_matrix())
+        parts.append((Rotation.from_rotvec([0.1 * k, 0, 0]) * Rotation.from_rotvec(tilt)).as_matrix())
         tips.append(np.tile(corner, (60, 1)))
         if k + 1 < len(BOX):
-            turns.append(np.repeat(turns[-1][-1:], 20, axis=0))
+            parts.append(np.repeat(parts[-1][-1:], 20, axis=0))
             tips.append(corner + np.linspace(0, 1, 22)[1:-1, None] * (BOX[k + 1] - corner))
-    rotations, tip = np.concatenate(turns), np.concatenate(tips)
+    rotations, tip = np.concatenate(parts), np.concatenate(tips)
     shifts = tip - rotations @ TIP + 0.1 * rng.standard_normal(tip.shape)
     count = len(tip)
     poses = PoseStream("reference", "stylus", np.arange(count) / 20, rotations, shifts, np.ones(count, bool))
@@ -178,7 +178,7 @@ def test_the_mean_over_a_pivoting_stylus_cancels_an_error_across_its_shaft() -> 
     assert found.rms_mm < 0.2
 
 
-def test_the_stylus_tells_where_its_tip_is() -> None:
+def test_a_pivoting_stylus_gives_its_tip() -> None:
     error = np.array([0.5, 1.0, -0.6])
     poses, tip = pivoting_stylus(error)
     checked = check_tip(poses, tip, find_dwells(*tip_positions(poses, tip)))
@@ -207,7 +207,7 @@ def test_real_phantom(data_dir: Path) -> None:
     assert difference.rotation_deg < 0.1
     assert difference.centroid_mm < 0.25
     assert difference.largest_mm < 0.3
-    # the stylus turns about a point beyond its stated tip, and much more closely
+    # the stylus pivots about a point beyond its stated tip, and much more closely
     checked = check_tip(poses, tip, find_dwells(*tip_positions(poses, tip)))
     assert 1.0 < np.linalg.norm(checked.shift_mm) < 1.6
     assert checked.spread_after_mm < 0.6 * checked.spread_mm

@@ -85,7 +85,7 @@ def test_same_seed_same_result_bit_by_bit() -> None:
 
 def test_static_tool_is_refused() -> None:
     still = np.tile(np.eye(3), (100, 1, 1))
-    with pytest.raises(QualityGateError, match=r"turns by 0\.\d° only, needed at least 15°"):
+    with pytest.raises(QualityGateError, match=r"rotates by 0\.\d° only, needed at least 15°"):
         calibrate_pivot(pivoting(still, noise_mm=0.2), rng=np.random.default_rng(0))
 
 
@@ -110,7 +110,7 @@ def test_a_tip_that_slips_is_refused() -> None:
     rotations = cone(100, 40)
     shifts = np.random.default_rng(0).uniform(-30, 30, (100, 3))
     stream = PoseStream("tracker", "tool", np.arange(100.0), rotations, shifts, np.ones(100, dtype=np.bool_))
-    with pytest.raises(QualityGateError, match="turn about one point"):
+    with pytest.raises(QualityGateError, match="rotate about one point"):
         calibrate_pivot(stream, rng=np.random.default_rng(0))
 
 

@@ -29,7 +29,7 @@ def test_a_linear_fit_is_left_out_exactly() -> None:
     rng = np.random.default_rng(1)
     rows, right = rng.standard_normal((47, 3, 4)), rng.standard_normal((47, 3))
 
-    def fit(keep: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    def fit(keep: np.ndarray) -> np.ndarray:
         return np.linalg.lstsq(rows[keep].reshape(-1, 4), right[keep].ravel(), rcond=None)[0]
 
     everything = np.arange(47)
@@ -61,10 +61,10 @@ def test_one_block_that_decides_alone_is_refused() -> None:
 
 
 @given(st.lists(st.floats(-0.2, 0.2), min_size=8, max_size=8), st.booleans())
-def test_away_undoes_stepped(step: list[float], isotropic: bool) -> None:
+def test_step_to_undoes_stepped(step: list[float], isotropic: bool) -> None:
     parameters = MapParameters(MAP, CENTER, isotropic)
     taken = np.array(step[: parameters.count])
-    back = parameters.away(parameters.stepped(taken))
+    back = parameters.step_to(parameters.stepped(taken))
     np.testing.assert_allclose(back, np.append(taken, taken[6:])[:8] if isotropic else taken, atol=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""Methods side by side: chosen on calibration frames alone; intervals that hold a planted truth."""
+"""Methods side by side: chosen on calibration frames alone; intervals that hold the ground truth."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_oblong_pixels_are_not_called_square() -> None:
 
 
 @pytest.mark.parametrize("method", ["orthogonal", "isotropic", "all-wires"])
-def test_intervals_hold_the_planted_map(method: NWireMethod) -> None:
+def test_intervals_hold_the_true_map(method: NWireMethod) -> None:
     options = NWireOptions(method=method)
     found = calibrate_nwire(recording((0.5, 0.5), 0.2, 2), rng=np.random.default_rng(0), options=options)
     assert (np.abs(found.uncertainty.covers(truth((0.5, 0.5)))) < 2.0).all()
@@ -98,7 +98,7 @@ def test_real_sweeps_agree_within_their_intervals(real_sweeps: tuple[NWireRecord
     center = np.array([400.0, 300.0])
     again = calibrate_nwire(second, rng=np.random.default_rng(0)).uncertainty.about(center)
     spread = found.best.uncertainty.about(center)
-    gap = spread.parameters.away(again.parameters.estimate)
+    gap = spread.parameters.step_to(again.parameters.estimate)
     assert (np.abs(gap / np.hypot(spread.half_width, again.half_width)) < 1.5).all()
 
 

@@ -12,7 +12,7 @@ from data_synth.phantoms.watertank import watertank_recording
 from data_synth.scenario.ground_truth import draw_ground_truth
 from data_synth.scenario.presets import Preset
 from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.calibration import estimate_latency, find_wall_lines, wall_trace
+from dvf_ig.calibration import estimate_latency, wall_trace
 from dvf_ig.core import FloatArray, LatencyRecording, NoOverlapError, PoseStream, QualityGateError, Trace
 from dvf_ig.io import read_latency_recording, read_sequence
 
@@ -90,7 +90,7 @@ def synthetic(seed: int, **changes: float) -> tuple[LatencyRecording, float]:
     """A recording of the synthetic world, with sway, jitter and noise, and its true lag."""
     probe, options, rng = SectorProbe(), Preset(), np.random.default_rng([seed, 7])
     planted = draw_ground_truth(np.zeros(3), probe.plane_from_image, 150.0, rng)
-    spec = replace(options.watertank, **changes)  # type: ignore[arg-type]
+    spec = replace(options.watertank, **changes)
     tracker = options.watertank_tracker
     made = watertank_recording(planted.probe_from_image, probe.fan, planted.lag_s, tracker, spec, rng)
     return made, planted.lag_s
@@ -109,7 +109,7 @@ def test_the_interval_holds_the_truth_as_often_as_it_says() -> None:
     assert np.mean(widths) < 0.003, "and it is no wider than it must be: the error's SD is 0.43 ms"
 
 
-def test_a_lag_that_wanders_widens_the_interval_and_is_told() -> None:
+def test_a_drifting_lag_widens_the_interval_and_is_reported() -> None:
     steady = recording(-0.06)
     rows = steady.wall_row_px
     # the video's clock drifts by 60 ms and jumps back every 5 s
@@ -120,32 +120,6 @@ def test_a_lag_that_wanders_widens_the_interval_and_is_told() -> None:
     assert calm.wander_s < 0.002
     assert found.interval_s[0] < -0.06 < found.interval_s[1]
     assert np.ptp(found.interval_s) > 5 * np.ptp(calm.interval_s)
-
-
-def tank(rows: FloatArray, slope: float, seed: int = 0) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    """Speckled images with an oblique bright floor and a bright scale that stands still."""
-    rng = np.random.default_rng(seed)
-    images = rng.integers(0, 25, (len(rows), 200, 160)).astype(np.float64)
-    r, c = np.mgrid[:200, :160]
-    for i, row in enumerate(rows):
-        images[i] += 180 * np.exp(-0.5 * ((r - row - slope * (c - 79.5)) / 2.0) ** 2) * (c > 20)
-    images[:, 30:34, :] = 250
-    return np.clip(images, 0, 255).astype(np.uint8)
-
-
-def test_floor_is_found_to_a_fraction_of_a_pixel() -> None:
-    rows = 100 + 40 * np.sin(np.arange(24) * 0.7)
-    lines = find_wall_lines(tank(rows, 0.2), rng=np.random.default_rng(0))
-    assert lines.found.all()
-    # some 140 columns, each within half a pixel
-    assert np.abs(lines.row_px - rows).max() < 0.5
-    assert np.abs(lines.slope - 0.2).max() < 0.01
-
-
-def test_images_without_a_floor_are_refused() -> None:
-    speckle = np.random.default_rng(0).integers(0, 60, (20, 200, 160)).astype(np.uint8)
-    with pytest.raises(QualityGateError, match="of 20 frames"):
-        wall_trace(np.arange(20.0), speckle, np.ones(20, bool), rng=np.random.default_rng(0))
 
 
 def test_real_water_tank_with_plus_lines(data_dir: Path) -> None:

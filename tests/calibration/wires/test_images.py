@@ -1,4 +1,4 @@
-"""Dots found in images and named as the wires of N patterns: planted dots and planes."""
+"""Dots found in images and named as the wires of N patterns: synthetic dots and planes."""
 
 import numpy as np
 import pytest
@@ -52,7 +52,7 @@ def square_phantom() -> NWirePhantom:
 
 
 @pytest.mark.parametrize("spacing", [0.08, 0.5])
-def test_dots_lie_where_they_were_planted(spacing: float) -> None:
+def test_dots_are_found_where_they_were_drawn(spacing: float) -> None:
     points = np.array([[60.3, 50.8], [150.6, 41.2], [100.2, 120.7]])
     sd_px = (max(2.0, 0.7 / spacing), max(1.5, 0.3 / spacing))
     found = find_dots(blobs(points, sd_px, (170, 220)), spacing)

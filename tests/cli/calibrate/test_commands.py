@@ -15,9 +15,11 @@ from dvf_ig.io import read_coordinate_definitions
 def table(path: Path, half_angle_deg: float) -> Path:
     """A pivot recording as rows x y z qx qy qz qw."""
     rng = np.random.default_rng(0)
-    turns = Rotation.from_rotvec(rng.uniform(-1, 1, (80, 3)) * np.radians(half_angle_deg))
-    shifts = np.array([80.0, -40, -900]) - turns.apply([3.0, -12, 150]) + 0.1 * rng.standard_normal((80, 3))
-    np.savetxt(path, np.column_stack([shifts, turns.as_quat()]))
+    rotations = Rotation.from_rotvec(rng.uniform(-1, 1, (80, 3)) * np.radians(half_angle_deg))
+    shifts = (
+        np.array([80.0, -40, -900]) - rotations.apply([3.0, -12, 150]) + 0.1 * rng.standard_normal((80, 3))
+    )
+    np.savetxt(path, np.column_stack([shifts, rotations.as_quat()]))
     return path
 
 

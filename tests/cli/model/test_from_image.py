@@ -69,14 +69,14 @@ def test_from_labels_of_end_diastole(folder):
         assert np.abs(radius_mm(mesh) - OUTER_MM * scale).mean() < 0.25
 
 
-def test_labels_of_every_phase_judge_the_motion(folder):
-    output = folder / "judged.npz"
+def test_labels_of_every_phase_assess_the_motion(folder):
+    output = folder / "assessed.npz"
     image, labels = folder / "cine.nii.gz", folder / "labels.nii.gz"
     result = run("model", "build", "--image", image, "--labels", labels, "-o", output)
     assert result.exit_code == 0, result.output
-    assert "cycle closes" in result.stdout
+    assert "closure error" in result.stdout
     assert "ED surface" in result.stdout
-    motion = json.loads((folder / "judged.json").read_text(encoding="utf-8"))
+    motion = json.loads((folder / "assessed.json").read_text(encoding="utf-8"))
     assert min(motion["dice"]) > min(motion["dice_before"]) + 0.05
 
 

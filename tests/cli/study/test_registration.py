@@ -2,62 +2,30 @@
 
 import json
 from collections.abc import Iterator
-from functools import lru_cache
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
-import numpy as np
 import pytest
-from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
+from stub_registration import stub_problem
 from typer.testing import CliRunner, Result
 
 import dvf_ig.report.study.registration_page as capture_page
 import dvf_ig.study.registration.trial as trials
 from dvf_ig.cli.main import app
-from dvf_ig.core import InvalidInputError, Points, Rigid
-from dvf_ig.registration import (
-    Level,
-    RegistrationData,
-    RegistrationOptions,
-    RegistrationResult,
-    channels_from_mr,
-    register_rigid,
-)
 from dvf_ig.study.registration.experiments import MOTIONS
-from dvf_ig.study.registration.problem import RegistrationProblem
 
 COMMANDS = {"same-image": "A", "capture": "B", "gating-error": "D", "planes": "E", "failures": "F"}
 FILES = ("study.json", "trials.jsonl", "summary.json", "report.html")
 PAGE = capture_page.write_capture_page
-TARGETS = Points("mr", CENTER_MM + np.random.default_rng(1).uniform(-45, 45, (27, 3)))
-
-
-@lru_cache(maxsize=1)
-def found() -> RegistrationResult:
-    """One registration of the toy heart; every trial of the stub ends there."""
-    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.1)
-    level = Level(slices, channels_from_mr(toy_mr(), smoothing_mm=3.0), 3.0)
-    options = RegistrationOptions(starts=1)
-    data = RegistrationData(level, level, CENTER_MM)
-    return register_rigid(data, toy_pose(), rng=np.random.default_rng(0), clock=perf_counter, options=options)
 
 
 @pytest.fixture(autouse=True)
 def stubbed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    def make(pair: int, condition: dict[str, Any]) -> RegistrationProblem:
-        def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-            if pair == 13:
-                raise InvalidInputError("pair 13 is refused")
-            return found()
-
-        return RegistrationProblem(toy_pose(), TARGETS, CENTER_MM, register)
-
     def page(lines: list[dict[str, Any]], path: Path) -> None:
         path.write_text(f"{len(lines)} registrations")
 
     trials._problem.cache_clear()
-    monkeypatch.setattr(trials, "make_problem", make)
+    monkeypatch.setattr(trials, "make_problem", stub_problem)
     monkeypatch.setattr(capture_page, "write_capture_page", page)
     yield
     trials._problem.cache_clear()

@@ -6,7 +6,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-import dvf_ig.cli.synth.commands as synth_module
+import dvf_ig.cli.synth.scenario as scenario_command
 from data_synth import PRESETS, ScenarioSpec, describe_faults
 from dvf_ig.cli.synth.commands import app
 from dvf_ig.cli.synth.spec import SpecFile, read_spec, scenario_spec, spec_text
@@ -104,7 +104,7 @@ def test_without_a_folder_or_with_two_presets_it_is_a_usage_error(tmp_path: Path
 def test_the_folder_tells_what_is_in_it_but_no_true_value(
     tmp_path: Path, scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(synth_module, "_on_the_phantom", lambda spec: scenario)
+    monkeypatch.setattr(scenario_command, "_on_the_phantom", lambda spec: scenario)
     out = tmp_path / "made"
     for _ in range(2):  # a folder of ours is replaced
         done = CliRunner().invoke(app, ["scenario", "--preset", "probe slip", "-o", str(out)])

@@ -161,7 +161,7 @@ def test_points_move_as_voxels_do(kind):
     grid = Grid("mr", (9, 8, 7), [3.0, -4.0, 5.0], [2.0, 1.5, 4.0], turned)
     rng = np.random.default_rng(4)
     lattice = Lattice.over(grid, 6.0)
-    move = FreeForm(lattice, rng.normal(size=(*lattice.shape, 3)))
+    move: FreeForm | DisplacementField = FreeForm(lattice, rng.normal(size=(*lattice.shape, 3)))
     if kind == "field":
         move = DisplacementField(grid, move.on_voxels())
     points = grid.centers_mm().reshape(-1, 3)
@@ -228,4 +228,4 @@ def test_refusals(ball):
     with pytest.raises(InvalidInputError, match="knot pitch"):
         FreeFormOptions(pitch_mm=1.0)
     with pytest.raises(InvalidInputError, match="motion method"):
-        MotionOptions(method="optical")  # type: ignore[arg-type]
+        MotionOptions(method="optical")

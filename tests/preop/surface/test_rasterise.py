@@ -25,7 +25,7 @@ def nested(sphere_of, timing=None):
 def test_labels_lie_where_the_surfaces_say(sphere_of):
     turned = Rotation.from_rotvec([0.2, 0.4, -0.3]).as_matrix()
     grid = Grid("mr", (30, 30, 30), turned @ np.full(3, -29.0), np.full(3, 2.0), turned)
-    told = []
+    told: list[float] = []
     labels = rasterise(nested(sphere_of), grid, progress=told.append)
     assert labels.values.dtype == np.uint8
     assert told == [0.5, 1.0]

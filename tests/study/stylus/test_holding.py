@@ -1,4 +1,4 @@
-"""Automatic tracking on a small beating ball: the fixture holds the tool, friction keeps it off."""
+"""A stylus on a small beating ball: the fixture holds it to the surface, friction keeps it off."""
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from dvf_ig.study.stylus.holding import (
     BeatingSurface,
     held_styli,
     hold_stylus,
+    pool_hearts,
     spare_friction_n,
     with_fixture,
 )
@@ -112,6 +113,13 @@ def test_feed_forward_is_tried_where_friction_can_be_spared() -> None:
         ("PHANToM Omni", False), ("PHANToM Omni", False),
         ("PHANToM Omni", True), ("PHANToM Omni", True),
     ]  # fmt: skip
+
+
+def test_hearts_are_pooled_place_by_place(ball: BeatingSurface) -> None:
+    run = hold_stylus(ball, with_fixture(DEVICES["premium"], "force", compensate=False), cycles=1)
+    both = pool_hearts([run, run])
+    assert both.distance_mm.shape == (4, 600)
+    assert both.summary() == pytest.approx(run.summary())
 
 
 def test_the_picture_is_a_png(ball: BeatingSurface) -> None:

@@ -1,0 +1,135 @@
+"""`dvf-ig calibrate probe --phantom nwire`: every method on an N-wire sweep, and the chosen one."""
+
+from pathlib import Path
+from statistics import fmean
+from typing import TYPE_CHECKING, Any
+
+from .output import error_fields, error_row, wire_rows
+from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
+from .wires import read_wires, segmentation_json, segmentation_rows
+
+if TYPE_CHECKING:
+    from dvf_ig.calibration import CalibrationErrors, NWireResult, NWireVariants
+
+
+def nwire_result(
+    sequence: Path,
+    device_set: Path | None,
+    validate: Path | None,
+    tables: tuple[Path | None, Path | None],
+    method: str | None,
+    picture: Path | None,
+    rng: Any,
+) -> tuple[dict[str, Any], list[tuple[str, ...]], float]:
+    """JSON, rows to print and the error to save.
+
+    Args:
+        tables: PLUS results with the wire points of the calibration and of the validation sequence; None
+            finds the wires in the images.
+    """
+    from dvf_ig.calibration import compare_nwire_methods, validate_nwire
+    from dvf_ig.core import InvalidInputError
+
+    if device_set is None:
+        raise InvalidInputError("an N-wire phantom needs --device-set XML with its wires and its placement")
+    seen = read_wires(sequence, device_set, tables[0], "CalibrationData", picture)
+    validated = None
+    if validate is not None:
+        validated = read_wires(validate, device_set, tables[1], "ValidationData")
+    recording, held_out = seen.recording, None if validated is None else validated.recording
+    variants = compare_nwire_methods(recording, rng=rng)
+    found = _chosen(variants, method)
+    checked = {
+        name: None if held_out is None else validate_nwire(r.probe_from_image, held_out)
+        for name, r in variants.results.items()
+    }
+    result = _result(found, checked[found.method])
+    result["method_from"] = "cross-validation of the calibration frames" if method is None else "--method"
+    result["variants"] = _variants(variants, checked)
+    result["segmentation"] = segmentation_json(seen)
+    result["validation_segmentation"] = segmentation_json(validated)
+    rows: list[tuple[str, ...]] = [*segmentation_rows(seen, validated)]
+    rows += [*_rows(found, checked[found.method]), *_variant_rows(result)]
+    return result, rows, (checked[found.method] or found.calibration).summary.mean95
+
+
+def _chosen(variants: "NWireVariants", method: str | None) -> "NWireResult":
+    from dvf_ig.calibration import NWIRE_METHODS
+    from dvf_ig.core import InvalidInputError, QualityGateError
+
+    if method is None:
+        return variants.best
+    for name in NWIRE_METHODS:
+        if name == method:
+            if name in variants.refused:
+                raise QualityGateError(f"method {name}: {variants.refused[name]}")
+            return variants.results[name]
+    raise InvalidInputError(f"probe method '{method}' is unknown; choose {', '.join(NWIRE_METHODS)}")
+
+
+def _result(found: "NWireResult", checked: "CalibrationErrors | None") -> dict[str, Any]:
+    return {
+        "sensor_from_image": found.matrix.tolist(),
+        "sensor_frame": found.probe_from_image.rigid.target,
+        "phantom": "nwire",
+        "calibration": error_fields(found.calibration),
+        "validation": error_fields(checked),
+        "method": found.method,
+        "inlier_frames": int(found.inliers.sum()),
+        "rejected": rejected_list(found.rejected),
+        "edge_sd_mm": found.edge_sd_mm,
+        "shear_deg": found.shear_deg,
+        "leave_one_out_rms_mm": float((found.uncertainty.held_out_mm**2).mean() ** 0.5),
+        "uncertainty": uncertainty(found.uncertainty),
+    }
+
+
+def _variants(
+    variants: "NWireVariants", checked: "dict[Any, CalibrationErrors | None]"
+) -> dict[str, dict[str, Any]]:
+    from dvf_ig.calibration import NWIRE_METHODS
+
+    table: dict[str, dict[str, Any]] = {}
+    for name in NWIRE_METHODS:
+        if name in variants.refused:
+            table[name] = {"refused": variants.refused[name]}
+            continue
+        errors = checked[name]
+        table[name] = {
+            "calibration": error_fields(variants.results[name].calibration),
+            "validation": error_fields(errors),
+            "cross_validated_mean95_mm": variants.cross_validated_mm[name],
+            "in_plane_mm": fmean((errors or variants.results[name].calibration).in_plane_mm.values()),
+        }
+    return table
+
+
+def _rows(found: "NWireResult", checked: "CalibrationErrors | None") -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [
+        ("frames used", f"{int(found.inliers.sum())} of {found.calibration.frames}"),
+        *map_rows(found.uncertainty),
+        ("calibration", error_row(found.calibration)),
+    ]
+    if checked is not None:
+        rows.append(("validation", error_row(checked)))
+    rows += rejected_rows(found.rejected)
+    return rows + list(wire_rows(checked or found.calibration))
+
+
+def _variant_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
+    """A table of the methods: lowest 95 % of the errors, in mm."""
+    rows: list[tuple[str, ...]] = [
+        ("method", "cross-validated  calibration  validation  in plane (mm; all but the last: lowest 95 %)")
+    ]
+    for name, entry in result["variants"].items():
+        used = " *" if name == result["method"] else ""
+        if "refused" in entry:
+            rows.append((name, entry["refused"]))
+            continue
+        checked = entry["validation"]
+        held_out = "-" if checked is None else f"{checked['mean95_mm']:.3f}"
+        crossed, fitted = entry["cross_validated_mean95_mm"], entry["calibration"]["mean95_mm"]
+        rows.append(
+            (name + used, f"{crossed:<15.3f}  {fitted:<11.3f}  {held_out:<10}  {entry['in_plane_mm']:.3f}")
+        )
+    return [*rows, ("* used", f"chosen by {result['method_from']}")]

@@ -1,0 +1,43 @@
+"""Options of `dvf-ig model build`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+OutputOption = Annotated[Path, typer.Option("-o", "--out", help="Model file to write (.npz).")]
+SurfacesOption = Annotated[
+    Path | None, typer.Option("--surfaces", help="Folder (or archive) of surfaces, one mesh a phase.")
+]
+SurfaceOption = Annotated[str, typer.Option("--surface", help="Name of the surface to guard.")]
+LabelsOption = Annotated[
+    Path | None, typer.Option("--labels", help="4-D label image; with --image, end-diastole's.")
+]
+ImageOption = Annotated[
+    Path | None, typer.Option("--image", help="4-D image, for the motion of --labels or --seeds.")
+]
+SeedsOption = Annotated[
+    Path | None, typer.Option("--seeds", help="Points named heart, cavity, background (.mrk.json, JSON).")
+]
+OrganOption = Annotated[
+    str | None, typer.Option("--organ", help="Label values inside the surface, for example 1,2,5.")
+]
+CavityOption = Annotated[
+    str | None, typer.Option("--cavity", help="With --image: label values of the left ventricle's blood.")
+]
+EdPhaseOption = Annotated[
+    int, typer.Option("--ed-phase", min=0, help="With --image: the phase that is labelled.")
+]
+MotionOption = Annotated[str, typer.Option("--motion", help="With --image: bspline or demons.")]
+TimingOption = Annotated[Path | None, typer.Option("--timing", help="JSON file of phase times and RR.")]
+PatientOption = Annotated[str | None, typer.Option("--patient", help="Patient id (for --labels).")]
+KnotOption = Annotated[float | None, typer.Option("--knot-mm", help="Spline knot pitch in mm (default 3).")]
+AccuracyOption = Annotated[
+    float | None,
+    typer.Option(
+        "--accuracy-mm",
+        help="Wanted mean surface error in mm (p99: four times that): the coarsest knots that reach it "
+        "on the most contracted phase.",
+    ),
+]
+MarginOption = Annotated[float, typer.Option("--margin-mm", help="Box margin around the heart in mm.")]

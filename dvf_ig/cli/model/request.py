@@ -1,0 +1,109 @@
+"""The options of `dvf-ig model build` as one value, checked before any file is read."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from dvf_ig.core import OutputError
+
+if TYPE_CHECKING:
+    from dvf_ig.preop import ModelOptions, MotionOptions
+
+METHODS = ("bspline", "demons")
+
+
+@dataclass(frozen=True, slots=True)
+class BuildRequest:
+    """The source, what it means, and how the model is fitted.
+
+    Attributes:
+        output: the model's file; with an image, JSON and picture are written beside it.
+        surfaces, labels, image, seeds: the source: surfaces, a 4-D label image, or a 4-D image with the
+            labels of one phase or with seeds.
+        surface: name of the guarded surface.
+        organ, cavity: label values.
+        ed_phase, method: of the motion: the labelled phase, and how motion is estimated.
+        timing: JSON file of phase times and RR.
+        patient: identifier; None takes it from the file's name.
+        knot_mm, accuracy_mm, margin_mm, threads: of the fit; see ModelOptions.
+    Raises:
+        typer.BadParameter: options that do not go together.
+        OutputError: the folder of the output does not exist.
+    """
+
+    output: Path
+    surfaces: Path | None
+    labels: Path | None
+    image: Path | None
+    seeds: Path | None
+    surface: str
+    organ: tuple[int, ...]
+    cavity: tuple[int, ...]
+    ed_phase: int
+    method: str
+    timing: Path | None
+    patient: str | None
+    knot_mm: float | None
+    accuracy_mm: float | None
+    margin_mm: float
+    threads: int
+
+    def __post_init__(self) -> None:
+        if (self.surfaces is None) == (self.labels is None and self.image is None):
+            raise typer.BadParameter("give --surfaces DIR, --labels SERIES, or --image and labels or seeds")
+        if self.image is None and self.seeds is not None:
+            raise typer.BadParameter("--seeds needs --image, the 4-D image that they are set in")
+        if not self.output.parent.is_dir():
+            raise OutputError(
+                f"cannot write {self.output}: the folder {self.output.parent} does not exist; make it first"
+            )
+        if self.knot_mm is not None and self.accuracy_mm is not None:
+            raise typer.BadParameter("give either --knot-mm or --accuracy-mm")
+        if self.image is not None:
+            self._check_image()
+        elif self.labels is not None and not self.organ:
+            raise typer.BadParameter(
+                "--labels needs --organ, the label values inside the surface, e.g. 1,2,5"
+            )
+
+    def _check_image(self) -> None:
+        if self.method not in METHODS:
+            raise typer.BadParameter(f"--motion is '{self.method}'; needed one of {', '.join(METHODS)}")
+        if (self.labels is None) == (self.seeds is None):
+            raise typer.BadParameter("--image needs either --labels (of end-diastole) or --seeds FILE")
+        if self.seeds is not None and (self.organ or self.cavity):
+            raise typer.BadParameter("--organ and --cavity belong to --labels; seeds name what they are in")
+
+    def patient_id(self, source: Path) -> str:
+        return self.patient or source.name.split(".")[0]
+
+    def model_options(self) -> "ModelOptions":
+        from dvf_ig.preop import ModelOptions
+
+        return ModelOptions(
+            self.knot_mm or ModelOptions().knot_spacing_mm,
+            self.margin_mm,
+            threads=self.threads,
+            accuracy_mm=self.accuracy_mm,
+        )
+
+    def motion_options(self) -> "MotionOptions":
+        from dvf_ig.preop import MotionOptions
+
+        return MotionOptions(method="demons" if self.method == "demons" else "bspline", threads=self.threads)
+
+
+def label_values(text: str | None, option: str) -> tuple[int, ...]:
+    """Label values from a list such as 1,2,5; empty where the option is not given.
+
+    Raises:
+        typer.BadParameter: not a list of whole numbers.
+    """
+    if not text:
+        return ()
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError as exc:
+        raise typer.BadParameter(f"{option} is '{text}'; needed whole numbers such as 1,2,5") from exc

@@ -1,0 +1,57 @@
+"""From the source of a `BuildRequest` to the model: surfaces, labels, or an image."""
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from dvf_ig.cli.shell import progress
+from dvf_ig.core import DvfModel, Preop
+
+from .from_image import model_from_image
+from .request import BuildRequest
+
+
+def model_of(request: BuildRequest, *, as_json: bool) -> tuple[DvfModel, dict[str, Any]]:
+    """The fitted model, and the evidence that is added to what is printed."""
+    if request.image is not None:
+        model, motion = model_from_image(request, request.image, as_json=as_json)
+        return model, {"motion": motion}
+    if request.surfaces is not None:
+        return _from_surfaces(request, request.surfaces), {}
+    if request.labels is not None:
+        return _from_labels(request, request.labels), {}
+    raise typer.BadParameter("give --surfaces DIR, --labels SERIES, or --image and labels or seeds")
+
+
+def _from_surfaces(request: BuildRequest, folder: Path) -> DvfModel:
+    from dvf_ig.core import LV_CAVITY
+    from dvf_ig.io import read_surface_series, surface_names
+    from dvf_ig.preop import model_from_surfaces
+
+    series = read_surface_series(folder, request.surface, request.timing)
+    has_cavity = LV_CAVITY in surface_names(folder)
+    cavity = read_surface_series(folder, LV_CAVITY, request.timing) if has_cavity else None
+    with progress("fitting phases") as report:
+        return model_from_surfaces(
+            series,
+            cavity=cavity,
+            options=request.model_options(),
+            progress=report,
+            sources=(f"{folder.name}: {request.surface}",),
+        )
+
+
+def _from_labels(request: BuildRequest, image: Path) -> DvfModel:
+    from dvf_ig.io import read_volume_series
+    from dvf_ig.preop import model_from_labels
+
+    preop = Preop(
+        patient_id=request.patient_id(image),
+        labels=read_volume_series(image, request.timing),
+        organ_labels=request.organ,
+        surface=request.surface,
+    )
+    source = f"{image.name}: labels {','.join(map(str, request.organ))}"
+    with progress("fitting phases") as report:
+        return model_from_labels(preop, options=request.model_options(), progress=report, sources=(source,))

@@ -1,0 +1,98 @@
+"""What a replay must catch: a patient who moves, a probe whose marker slips, a wrong probe calibration."""
+
+import numpy as np
+import pytest
+
+from data_synth.scenario.presets import ScenarioSpec
+from data_synth.scenario.recording import phantom_scenario
+from dvf_ig.core import BoolArray, DvfModel, Scenario, ScenarioTruth
+from dvf_ig.guidance import Status
+from dvf_ig.preop import ModelOptions, model_from_labels
+from dvf_ig.replay import Replay, run_replay
+from dvf_ig.replay.pose_summary import suspensions
+from dvf_ig.replay.refusal import Refusal
+from dvf_ig.replay.score import score_poses
+
+RECOVERED_TRE_MM = 1.85
+"""1.3 times the 1.41 mm that this seed has after the patient moved."""
+
+
+def disturbed(preset: str, seconds: float) -> Scenario:
+    return phantom_scenario(ScenarioSpec(preset=preset, motion="paper5mm", seconds=seconds, seed=77))
+
+
+@pytest.fixture(scope="module")
+def wrongly_calibrated() -> Scenario:
+    return disturbed("wrong-calibration", 12.5)
+
+
+@pytest.fixture(scope="module")
+def coarse_model(wrongly_calibrated: Scenario) -> DvfModel:
+    """The patient's fixture with wide knots, quick to build: forces here are there or not, never judged."""
+    return model_from_labels(wrongly_calibrated.preop, options=ModelOptions(knot_spacing_mm=8.0))
+
+
+def truth_of(replay: Replay) -> ScenarioTruth:
+    assert replay.scenario.truth is not None
+    return replay.scenario.truth
+
+
+def between(replay: Replay, begin_s: float, end_s: float) -> BoolArray:
+    return np.asarray((replay.tip.t_s >= begin_s) & (replay.tip.t_s < end_s))
+
+
+def beats_until(replay: Replay, from_s: float, until_s: float) -> int:
+    """True R peaks after `from_s`, to `until_s`."""
+    peaks = truth_of(replay).r_peaks_s
+    return int(((peaks > from_s) & (peaks <= until_s)).sum())
+
+
+def median_tre_mm(replay: Replay, ticks: BoolArray) -> float:
+    scored = score_poses(replay.poses, replay.tip.t_s, replay.valid & ticks, truth_of(replay))
+    assert scored is not None
+    return scored[0].median
+
+
+def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_again(
+    coarse_model: DvfModel,
+) -> None:
+    replay = run_replay(disturbed("patient-shift", 27.0), model=coarse_model, seed=0)
+    end_s = float(replay.tip.t_s[-1])
+    moved_s = truth_of(replay).mr_from_tracker[1][0]
+    ((stopped_s, resumed_s),) = suspensions(replay.history.updates, end_s)
+    assert moved_s < stopped_s
+    assert beats_until(replay, moved_s, stopped_s) <= 2
+    suspended = between(replay, stopped_s, resumed_s)
+    assert not replay.samples.force_n[suspended].any()
+    assert (replay.samples.status[suspended] == Status.NO_POSE).all()
+    assert median_tre_mm(replay, between(replay, resumed_s, end_s)) <= RECOVERED_TRE_MM
+    assert replay.samples.force_n[between(replay, resumed_s, end_s)].any()
+    assert replay.attempts[-1].usable
+
+
+def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(coarse_model: DvfModel) -> None:
+    replay = run_replay(disturbed("probe-slip", 24.0), model=coarse_model, seed=0)
+    end_s = float(replay.tip.t_s[-1])
+    slipped_s = truth_of(replay).later_probe_from_image[0][0]
+    assert replay.valid[between(replay, 0.0, slipped_s)].any()
+    ((stopped_s, resumed_s),) = suspensions(replay.history.updates, end_s)
+    assert slipped_s < stopped_s
+    assert beats_until(replay, slipped_s, stopped_s) <= 2
+    assert resumed_s == end_s
+    after = [attempt.refused for attempt in replay.attempts if attempt.asked_s > slipped_s]
+    assert len(after) >= 2
+    assert {refused.cause for refused in after if refused is not None} == {Refusal.BEAT_DISAGREES}
+    assert not replay.samples.force_n[between(replay, stopped_s, np.inf)].any()
+
+
+def test_a_wrong_probe_calibration_is_refused_by_touched_landmarks(
+    wrongly_calibrated: Scenario, coarse_model: DvfModel
+) -> None:
+    replay = run_replay(wrongly_calibrated, model=coarse_model, seed=0)
+    assert replay.attempts
+    for attempt in replay.attempts:
+        assert attempt.refused is not None
+        assert attempt.refused.cause is Refusal.LANDMARKS_DISAGREE
+    assert not replay.poses
+    assert not replay.samples.force_n.any()
+    assert not replay.valid.any()
