@@ -1,104 +1,121 @@
-"""Make the figures and the table of Ren 2008 from this model, and one page of them; see `scripts/figures`."""
+"""Make the figures and Table II of Ren 2008 from this model, and one page of them; see `scripts/figures`."""
 
 import argparse
-import base64
-import html
-import io
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from dvf_ig.core import DvfModel, FloatArray, Rigid
+from dvf_ig.core import Rigid
 from dvf_ig.guidance import DEVICES, Evaluator, Gaussian, PoseAndPhase, Sigmoid
 from dvf_ig.guidance.blend import BLEND_CODES
 from dvf_ig.io import write_text
-from dvf_ig.io.atomic import write_bytes
-from dvf_ig.preop import check_model
-from dvf_ig.report.paper import dynamic_figure, field_figure, gaussian_figure, sigmoid_figure
+from dvf_ig.report.paper import (
+    PaperFigure,
+    SurfaceFit,
+    exponent_figure,
+    field_figure,
+    force_over_time,
+    organ_field,
+    over_time_figure,
+    paper_html,
+    steepness_figure,
+    surface_field,
+    surface_figure,
+    surface_fit,
+    width_figure,
+    write_paper_figures,
+)
 from dvf_ig.report.study.stylus import tracking_figure
+from dvf_ig.study.bench.timing import time_batches, time_calls
 from dvf_ig.study.stylus.holding import BeatingSurface, StylusRun, beating_surface, held_styli, hold_stylus
 
 Row = tuple[str, str, str]
 
-TITLE = "Dynamic virtual fixtures: the figures of Ren 2008 from this model"
-PAGE_PX_PER_INCH = 88
-STYLE = (
-    "body{font:15px/1.5 sans-serif;margin:2em auto;max-width:1100px;padding:0 1em;color:#222}"
-    "figure{margin:2.2em 0}img{max-width:100%}figcaption{color:#555;max-width:52em}"
-    "td,th{padding:3px 14px;text-align:left}table{border-collapse:collapse}"
-    "tr+tr td{border-top:1px solid #ddd}"
-)
+FORBIDDEN, GUIDANCE = Sigmoid(1.0), Gaussian(3.0, 1.0)
+CAPTIONS = {
+    "fig04-surface": (
+        "After Fig. 4 (content inferred)",
+        "The surface on which the fitted spline's potential is 0.5, against the surface it was fitted to.",
+    ),
+    "fig05-forbidden-region": (
+        "After Fig. 5",
+        "A forbidden region pushes out of the organ: γ = 1 /mm, largest force 0.6 N. Arrows are forces "
+        "(those that lean out of the slice look shorter), the orange line is the surface.",
+    ),
+    "fig08-gamma": (
+        "After Fig. 8",
+        "Half of the largest force at the surface, whatever γ; the larger γ, the steeper.",
+    ),
+    "fig09-m": (
+        "After Fig. 9",
+        "The larger m, the flatter the free zone within δ and the steeper its wall.",
+    ),
+    "fig10-delta": ("After Fig. 10", "The larger δ, the wider the free zone."),
+    "fig11-guidance": (
+        "After Fig. 11",
+        "Guidance pulls back to the surface from either side, and does not act on it: δ = 3 mm, m = 1, "
+        "largest force 0.6 N.",
+    ),
+    "eq10-11-over-time": (
+        "Equations 10–11 (no figure in the paper)",
+        "Where the surface moves most; a vertical line is a volume. As printed, the equation gives the next "
+        "volume's force at each volume's own time and jumps; the corrected form is continuous.",
+    ),
+}
+TIMED_POINTS, BATCH = 20_000, 1_000
 
 
 def main() -> int:
     arguments = _arguments()
     surface = beating_surface("paper5mm", places=arguments.places, seed=arguments.seed)
-    model = surface.model
+    fit = surface_fit(surface.model, phase=surface.model.ed_phase, rng=np.random.default_rng(0))
     tracks = [
         hold_stylus(surface, stylus, cycles=arguments.cycles)
         for stylus in held_styli(list(DEVICES.values()), list(BLEND_CODES))
     ]
-    figures = [
-        ("sigmoid", "Fig. 4", sigmoid_figure(), "Half of the largest force at the surface, whatever γ."),
-        (
-            "forbidden-region",
-            "Fig. 5",
-            field_figure(model, Sigmoid(1.0), "Force of a forbidden region: out of the organ"),
-            "γ = 1 /mm, 0.6 N at most. Arrows are forces; those that lean out of the slice look shorter.",
-        ),
-        ("gaussian", "Fig. 8", gaussian_figure(), "The larger m, the flatter the free zone."),
-        (
-            "guidance",
-            "Fig. 9",
-            field_figure(
-                model, Gaussian(3.0, 1.0), "Force of guidance: back to the surface from either side"
-            ),
-            "δ = 3 mm, m = 1, 0.6 N at most. No force on the surface itself.",
-        ),
-        (
-            "dynamic",
-            "Fig. 10",
-            dynamic_figure(model, surface.starts_mm[-1], Sigmoid(1.0)),
-            "Where the surface moves most; a vertical line is a volume. As printed, the equation gives the "
-            "next volume's force at each volume's own time and jumps; the corrected form is continuous.",
-        ),
-        ("tracking", "Fig. 11", tracking_figure(surface, tracks), _tracking_caption(tracks)),
-    ]
+    figures = _figures(surface, fit, tracks)
+    rows = [*_accuracy(surface, fit), *_tracking(tracks), *_speed(surface)]
     arguments.out.mkdir(parents=True, exist_ok=True)
-    parts = [_part(arguments.out, *figure) for figure in figures]
-    rows = [*_accuracy(model), *_tracking_rows(tracks), *_speed(model, surface)]
-    _print(rows)
-    write_text(arguments.out / "index.html", _page(parts, rows))
+    write_paper_figures(arguments.out, figures)
+    write_text(arguments.out / "index.html", paper_html(figures, rows))
+    width = max(len(name) for name, _, _ in rows)
+    for name, here, paper in rows:
+        print(f"{name:<{width}}  {here:>24}  {paper}")
     print(f"wrote {arguments.out}/index.html and {len(figures)} figures as PNG and SVG", file=sys.stderr)
     return 0
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=TITLE)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--out", type=Path, default=Path("out/figures"))
-    parser.add_argument("--cycles", type=int, default=30, help="cycles of automatic tracking")
+    parser.add_argument("--cycles", type=int, default=30, help="cycles of automatic tracking (the paper: 30)")
     parser.add_argument("--places", type=int, default=6, help="places on the surface")
-    parser.add_argument("--seed", type=int, default=1, help="of the phantom")
+    parser.add_argument("--seed", type=int, default=1, help="of the synthetic heart")
     return parser.parse_args()
 
 
-def _part(out: Path, name: str, number: str, figure: Figure, caption: str) -> str:
-    """Write PNG and SVG; the page's piece of HTML."""
-    png, svg = io.BytesIO(), io.BytesIO()
-    figure.savefig(png, format="png", dpi=130)
-    figure.savefig(svg, format="svg", metadata={"Date": None})
-    write_bytes(out / f"{name}.png", png.getvalue())
-    write_bytes(out / f"{name}.svg", svg.getvalue())
-    data = base64.b64encode(png.getvalue()).decode()
-    width = round(PAGE_PX_PER_INCH * figure.get_size_inches()[0])
-    words = f"After {number}. {html.escape(caption)} (<a href='{name}.svg'>SVG</a>)"
-    return (
-        f"<figure><img alt='{name}' width='{width}' src='data:image/png;base64,{data}'>"
-        f"<figcaption>{words}</figcaption></figure>"
-    )
+def _figures(surface: BeatingSurface, fit: SurfaceFit, tracks: list[StylusRun]) -> list[PaperFigure]:
+    """In the order of the paper."""
+    model, cycle_s = surface.model, surface.model.timing.rr_s
+    forbidden, guidance = Evaluator(model, FORBIDDEN), Evaluator(model, GUIDANCE)
+    drawn = {
+        "fig04-surface": surface_figure(fit),
+        "fig05-forbidden-region": _field(forbidden, "Force of a forbidden region: out of the organ"),
+        "fig08-gamma": steepness_figure(),
+        "fig09-m": exponent_figure(),
+        "fig10-delta": width_figure(),
+        "fig11-guidance": _field(guidance, "Force of guidance: back to the surface from either side"),
+        "eq10-11-over-time": over_time_figure(force_over_time(model, surface.starts_mm[-1], FORBIDDEN)),
+        "fig14-tracking": tracking_figure(tracks, motion=surface.motion, cycle_s=cycle_s),
+    }
+    text = {**CAPTIONS, "fig14-tracking": ("After Fig. 14", _tracking_caption(tracks))}
+    return [PaperFigure(name, *text[name], figure) for name, figure in drawn.items()]
+
+
+def _field(evaluator: Evaluator, title: str) -> Figure:
+    return field_figure(organ_field(evaluator, 0.0), surface_field(evaluator, 0.0), title)
 
 
 def _tracking_caption(tracks: list[StylusRun]) -> str:
@@ -107,80 +124,52 @@ def _tracking_caption(tracks: list[StylusRun]) -> str:
         f"{d.name}: {1000 * d.mass_kg:g} g, dry friction {d.dry_n:g} N, sensor step {d.resolution_mm:g} mm"
         for d in devices
     )
-    return f"Nobody holds the tool. {each}. Feed-forward spends friction that passivity does not need."
+    return (
+        f"Automatic tracking: a simulated device that nobody holds is kept on the surface by guidance. "
+        f"{each}. Feed-forward overcomes the part of the dry friction that passivity does not need."
+    )
 
 
-def _accuracy(model: DvfModel) -> list[Row]:
-    found = check_model(model, rng=np.random.default_rng(0))
+def _accuracy(surface: BeatingSurface, fit: SurfaceFit) -> list[Row]:
+    model, errors = surface.model, fit.errors_mm
+    spread = f"{errors.mean():.3f} ± {errors.std():.3f} mm"
     return [
-        ("fitted surface to the original, mean", f"{found.mean_mm:.3f} mm", "0.36 ± 0.22 mm"),
-        ("fitted surface to the original, 99 %", f"{found.p99_mm:.3f} mm", "–"),
+        ("fitted surface to the original, mean ± SD", spread, "0.36 ± 0.22 mm"),
+        ("fitted surface to the original, 99 %", f"{np.percentile(errors, 99):.3f} mm", "–"),
         ("model", f"{model.phases} volumes, {model.megabytes:.1f} MB", "20 volumes"),
     ]
 
 
-def _tracking_rows(tracks: list[StylusRun]) -> list[Row]:
+def _tracking(tracks: list[StylusRun]) -> list[Row]:
     rows = []
     for track in tracks:
-        f, found = track.stylus, track.summary()
+        f = track.stylus
         extra = " with feed-forward" if f.feed_forward.friction_n > 0.0 else ""
         name = f"automatic tracking, {f.device.name}{extra}, blend '{f.blend}', mean"
-        rows.append((name, f"{found['mean_mm']:.3f} mm", "0.29 mm"))
+        rows.append((name, f"{track.summary()['mean_mm']:.3f} mm", "0.29 mm"))
     return rows
 
 
-def _speed(model: DvfModel, surface: BeatingSurface) -> list[Row]:
-    """Time of one call from Python and of a point in a batch, near the surface; the machine may be busy."""
+def _speed(surface: BeatingSurface) -> list[Row]:
+    """Time of one call from Python and of a point in a batch, along a path near the surface."""
     rng = np.random.default_rng(0)
-    points = surface.starts_mm[0] + np.cumsum(rng.normal(scale=0.03, size=(20_000, 3)), axis=0).clip(-6, 6)
-    phase = np.arange(len(points)) / 600.0
-    evaluator = Evaluator(model, Sigmoid(1.0))
+    steps = rng.normal(scale=0.03, size=(TIMED_POINTS, 3))
+    points = surface.starts_mm[0] + np.cumsum(steps, axis=0).clip(-6, 6)
+    phase = np.arange(TIMED_POINTS) / 600.0
+    evaluator = Evaluator(surface.model, FORBIDDEN)
     tick = PoseAndPhase(Rigid("mr", "tracker", np.eye(3), np.zeros(3))).bind(evaluator)
-    calls = _call_times(tick, points, phase)
-    batch = min(_seconds(lambda: evaluator.force(points, phase)) for _ in range(5)) / len(points)
+    out = np.empty(7)
+    calls = [(point, phi, 0, out) for point, phi in zip(points, phase.tolist(), strict=True)]
+    one_us = time_calls(tick, calls, 1)
+    batch_us = time_batches(
+        lambda begin, end: evaluator.force(points[begin:end], phase[begin:end]), TIMED_POINTS, BATCH, 5
+    )
+    paper = "< 200 µs (static)"
     return [
-        (
-            "dynamic force, one call from Python, median",
-            f"{1e6 * np.median(calls):.2f} µs",
-            "< 200 µs (static)",
-        ),
-        ("the same, 99.9 %", f"{1e6 * np.percentile(calls, 99.9):.2f} µs", "–"),
-        ("dynamic force, a point of a batch", f"{1e6 * batch:.3f} µs", "–"),
+        ("dynamic force, one call from Python, median", f"{np.median(one_us):.2f} µs", paper),
+        ("the same, 99.9 %", f"{np.percentile(one_us, 99.9):.2f} µs", "–"),
+        ("dynamic force, a point of a batch", f"{np.median(batch_us):.3f} µs", "–"),
     ]
-
-
-def _call_times(tick: object, points: FloatArray, phase: FloatArray) -> FloatArray:
-    out, times = np.empty(7), np.empty(len(points))
-    for k, (point, phi) in enumerate(zip(points, phase.tolist(), strict=True)):
-        begin = time.perf_counter()
-        tick(point, phi, 0, out)
-        times[k] = time.perf_counter() - begin
-    return times[1000:]
-
-
-def _seconds(work: object) -> float:
-    begin = time.perf_counter()
-    work()
-    return time.perf_counter() - begin
-
-
-def _print(rows: list[Row]) -> None:
-    width = max(len(row[0]) for row in rows)
-    for name, ours, paper in rows:
-        print(f"{name:<{width}}  {ours:>24}  {paper}")
-
-
-def _page(parts: list[str], rows: list[Row]) -> str:
-    table = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
-    )
-    return (
-        f"<!doctype html><meta charset='utf-8'><title>{TITLE}</title><style>{STYLE}</style><h1>{TITLE}</h1>"
-        "<p>A synthetic four-chamber heart whose surface moves 5 mm (paper5mm). The figures show what the "
-        "paper's figures are about, by content; they are not copies, and the heart is another one.</p>"
-        f"{''.join(parts)}<h2>After Table II: accuracy and speed</h2>"
-        f"<table><tr><th></th><th>here</th><th>Ren 2008</th></tr>{table}</table>\n"
-    )
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """Measure the realism gates, print them, and write the page; see `scripts/realism`."""
 
-import io
 import os
 import sys
 import time
@@ -35,6 +34,7 @@ from data_synth.ultrasound.views import standard_view
 from data_synth.ultrasound.volume import MatrixProbe, simulate_volume
 from dvf_ig.io import read_sequence, write_text
 from dvf_ig.io.atomic import write_bytes
+from dvf_ig.report import png_bytes
 from dvf_ig.report.realism import RealismPictures, bounds_text, realism_figure, realism_html
 
 OUT = Path("out/realism")
@@ -72,12 +72,11 @@ def main() -> int:
         attenuation_db(),
         {motion: heart_views(heart) for motion, heart in hearts.items()},
     )
-    picture = io.BytesIO()
-    realism_figure(shown).savefig(picture, format="png", dpi=90)
+    picture = png_bytes(realism_figure(shown), dpi=90)
     OUT.mkdir(parents=True, exist_ok=True)
-    write_bytes(OUT / "pictures.png", picture.getvalue())
+    write_bytes(OUT / "pictures.png", picture)
     title = "How real the synthetic world is"
-    write_text(OUT / "index.html", realism_html(gates, picture.getvalue(), title))
+    write_text(OUT / "index.html", realism_html(gates, picture, title))
     print(f"wrote {OUT}/index.html and {OUT}/pictures.png", file=sys.stderr)
     return 0 if all(g.passed for g in gates) else 7
 

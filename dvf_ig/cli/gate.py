@@ -123,8 +123,8 @@ def _result(tracking: "PhaseTracking", *, with_phase: bool) -> dict[str, Any]:
 def _draw(path: Path, spec: str, signal: "Signal | None", tracking: "PhaseTracking") -> None:
     import numpy as np
 
-    from dvf_ig.io import gate_png
     from dvf_ig.io.atomic import write_bytes
+    from dvf_ig.report import gate_png
 
     name = Path(spec.partition(":")[2]).name
     peaks_s = np.array([peak.t_s for peak in tracking.peaks])

@@ -1,11 +1,5 @@
 """Files to core values and back: the only place that knows LPS/RAS, pixels, bytes and PLUS names."""
 
-from dvf_ig.report.gating import gate_png as gate_png
-from dvf_ig.report.motion import write_motion_picture as write_motion_picture
-from dvf_ig.report.residuals import write_latency_picture as write_latency_picture
-from dvf_ig.report.residuals import write_residual_picture as write_residual_picture
-from dvf_ig.report.wires import write_wire_picture as write_wire_picture
-
 from .atomic import output_folder as output_folder
 from .atomic import write_text as write_text
 from .describe.file import Description as Description

@@ -1,100 +1,160 @@
-"""`report.html`: one self-contained page, pictures inlined."""
+"""A replay handed to its page: arrays over time, and the model sampled in ultrasound planes."""
 
-import base64
-import html
-import io
 from typing import Any
 
-from matplotlib.figure import Figure
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 
 import dvf_ig
+from dvf_ig.core import FloatArray, PhaseState, Rigid
+from dvf_ig.guidance import Evaluator, Sigmoid
+from dvf_ig.registration import target_errors_mm
+from dvf_ig.report.replay import (
+    BeatTrace,
+    EcgStrip,
+    PlaneOverlay,
+    RegistrationMark,
+    ReplayPage,
+    TickTrace,
+    replay_html,
+)
 
-from . import pictures
 from .engine import Replay
+from .gated_frames import GatedFrames
+from .pose_summary import suspensions
+from .registration_monitor import SUSPEND_LOG_RATIO
+from .result import true_contact, true_phases
 from .table import table
 
-STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1080px; margin: 2rem auto;
-       padding: 0 1rem; }
-h1 { font-size: 1.5rem; margin-bottom: .2rem; } h2 { font-size: 1.1rem; margin: 2rem 0 .3rem; }
-p.note { color: #555; margin: .2rem 0 .8rem; max-width: 75ch; }
-table { border-collapse: collapse; }
-th { text-align: left; font-weight: 600; }
-td { padding: .25rem 1rem .25rem 0; border-bottom: 1px solid #e4e4e4; }
-td:first-child { color: #555; white-space: nowrap; } img { max-width: 100%; height: auto; }
-.verdict { display: inline-block; padding: .3rem .8rem; border-radius: .3rem; color: #fff; }
-.good { background: #2b7a3d; } .bad { background: #b3261e; }
-"""
+PIXEL_STEP = 2
+"""Every second pixel of an ultrasound frame is looked up in the model."""
+STRIP_S = 12.0
 
 
 def report_html(replay: Replay, result: dict[str, Any]) -> str:
-    """The page for one replay and its result."""
-    sections = (
-        (
-            "Ultrasound and model, before and after registration",
-            "The model's surface in the ultrasound plane at the phase of each frame.",
-            pictures.overlay(replay),
-        ),
-        (
-            "The pose from beat to beat",
-            "Each heart beat is asked about the pose: how far it is off where that is known, and by how "
-            "much another pose explains the beat better; dotted: more than noise does. Red: in doubt, no "
-            "force. Upright lines: a registration came into use, or (dotted) did not.",
-            pictures.pose_over_time(replay),
-        ),
-        (
-            "Phase error over time",
-            "Against the planted truth. Grey: no force was given.",
-            pictures.phase_error(replay),
-        ),
-        (
-            "Force and distance",
-            "What the fixture gave, through the estimated pose and phase. Grey: no force was given.",
-            pictures.force_trace(replay),
-        ),
-        (
-            "Distance from the surface",
-            "How long the tool tip spent at each distance (as in Ren 2008, Fig. 14).",
-            pictures.distance_histogram(replay),
-        ),
-        (
-            "ECG, R peaks and phase",
-            "Phase as it was known at each moment, from the past alone.",
-            pictures.ecg_strip(replay),
-        ),
-    )
-    body = "".join(
-        f"<h2>{html.escape(title)}</h2><p class=note>{html.escape(note)}</p>{image_tag(figure, title)}"
-        for title, note, figure in sections
-        if figure is not None
-    )
-    rows = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in table(result)
-    )
-    heading = "<tr><th></th><th>estimate</th><th>error against the truth</th></tr>"
-    return (
-        "<!doctype html><html lang=en><meta charset=utf-8>"
-        f"<title>Replay of {html.escape(result['scenario'])}</title><style>{STYLE}</style>"
-        f"<h1>Replay of {html.escape(result['scenario'])}</h1>"
-        f"<p class=note>patient {html.escape(result['patient_id'])}, dvf_ig {dvf_ig.__version__}</p>"
-        f"{_verdict(result)}<h2>Estimates</h2><table>{heading}{rows}</table>{body}</html>"
+    """`report.html` for one replay and its result."""
+    return replay_html(
+        ReplayPage(
+            scenario=result["scenario"],
+            patient_id=result["patient_id"],
+            version=dvf_ig.__version__,
+            estimates=table(result),
+            registrations=[
+                RegistrationMark(a["ready_s"], a["usable"], a["reason"]) for a in result["registrations"]
+            ],
+            overlays=_overlays(replay),
+            beats=_beats(replay),
+            ticks=_ticks(replay),
+            ecg=_ecg_strip(replay),
+        )
     )
 
 
-def _verdict(result: dict[str, Any]) -> str:
-    attempts = result["registrations"]
-    if any(a["usable"] for a in attempts) and not attempts[-1]["usable"]:
-        reason = html.escape(attempts[-1]["reason"])
-        return f"<p class='verdict bad'>Registered, but not to the end; the last attempt: {reason}</p>"
-    if any(a["usable"] for a in attempts):
-        return "<p class='verdict good'>Registered: force was given in valid state only</p>"
-    reason = attempts[-1]["reason"] if attempts else "the recording is too short to register"
-    return f"<p class='verdict bad'>Not registered, no force was given: {html.escape(reason)}</p>"
+def _overlays(replay: Replay) -> list[PlaneOverlay]:
+    """Four frames of the last registration in use, or of the last that gave a pose at all."""
+    attempt = next((a for a in reversed(replay.attempts) if a.usable), None)
+    attempt = attempt or next((a for a in reversed(replay.attempts) if a.result), None)
+    images = replay.scenario.ultrasound.images
+    if attempt is None or attempt.result is None or images is None:
+        return []
+    used, first, pose = attempt.frames.used, attempt.frames.first, attempt.result.target_from_source
+    chosen = used[np.linspace(0, len(used) - 1, 6).astype(int)[1:5]].tolist()
+    return [_overlay(replay, attempt.frames, pose, images[first + frame], frame) for frame in chosen]
 
 
-def image_tag(figure: Figure, title: str) -> str:
-    """The figure as a PNG inside the page."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<img alt="{html.escape(title)}" src="data:image/png;base64,{data}">'
+def _overlay(
+    replay: Replay, frames: GatedFrames, pose: Rigid, image: NDArray[np.uint8], frame: int
+) -> PlaneOverlay:
+    rows, columns = image.shape
+    row, column = np.mgrid[:rows:PIXEL_STEP, :columns:PIXEL_STEP].astype(np.float64)
+    pixels = np.column_stack([column.ravel(), row.ravel()])
+    probe = replay.calibrations.probe.probe_from_image.apply_pixels(pixels).xyz_mm
+    tracker = probe @ frames.rotations[frame].T + frames.translations_mm[frame]
+    phase = float(frames.model_phase[frame])
+    return PlaneOverlay(
+        event_s=float(frames.event_s[frame]),
+        model_phase=phase,
+        image=image,
+        row_px=row,
+        column_px=column,
+        model_grey=_model_grey(replay, pose, tracker, phase).reshape(row.shape),
+        start_distance_mm=_distance_mm(replay, replay.start, tracker, phase).reshape(row.shape),
+        distance_mm=_distance_mm(replay, pose, tracker, phase).reshape(row.shape),
+    )
+
+
+def _distance_mm(replay: Replay, pose: Rigid, tracker_mm: FloatArray, phase: float) -> FloatArray:
+    evaluator = Evaluator(replay.heart.model, Sigmoid(), blend="distance")
+    return evaluator.force_through(pose, tracker_mm, phase).distance_mm
+
+
+def _model_grey(replay: Replay, pose: Rigid, tracker_mm: FloatArray, phase: float) -> FloatArray:
+    channels = replay.heart.fine
+    nearest = int(channels.nearest_phase(np.array([phase]))[0])
+    index = channels.grid.to_index(pose.apply_array(tracker_mm))
+    values = channels.values[nearest, ..., 0]
+    return np.asarray(ndimage.map_coordinates(values, index.T, order=1, cval=float(values.min())))
+
+
+def _beats(replay: Replay) -> BeatTrace | None:
+    beats, truth = replay.history.beats, replay.scenario.truth
+    if not beats:
+        return None
+    tre_mm = None
+    if truth is not None:
+        targets = truth.targets.points
+        tre_mm = np.array(
+            [
+                target_errors_mm(b.measurement.pose, truth.mr_from_tracker_at(b.end_s), targets).mean()
+                for b in beats
+            ]
+        )
+    return BeatTrace(
+        decided_s=np.array([beat.decided_s for beat in beats]),
+        in_use=np.array([beat.in_use for beat in beats]),
+        log_likelihood_ratio=np.array([beat.measurement.log_likelihood_ratio for beat in beats]),
+        tre_mm=tre_mm,
+        limit=SUSPEND_LOG_RATIO,
+        suspended_s=suspensions(replay.history.updates, float(replay.tracking.track.t_s[-1])),
+    )
+
+
+def _ticks(replay: Replay) -> TickTrace:
+    track = replay.tracking.track
+    distance = force = error = None
+    if replay.scenario.truth is not None:
+        distance, true_force = true_contact(replay)
+        force = np.linalg.norm(true_force, axis=1)
+        error = 100 * ((track.phi - true_phases(replay)[0] + 0.5) % 1.0 - 0.5)
+    return TickTrace(
+        t_s=track.t_s,
+        valid=replay.valid,
+        phase_valid=track.valid,
+        force_n=np.linalg.norm(replay.samples.force_n, axis=1),
+        distance_mm=replay.samples.distance_mm,
+        true_force_n=force,
+        true_distance_mm=distance,
+        phase_error_percent=error,
+    )
+
+
+def _ecg_strip(replay: Replay) -> EcgStrip:
+    """STRIP_S seconds in the middle of the recording."""
+    ecg, track = replay.scenario.ecg, replay.tracking.track
+    middle = float(track.t_s[len(track.t_s) // 2])
+    begin = max(float(track.t_s[0]), middle - STRIP_S / 2)
+    end = begin + STRIP_S
+    shown = (ecg.t_s >= begin) & (ecg.t_s < end)
+    ticks = (track.t_s >= begin) & (track.t_s < end)
+    return EcgStrip(
+        lead=ecg.leads[0],
+        unit=ecg.unit,
+        ecg_t_s=ecg.t_s[shown],
+        ecg=ecg.samples[shown, 0],
+        r_peaks_s=np.array([peak.t_s for peak in replay.tracking.peaks if begin <= peak.t_s < end]),
+        t_s=track.t_s[ticks],
+        phase=track.phi[ticks],
+        phase_valid=track.state[ticks] == int(PhaseState.LOCKED),
+        true_phase=None if replay.scenario.truth is None else true_phases(replay)[0][ticks],
+    )

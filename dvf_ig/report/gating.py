@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +10,8 @@ from dvf_ig.cardiac import state_segments
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.phase import PhaseState, PhaseTrack
 from dvf_ig.core.signal import Signal
+
+from .style import ESTIMATE, TRUTH, png_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +35,7 @@ _MEANING = {
     PhaseState.LOST: "LOST: no R peak",
     PhaseState.IRREGULAR: "IRREGULAR: not predictable",
 }
-_TRACE, _LOCKED, _REFUSED, _PAPER = "#1b1b1b", "#1f6fb4", "#b0502a", "#f2c9c9"
+_TRACE, _LOCKED, _UNUSED, _PAPER = TRUTH, ESTIMATE, "#b0502a", "#f2c9c9"
 
 
 def gate_png(name: str, signal: Signal | None, r_peaks_s: FloatArray, track: PhaseTrack) -> bytes:
@@ -62,9 +63,7 @@ def gate_png(name: str, signal: Signal | None, r_peaks_s: FloatArray, track: Pha
         _draw_strip(axis, letter, start_s, signal, peaks, track, band)
     axes[-1].set_xlabel("time, s (0.2 s a division)")
     _draw_legend(figure, track)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-    return buffer.getvalue()
+    return png_bytes(figure)
 
 
 def choose_strips(track: PhaseTrack) -> list[float]:
@@ -102,7 +101,7 @@ def _draw_tachogram(axis: Axes, peaks: FloatArray, track: PhaseTrack, chosen: li
     rr_ms = 1000 * np.diff(peaks)
     at = np.clip(np.searchsorted(track.t_s, peaks[1:]), 0, len(track.t_s) - 1)
     locked = track.valid[at]
-    for which, color in ((locked, _LOCKED), (~locked, _REFUSED)):
+    for which, color in ((locked, _LOCKED), (~locked, _UNUSED)):
         axis.plot(peaks[1:][which] / unit, rr_ms[which], ".", ms=2.2 if long else 4, color=color)
     top = min(LONGEST_RR_MS, 1.12 * float(np.percentile(rr_ms, 99.5))) if len(rr_ms) else LONGEST_RR_MS
     bottom = 0.85 * float(np.percentile(rr_ms, 0.5)) if len(rr_ms) else 0.0
@@ -123,7 +122,7 @@ def _draw_tachogram(axis: Axes, peaks: FloatArray, track: PhaseTrack, chosen: li
             fontsize=9,
             weight="bold",
         )
-        axis.axvspan(start_s / unit, (start_s + STRIP_S) / unit, color=_TRACE, alpha=0.12, lw=0)
+        axis.axvspan(start_s / unit, (start_s + STRIP_S) / unit, color=_LOCKED, alpha=0.1, lw=0)
 
 
 def _draw_strip(
@@ -158,7 +157,7 @@ def _draw_strip(
     unit = signal.unit if signal is not None else ""
     lead = signal.leads[0] if signal is not None else "trigger"
     axis.set_ylabel(f"{letter}\n{lead}, {unit}".rstrip(", "), fontsize=8)
-    axis.tick_params(labelsize=7)
+    axis.tick_params(labelsize=8)
 
 
 def _band(signal: Signal | None) -> tuple[float, float]:
@@ -190,7 +189,7 @@ def _draw_legend(figure: Figure, track: PhaseTrack) -> None:
     handles: list[object] = [
         Line2D([], [], marker="v", ls="", ms=5, color=_LOCKED, label="R peak, as detected"),
         Line2D([], [], marker=".", ls="", ms=6, color=_LOCKED, label=_MEANING[PhaseState.LOCKED]),
-        Line2D([], [], marker=".", ls="", ms=6, color=_REFUSED, label="RR where phase was refused"),
+        Line2D([], [], marker=".", ls="", ms=6, color=_UNUSED, label="RR where phase was refused"),
     ]
     handles += [Patch(color=_SHADE[s], label=_MEANING[s]) for s in PhaseState if s in _SHADE and s in seen]
     figure.legend(

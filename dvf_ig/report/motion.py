@@ -1,11 +1,10 @@
-"""One picture of a carried surface: end-diastole and end-systole with their contours, quality by phase.
+"""One figure of a propagated surface: end-diastole and end-systole with their contours, quality by phase.
 
 Uses matplotlib, loaded when a picture is written.
 """
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,10 +12,11 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.mesh import Mesh, SurfaceSeries
-from dvf_ig.core.volume import Grid, VolumeSeries
-from dvf_ig.io.atomic import write_bytes
+from dvf_ig.core.mesh import SurfaceSeries
+from dvf_ig.core.volume import VolumeSeries
+
+from .plane_section import plane_section
+from .style import ESTIMATE, FAINT, ON_GREY, START, TRUTH, without_ticks, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from dvf_ig.preop.motion.quality import MotionQuality
 
-ORGAN, BAR, INK, FAINT = "#e07b00", "#1f6fb4", "#222222", "#b8b8b8"
 BEYOND_MM = 15.0
 PIXEL_MM = 1.0
 _VIEWS = (("across axis k", 2), ("across axis j", 1), ("across axis i", 0))
@@ -45,18 +44,13 @@ def write_motion_picture(
         InvalidInputError: a suffix that is not .png.
         OutputError: not writable.
     """
-    path = Path(path)
-    if path.suffix.lower() != ".png":
-        raise InvalidInputError(f"a picture is written as .png; got {path.name}")
-    buffer = BytesIO()
-    figure = _figure(image, surfaces, quality, ed_phase, es_phase)
-    figure.savefig(buffer, format="png", dpi=90, metadata={"Software": None})
-    write_bytes(path, buffer.getvalue())
+    write_png(path, motion_figure(image, surfaces, quality, ed_phase, es_phase), dpi=90)
 
 
-def _figure(
+def motion_figure(
     image: VolumeSeries, surfaces: SurfaceSeries, quality: MotionQuality, ed_phase: int, es_phase: int
 ) -> Figure:
+    """Three planes at both phases above, the quality of the motion by phase below."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 10.5), layout="constrained")
@@ -68,8 +62,13 @@ def _figure(
         for axis, (view, normal) in zip(axes[row], _VIEWS, strict=True):
             _draw_plane(axis, image, surfaces, (phase, ed_phase), normal, (low, high))
             percent = 100 * image.timing.fractions[phase]
-            axis.set_title(f"{word} ({percent:.0f} % of the cycle), {view}", fontsize=8, color=INK)
-    _draw_bars(lower.subplots(2, 2).ravel(), image, quality, es_phase)
+            axis.set_title(f"{word} ({percent:.0f} % of the cycle), {view}", fontsize=9, color=TRUTH)
+    upper.suptitle("propagated surface (dotted: end-diastole)", fontsize=10, color=TRUTH)
+    bars = lower.subplots(2, 2).ravel()
+    _draw_bars(bars, image, quality, es_phase)
+    lower.legend(
+        *bars[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9
+    )
     return figure
 
 
@@ -96,27 +95,12 @@ def _draw_plane(
     top = float(np.percentile(grey, 99.5))
     extent = (x[0], x[-1], y[0], y[-1])
     axis.imshow(grey, cmap="gray", vmin=0.0, vmax=max(top, 1e-9), origin="lower", extent=extent)
-    for phase, style, colour in ((phases[1], ":", FAINT), (phases[0], "-", ORGAN)):
-        lines = section(surfaces.phase(phase), grid, normal, level + 1e-3)
+    for phase, style, colour in ((phases[1], ":", FAINT), (phases[0], "-", ON_GREY)):
+        mesh = surfaces.phase(phase)
+        lines = plane_section(grid.to_index(mesh.vertices_mm)[mesh.triangles], normal, level + 1e-3)
         segments = (lines * spacing)[..., [across, up]]
         axis.add_collection(LineCollection(list(segments), colors=colour, linewidths=1.2, linestyles=style))
-    axis.set_xticks([])
-    axis.set_yticks([])
-
-
-def section(mesh: Mesh, grid: Grid, axis: int, level: float) -> FloatArray:
-    """(s, 2, 3) segments, in voxel indices, in which a mesh meets the plane index[axis] = level."""
-    corners = grid.to_index(mesh.vertices_mm)[mesh.triangles]
-    height = corners[..., axis] - level
-    cut = np.flatnonzero((height.min(axis=1) < 0.0) & (height.max(axis=1) > 0.0))
-    corners, height = corners[cut], height[cut]
-    ends, crossing = np.empty((len(cut), 3, 3)), np.empty((len(cut), 3), dtype=np.bool_)
-    for k in range(3):
-        a, b = height[:, k], height[:, (k + 1) % 3]
-        crossing[:, k] = (a < 0.0) != (b < 0.0)
-        share = a / np.where(a == b, 1.0, a - b)
-        ends[:, k] = corners[:, k] + share[:, None] * (corners[:, (k + 1) % 3] - corners[:, k])
-    return np.asarray(ends[crossing].reshape(-1, 2, 3))
+    without_ticks(axis)
 
 
 def _draw_bars(axes: list[Axes], image: VolumeSeries, quality: MotionQuality, es_phase: int) -> None:
@@ -130,17 +114,16 @@ def _draw_bars(axes: list[Axes], image: VolumeSeries, quality: MotionQuality, es
     if quality.dice is not None:
         shown.append(("overlap with labels (Dice)", quality.dice_before, quality.dice))
     else:
-        shown.append(("RMS left, share of grey-level spread", None, quality.residual))
+        shown.append(("RMS difference left, share of the grey-level spread", None, quality.residual))
     phases = np.arange(len(image.timing))
     for axis, (title, before, after) in zip(axes, shown, strict=True):
         if before is not None:
-            axis.bar(phases, before, color=FAINT, label="as they lie")
-        axis.bar(phases, after, color=BAR, width=0.5, label="after the motion")
-        axis.axvline(es_phase, color=ORGAN, linewidth=0.8, linestyle=":")
-        axis.set_title(title, fontsize=8, color=INK)
-        axis.tick_params(labelsize=7)
+            axis.bar(phases, before, color=FAINT, label="without motion")
+        axis.bar(phases, after, color=ESTIMATE, width=0.5, label="after the motion")
+        axis.axvline(es_phase, color=START, linewidth=1.0, linestyle=":")
+        axis.set_title(title, fontsize=9, color=TRUTH)
+        axis.tick_params(labelsize=8)
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.set_xlim(-0.7, len(phases) - 0.3)
-    axes[0].legend(fontsize=7, loc="lower left")
     for axis in axes[2:]:
         axis.set_xlabel("phase (dotted: end-systole)", fontsize=8)

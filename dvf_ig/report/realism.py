@@ -5,7 +5,6 @@ matplotlib is loaded when the pictures are drawn, not before.
 
 from __future__ import annotations
 
-import base64
 import html
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,12 +16,18 @@ from scipy.stats import rayleigh
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
 
+from .page import html_page, png_tag
+from .style import ESTIMATE, FAINT, TRUTH
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Views = Sequence[Mapping[str, NDArray[np.uint8]]]
 """Rows of images by title."""
+
+_PAGE_STYLE = "body { max-width: 1400px; } tr.no td { background: #fdd; } "
+_PAGE_STYLE += "td:nth-child(2), td:nth-child(3) { text-align: right; } img { width: 100%; }"
 
 
 class BoundedFigure(Protocol):
@@ -94,13 +99,9 @@ def realism_html(figures: Iterable[BoundedFigure], picture_png: bytes, title: st
         f"<td>{bounds_text(f)}</td><td>{'pass' if f.passed else 'FAIL'}</td></tr>"
         for f in figures
     )
-    picture = base64.b64encode(picture_png).decode()
-    return (
-        f"<!doctype html><meta charset='utf-8'><title>{html.escape(title)}</title>"
-        "<style>body{font:14px sans-serif;margin:2em;max-width:1400px}td,th{padding:2px 12px;text-align:left}"
-        "tr.no td{background:#fdd}td:nth-child(2),td:nth-child(3){text-align:right}img{width:100%}</style>"
-        f"<h1>{html.escape(title)}</h1><img alt='pictures' src='data:image/png;base64,{picture}'>"
-        f"<table><tr><th>gate</th><th>value</th><th>bounds</th><th></th></tr>{rows}</table>\n"
+    head = "<tr><th>measured figure</th><th>value</th><th>bounds</th><th></th></tr>"
+    return html_page(
+        title, f"{png_tag(picture_png, 'pictures')}<table>{head}{rows}</table>", style=_PAGE_STYLE
     )
 
 
@@ -114,9 +115,9 @@ def bounds_text(figure: BoundedFigure) -> str:
 def _draw_histogram(axis: Axes, envelopes: FloatArray) -> None:
     scale = float(np.sqrt((envelopes**2).mean() / 2))
     levels = np.linspace(0, 4.5 * scale, 200)
-    axis.hist(envelopes.ravel(), bins=80, range=(0, 4.5 * scale), density=True, color="#9bb8d3")
-    axis.plot(levels, rayleigh.pdf(levels, scale=scale), "k", lw=1, label="Rayleigh")
-    axis.set_title("speckle in myocardium", fontsize=9)
+    axis.hist(envelopes.ravel(), bins=80, range=(0, 4.5 * scale), density=True, color=ESTIMATE, alpha=0.5)
+    axis.plot(levels, rayleigh.pdf(levels, scale=scale), color=TRUTH, lw=1, label="Rayleigh")
+    axis.set_title("speckle in myocardium", fontsize=10)
     axis.set_xlabel("envelope, re myocardium")
     axis.legend(fontsize=8)
 
@@ -133,8 +134,8 @@ def _draw_points(axis: Axes, points_db: FloatArray, depth_mm: float) -> None:
 def _draw_contrast(axis: Axes, contrasts_db: Mapping[str, tuple[float, float]]) -> None:
     place = np.arange(len(contrasts_db))
     table, measured = zip(*contrasts_db.values(), strict=True)
-    axis.bar(place - 0.2, table, 0.4, label="table", color="#cccccc")
-    axis.bar(place + 0.2, measured, 0.4, label="measured", color="#9bb8d3")
+    axis.bar(place - 0.2, table, 0.4, label="table", color=FAINT)
+    axis.bar(place + 0.2, measured, 0.4, label="measured", color=ESTIMATE)
     axis.set_xticks(place, list(contrasts_db), rotation=20, fontsize=8)
     axis.set_title("echo re myocardium, dB", fontsize=9)
     axis.legend(fontsize=8)
@@ -145,7 +146,7 @@ def _draw_attenuation(
 ) -> None:
     for tissue, (simulated, expected) in attenuation_db.items():
         axis.plot(depths_mm, simulated, lw=0.7, label=tissue)
-        axis.plot(depths_mm, expected, "k--", lw=1)
+        axis.plot(depths_mm, expected, "--", color=TRUTH, lw=1)
     axis.set_title("power with depth, dB; dashed 2 alpha f", fontsize=9)
     axis.set_xlabel("depth, mm")
     axis.legend(fontsize=8)

@@ -7,7 +7,6 @@ picture is written, not before.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,8 @@ import numpy as np
 
 from dvf_ig.core.arrays import BoolArray, FloatArray, frozen
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.io.atomic import write_bytes
+
+from .style import ESTIMATE, START, TRUTH, open_frame, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from dvf_ig.calibration.temporal.latency import LatencyResult
 
-USED, OTHER, INK, FAINT = "#1f6fb4", "#e07b00", "#222222", "#b8b8b8"
 MOST_BARS = 24
 
 
@@ -89,11 +88,11 @@ def write_latency_picture(path: Path | str, found: LatencyResult, *, title: str)
     motions, start = found.motions, float(found.motions.video_t_s[0])
     gain, offset, _ = motions.line(found.lag_s)
     t_s = motions.video_t_s - start
-    motion.plot(t_s, (motions.row_px - offset) / gain, "o", ms=3, color=OTHER, label="floor in the images")
+    motion.plot(t_s, (motions.row_px - offset) / gain, "o", ms=3, color=START, label="floor in the images")
     motion.plot(
         t_s,
         motions.moved_mm(found.lag_s),
-        color=USED,
+        color=ESTIMATE,
         lw=1.2,
         label=f"tracker, shifted by {_ms(found.lag_s)}",
     )
@@ -102,10 +101,16 @@ def write_latency_picture(path: Path | str, found: LatencyResult, *, title: str)
     motion.legend(loc="upper right", ncols=2, fontsize=9, frameon=False)
     _draw_curve(curve, found)
     low, high = (1000 * value for value in found.interval_s)
-    drift.axhspan(low, high, color=USED, alpha=0.15, lw=0, label="95 % of the mean")
-    drift.axhline(1000 * found.lag_s, color=USED, lw=1.2)
+    drift.axhspan(low, high, color=ESTIMATE, alpha=0.15, lw=0, label="95 % of the mean")
+    drift.axhline(1000 * found.lag_s, color=ESTIMATE, lw=1.2)
     drift.plot(
-        found.period_t_s - start, 1000 * found.period_lags_s, "o-", ms=4, lw=0.8, color=INK, label="each"
+        found.period_t_s - start,
+        1000 * found.period_lags_s,
+        "o-",
+        ms=4,
+        lw=0.8,
+        color=TRUTH,
+        label="each movement",
     )
     drift.set(xlabel="video time, s", ylabel="lag, ms", title="lag of each movement alone")
     drift.margins(y=0.3)
@@ -115,8 +120,8 @@ def write_latency_picture(path: Path | str, found: LatencyResult, *, title: str)
 
 def _draw_curve(axis: Axes, found: LatencyResult) -> None:
     size = np.abs(found.correlations)
-    axis.plot(1000 * found.lags_s, size, color=INK, lw=1.0)
-    for lag, color, word in ((found.lag_s, USED, "taken"), (found.second_lag_s, OTHER, "rejected")):
+    axis.plot(1000 * found.lags_s, size, color=TRUTH, lw=1.0)
+    for lag, color, word in ((found.lag_s, ESTIMATE, "taken"), (found.second_lag_s, START, "rejected")):
         if np.isfinite(lag):
             height = abs(found.motions.correlation(lag))
             axis.plot(1000 * lag, height, "o", ms=7, color=color, label=f"{word}: {_ms(lag)}, r {height:.3f}")
@@ -138,13 +143,13 @@ def _bars(
     figure = Figure(figsize=(7.0, 1.6 + 0.32 * len(values)), layout="constrained")
     axis = figure.subplots()
     rows = np.arange(len(values))
-    axis.barh(rows, values, height=0.6, color=[USED if u else OTHER for u in used], label="in the fit")
+    axis.barh(rows, values, height=0.6, color=[ESTIMATE if u else START for u in used], label="in the fit")
     if second is not None:
-        axis.plot(second, rows, "D", ms=5, color=INK, label=second_name)
+        axis.plot(second, rows, "D", ms=5, color=TRUTH, label=second_name)
     for row, value in enumerate(values):
         axis.annotate(f"{value:.2f}", (0, row), (4, 0), textcoords="offset points", va="center", color="w")
     rms = float(np.sqrt(np.mean(values[used] ** 2)))
-    axis.axvline(rms, color=INK, lw=0.9, ls=":", label=f"RMS {rms:.2f} {unit}")
+    axis.axvline(rms, color=TRUTH, lw=0.9, ls=":", label=f"RMS {rms:.2f} {unit}")
     axis.set_yticks(rows, list(names))
     axis.invert_yaxis()
     axis.set_xlabel(f"distance, {unit}")
@@ -162,35 +167,30 @@ def _dots(values: FloatArray, used: BoolArray, x_label: str, unit: str) -> Figur
     top = 1.15 * float(inside.max())
     index = np.arange(len(values))
     out = ~used & np.isfinite(values)
-    over_time.plot(index[used], inside, ".", ms=4, color=USED, label=f"{int(used.sum())} in the fit")
+    over_time.plot(index[used], inside, ".", ms=4, color=ESTIMATE, label=f"{int(used.sum())} in the fit")
     if out.any():
         top = max(top, min(1.15 * float(values[out].max()), 2.0 * top))
         over_time.plot(
-            index[out], np.minimum(values[out], 0.97 * top), "^", ms=4, color=OTHER,
+            index[out], np.minimum(values[out], 0.97 * top), "^", ms=4, color=START,
             label=f"{int(out.sum())} left out, up to {values[out].max():.1f} {unit}",
         )  # fmt: skip
     over_time.set(xlabel=x_label, ylabel=f"residual, {unit}", ylim=(0, 1.12 * top))
     over_time.legend(loc="upper left", ncols=2, fontsize=9, frameon=False)
     bins = np.linspace(0.0, float(inside.max()), 31).tolist()
-    spread.hist(inside, bins=bins, orientation="horizontal", color=USED, alpha=0.7)
+    spread.hist(inside, bins=bins, orientation="horizontal", color=ESTIMATE, alpha=0.7)
     for value, style, word in ((rms, "-", "RMS"), (p95, ":", "95 %")):
-        spread.axhline(value, color=INK, lw=1.0, ls=style, label=f"{word} {value:.2f} {unit}")
-    spread.set_xlabel("how many")
+        spread.axhline(value, color=TRUTH, lw=1.0, ls=style, label=f"{word} {value:.2f} {unit}")
+    spread.set_xlabel("number")
     spread.legend(loc="upper right", fontsize=9, frameon=False)
     return figure
 
 
 def _finish(path: Path | str, figure: Figure, title: str) -> None:
-    path = Path(path)
-    if path.suffix.lower() != ".png":
-        raise InvalidInputError(f"{path} does not end in .png; pictures are written as PNG")
-    figure.suptitle(title, fontsize=11, color=INK)
+    figure.suptitle(title, fontsize=11, color=TRUTH)
     for axis in figure.axes:
-        axis.spines[["top", "right"]].set_visible(False)
+        open_frame(axis)
         axis.title.set_fontsize(10)
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=130)
-    write_bytes(path, buffer.getvalue())
+    write_png(path, figure, dpi=130)
 
 
 def _ms(seconds: float) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +10,8 @@ from scipy.ndimage import map_coordinates
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.scenario import Preop, Scenario
 from dvf_ig.core.volume import Grid, VolumeSeries
+
+from .style import ON_GREY, TRUTH, png_bytes, without_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,14 +26,11 @@ CUT_MM = 1.5
 """Surface vertices this close to a plane are drawn."""
 
 _VIEWS = (("axial", 2), ("coronal", 1), ("sagittal", 0))
-_ORGAN, _TRACE = "#e07b00", "#222222"
 
 
 def preview_png(scenario: Scenario) -> bytes:
     """The contact sheet as a PNG."""
-    buffer = io.BytesIO()
-    preview(scenario).savefig(buffer, format="png", dpi=90, metadata={"Software": None})
-    return buffer.getvalue()
+    return png_bytes(preview(scenario), dpi=90)
 
 
 def preview(scenario: Scenario) -> Figure:
@@ -50,8 +48,8 @@ def preview(scenario: Scenario) -> Figure:
         axes = middle.subplots(2, FRAMES // 2).ravel()
         for axis, i in zip(axes, chosen.tolist(), strict=False):
             axis.imshow(images[i], cmap="gray", vmin=0, vmax=255)
-            axis.set_title(f"ultrasound, {t_s[i]:.1f} s", fontsize=8)
-        _bare(axes)
+            axis.set_title(f"ultrasound, {t_s[i]:.1f} s", fontsize=9)
+        without_ticks(*axes)
     _draw_ecg(lower.subplots(), scenario)
     return figure
 
@@ -62,15 +60,15 @@ def _draw_preop(axes: AnyArray, preop: Preop) -> None:
     phases = np.linspace(0, len(timing), PHASES, endpoint=False).astype(int).tolist()
     center = _heart_center(preop)
     for column, phase in enumerate(phases):
-        axes[0, column].set_title(f"{100 * timing.fractions[phase]:.0f} % of the cycle", fontsize=8)
+        axes[0, column].set_title(f"{100 * timing.fractions[phase]:.0f} % of the cycle", fontsize=9)
         for row, (_, normal) in enumerate(_VIEWS):
             if shown is not None:
                 _draw_slice(axes[row, column], shown, preop, phase, center, normal)
             else:
                 _draw_cut(axes[row, column], preop, phase, center, normal)
-    _bare(axes.ravel())
+    without_ticks(*axes.ravel())
     for row, (name, _) in enumerate(_VIEWS):
-        axes[row, 0].set_ylabel(f"{name}, pre-operative", fontsize=8)
+        axes[row, 0].set_ylabel(f"{name}, pre-operative", fontsize=9)
 
 
 def _heart_center(preop: Preop) -> FloatArray:
@@ -96,7 +94,7 @@ def _draw_slice(
         organ = np.isin(preop.labels.values[phase], preop.organ_labels).astype(np.float32)
         outline = _plane(organ, preop.labels.grid, center, normal)
         if outline.min() < 0.5 < outline.max():
-            axis.contour(outline, levels=[0.5], colors=[_ORGAN], linewidths=0.9, extent=extent)
+            axis.contour(outline, levels=[0.5], colors=[ON_GREY], linewidths=0.9, extent=extent)
     _head_up(axis, normal)
 
 
@@ -132,11 +130,6 @@ def _draw_cut(axis: Axes, preop: Preop, phase: int, center: FloatArray, normal: 
 def _draw_ecg(axis: Axes, scenario: Scenario) -> None:
     ecg = scenario.ecg
     shown = ecg.t_s < ecg.start_s + ECG_S
-    axis.plot(ecg.t_s[shown], ecg.samples[shown, 0], color=_TRACE, lw=0.8)
+    axis.plot(ecg.t_s[shown], ecg.samples[shown, 0], color=TRUTH, lw=0.8)
     axis.set(xlabel="time, s", ylabel=f"{ecg.leads[0]}, {ecg.unit}")
     axis.margins(x=0)
-
-
-def _bare(axes: AnyArray) -> None:
-    for axis in axes:
-        axis.set(xticks=[], yticks=[])

@@ -1,12 +1,12 @@
 """A contact sheet of segmented N-wire images: dots, wires, and why frames were left out. Uses matplotlib.
 
-Candidate dots are thin orange rings, wires are filled and numbered in the phantom's order, joined by pattern.
+Candidate dots are thin orange rings; wires are light blue, filled, numbered in the phantom's order and joined
+by pattern.
 matplotlib is loaded when a sheet is written, not before.
 """
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
@@ -14,17 +14,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.io.atomic import write_bytes
+
+from .style import ON_GREY, START, WRONG, png_path, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from dvf_ig.calibration.wires.images import WireFrame, WireSegmentation
     from dvf_ig.core.arrays import AnyArray
     from dvf_ig.core.sequence import TrackedSequence
 
 COLUMNS, MOST_FOUND, MOST_REFUSED = 4, 12, 12
-DOT, WIRE, REFUSED = "#e07b00", "#41b6e6", "#c43131"
 
 
 def write_wire_picture(
@@ -40,20 +41,16 @@ def write_wire_picture(
         InvalidInputError: images of another recording, or a suffix that is not .png.
         OutputError: not writable.
     """
-    path = Path(path)
-    if path.suffix.lower() != ".png":
-        raise InvalidInputError(
-            f"a picture is written as PNG; got {path.name}, give a name that ends in .png"
-        )
+    path = png_path(path)
     if sequence.images is None or len(sequence.images) != len(segmentation.frames):
         raise InvalidInputError(
             f"the sequence has {0 if sequence.images is None else len(sequence)} images, the segmentation "
             f"{len(segmentation.frames)} frames; give the sequence that was segmented"
         )
-    write_bytes(path, _sheet(sequence.images, segmentation, title))
+    write_png(path, _sheet(sequence.images, segmentation, title), dpi=90)
 
 
-def _sheet(images: AnyArray, segmentation: WireSegmentation, title: str) -> bytes:
+def _sheet(images: AnyArray, segmentation: WireSegmentation, title: str) -> Figure:
     from matplotlib.figure import Figure
 
     shown = chosen_frames(segmentation)
@@ -66,9 +63,7 @@ def _sheet(images: AnyArray, segmentation: WireSegmentation, title: str) -> byte
         axis.set_axis_off()
     for axis, i in zip(axes, shown, strict=False):
         _draw(axis, images[i], segmentation.frames[i], i)
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=90, metadata={"Software": None})
-    return buffer.getvalue()
+    return figure
 
 
 def chosen_frames(segmentation: WireSegmentation) -> list[int]:
@@ -85,15 +80,17 @@ def _spread(indices: AnyArray, most: int) -> list[int]:
 
 def _draw(axis: Axes, image: AnyArray, frame: WireFrame, number: int) -> None:
     axis.imshow(image, cmap="gray", vmin=0, vmax=max(32.0, float(np.percentile(image, 99.9))))
-    axis.plot(*frame.dots.points_px.T, "o", mfc="none", mec=DOT, mew=0.7, ms=7)
+    axis.plot(*frame.dots.points_px.T, "o", mfc="none", mec=START, mew=0.7, ms=7)
     if frame.rejected is not None:
         text = fill(f"frame {number}: {frame.rejected.reason} ({frame.rejected.detail})", 52)
-        axis.set_title(text, fontsize=8, color=REFUSED)
+        axis.set_title(text, fontsize=8, color=WRONG)
     if frame.found is None:
         return
     for pattern in frame.found.points_px.reshape(-1, 3, 2):
-        axis.plot(*pattern.T, "-", color=WIRE, lw=0.6)
+        axis.plot(*pattern.T, "-", color=ON_GREY, lw=0.6)
     for k, (column, row) in enumerate(frame.found.points_px.tolist()):
-        axis.plot(column, row, ".", color=WIRE, ms=3)
-        axis.annotate(str(k + 1), (column, row), (4, 4), textcoords="offset points", color=WIRE, fontsize=7)
-    axis.set_title(f"frame {number}: misfit {frame.found.misfit_mm:.2f} mm", fontsize=8)
+        axis.plot(column, row, ".", color=ON_GREY, ms=3)
+        axis.annotate(
+            str(k + 1), (column, row), (4, 4), textcoords="offset points", color=ON_GREY, fontsize=7
+        )
+    axis.set_title(f"frame {number}: residual {frame.found.misfit_mm:.2f} mm", fontsize=8)

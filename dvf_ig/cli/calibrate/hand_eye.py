@@ -34,7 +34,7 @@ def hand_eye(
         import numpy as np
 
         from dvf_ig.calibration import HandEyeMethod, HandEyeOptions, calibrate_hand_eye
-        from dvf_ig.io import write_residual_picture
+        from dvf_ig.report import write_residual_picture
 
         found = calibrate_hand_eye(
             _poses(robot, "base", "hand", hand),

@@ -32,7 +32,8 @@ def landmarks(
     """Place a phantom by touching its landmarks, one after the other, in the order of the device set."""
     with command():
         from dvf_ig.calibration import check_tip, find_dwells, match_dwells, tip_positions
-        from dvf_ig.io import read_phantom_landmarks, read_poses, write_residual_picture
+        from dvf_ig.io import read_phantom_landmarks, read_poses
+        from dvf_ig.report import write_residual_picture
 
         poses, phantom = read_poses(stylus), read_phantom_landmarks(device_set)
         tip = _stated_tip(poses, device_set)

@@ -33,7 +33,7 @@ def latency(
     """Lag of the tracker's clock behind the video's: t_tracker = t_video + lag."""
     with command():
         from dvf_ig.calibration import estimate_latency
-        from dvf_ig.io import write_latency_picture
+        from dvf_ig.report import write_latency_picture
 
         found = estimate_latency(_recording(tracker, video, line_table, seed))
         result = _result(found)

@@ -27,7 +27,8 @@ def pivot(
         import numpy as np
 
         from dvf_ig.calibration import calibrate_pivot
-        from dvf_ig.io import read_poses, write_residual_picture
+        from dvf_ig.io import read_poses
+        from dvf_ig.report import write_residual_picture
 
         found = calibrate_pivot(read_poses(poses, source=tool), rng=np.random.default_rng(seed))
         result = _result(found)

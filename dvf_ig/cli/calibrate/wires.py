@@ -39,8 +39,8 @@ def read_wires(
         read_nwire_recording,
         read_sequence,
         read_wire_search,
-        write_wire_picture,
     )
+    from dvf_ig.report import write_wire_picture
 
     if table is not None:
         if picture is not None:

@@ -59,7 +59,8 @@ def _write_evidence(
     result: "CineModel", image: VolumeSeries, payload: dict[str, Any], request: BuildRequest
 ) -> None:
     """JSON and a picture beside the model."""
-    from dvf_ig.io import write_json, write_motion_picture
+    from dvf_ig.io import write_json
+    from dvf_ig.report import write_motion_picture
 
     evidence, picture = request.output.with_suffix(".json"), request.output.with_suffix(".png")
     write_json(evidence, payload)

@@ -32,8 +32,8 @@ def distance_maps(
 
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
-        from dvf_ig.report.study.distance_maps import distance_png
-        from dvf_ig.study.distance.maps import compare_distance_maps
+        from dvf_ig.report.study.distance_maps import distance_maps_png
+        from dvf_ig.study.distance.maps import WIDE_MM, compare_distance_maps
 
         meshes, name = _surfaces(surface, range(seed, seed + seeds))
         rngs = [np.random.default_rng(seed + k) for k in range(len(meshes))]
@@ -50,7 +50,8 @@ def distance_maps(
             }
             write_json(out / "summary.json", summary)
             title = f"Distance maps of {name}, voxels of {found.grid.spacing_mm[0]:.2f} mm"
-            write_bytes(out / "distance.png", distance_png(found, title))
+            picture = distance_maps_png(found.scores, found.exact_mm, title, within_mm=WIDE_MM)
+            write_bytes(out / "distance.png", picture)
         emit(summary, _rows(found.scores), as_json=as_json)
         wrote(out / "summary.json")
         wrote(out / "distance.png")

@@ -130,8 +130,9 @@ def _cells(phase: dict[str, float]) -> tuple[str, str, str, str]:
 
 
 def _draw(scored: "Sequence[RecordGating]", path: Path) -> None:
-    from dvf_ig.report.study.gating_study import risk_coverage_figure
-    from dvf_ig.study.gating.records import RHYTHMS, pool
+    from dvf_ig.report import write_png
+    from dvf_ig.report.study.gating import RiskCoverage, risk_coverage_figure
+    from dvf_ig.study.gating.records import RHYTHMS, pool, risk_coverage, summarise_phase
 
     classes: dict[str, PhaseErrors] = {}
     for rhythm in RHYTHMS:
@@ -140,4 +141,9 @@ def _draw(scored: "Sequence[RecordGating]", path: Path) -> None:
             classes[rhythm] = pool(chosen)
     if not classes:
         classes["all"] = pool([r.errors for r in scored])
-    risk_coverage_figure(classes).savefig(path, dpi=130, metadata={"Software": None})
+    rhythms = []
+    for name, errors in classes.items():
+        share, p95, _ = risk_coverage(errors)
+        now = summarise_phase([errors])
+        rhythms.append(RiskCoverage(name, share, p95, now.valid_share, now.p95_percent))
+    write_png(path, risk_coverage_figure(rhythms), dpi=130)

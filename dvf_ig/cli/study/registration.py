@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
     from dvf_ig.study.registration.summary import Group
 
-NEAR_MM = 12.0
-"""Starts up to here have a summary of their own: what a registration is given after touched landmarks."""
-
 
 class Quality(StrEnum):
     """Of the images."""
@@ -93,8 +90,8 @@ def _study(
 ) -> None:
     with command():
         from dvf_ig.io import output_folder, write_json
-        from dvf_ig.report.study.registration_page import write_capture_page
         from dvf_ig.study.registration.experiments import settings_of, trial_numbers, trials_per_heart
+        from dvf_ig.study.registration.page import NEAR_MM, write_capture_page
         from dvf_ig.study.registration.summary import group_entry, summarise_trials
         from dvf_ig.study.registration.trial import registration_trial
         from dvf_ig.study.trials import Study, run_trials

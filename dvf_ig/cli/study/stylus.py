@@ -50,7 +50,7 @@ def tracking(
         from dvf_ig.guidance.blend import BLEND_CODES
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
-        from dvf_ig.report.study.stylus import picture_png
+        from dvf_ig.report.study.stylus import tracking_png
         from dvf_ig.study.progress import part_of
         from dvf_ig.study.stylus.holding import beating_surface, held_styli, hold_stylus, pool_hearts
 
@@ -83,7 +83,7 @@ def tracking(
                 "rows": [_entry(run) for run in runs],
             }
             write_json(out / "tracking.json", result)
-            write_bytes(out / "tracking.png", picture_png(hearts[0], runs))
+            write_bytes(out / "tracking.png", tracking_png(runs, motion=motion.value, cycle_s=cycle_s))
         emit(result, _rows(runs), as_json=as_json)
         for each in devices:
             typer.echo(_describe(each), err=True)

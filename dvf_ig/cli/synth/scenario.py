@@ -79,6 +79,7 @@ def scenario(
     with command(threads):
         from data_synth import describe_faults
         from dvf_ig.io import ScenarioNotes, write_scenario
+        from dvf_ig.report import preview_png
 
         from .spec import scenario_spec, spec_text
 
@@ -102,7 +103,8 @@ def scenario(
         if out is None:
             raise typer.BadParameter("give a folder to write with -o, or --print-spec")
         made, path = _made(file, spec)
-        write_scenario(made, out, ScenarioNotes(describe_faults(spec.options), spec_text(file)))
+        notes = ScenarioNotes(describe_faults(spec.options), spec_text(file), preview_png(made))
+        write_scenario(made, out, notes)
         emit(_facts(made, out, path), _rows(made, path), as_json=as_json)
         wrote(out, "mr, tracker")
 

@@ -12,23 +12,25 @@ class ScenarioNotes:
     Attributes:
         faults: one sentence each, without values of the ground truth.
         spec: YAML from which the scenario can be made again; it is written into truth/.
+        preview_png: a picture of the scenario as a PNG file's bytes, see `dvf_ig.report.preview_png`.
     """
 
     faults: tuple[str, ...] = ()
     spec: str = ""
+    preview_png: bytes | None = None
 
 
 def readme_text(scenario: Scenario, notes: ScenarioNotes) -> str:
     """Markdown for a person who opens the folder."""
     faults = notes.faults or ("None beyond ordinary noise, mild variability and short drop-outs.",)
+    preview = "" if notes.preview_png is None else "`preview.png` shows it at a glance. "
     again = ["`truth/spec.yaml` makes this scenario again: `dvf-ig synth scenario --spec FILE -o DIR`.", ""]
     return "\n".join(
         [
             f"# {scenario.name}",
             "",
             f"A {'recorded' if scenario.truth is None else 'synthetic'} intervention, preset "
-            f"`{scenario.preset}`. `preview.png` shows it at a glance; replay it with "
-            "`dvf-ig replay DIR -o RUN`.",
+            f"`{scenario.preset}`. {preview}Replay it with `dvf-ig replay DIR -o RUN`.",
             "",
             "## Disturbances",
             "",

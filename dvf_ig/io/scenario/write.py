@@ -78,10 +78,9 @@ def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes 
 
 
 def _write_notes(scenario: Scenario, folder: Path, notes: ScenarioNotes) -> None:
-    from dvf_ig.report.scenario import preview_png
-
     write_text(folder / README, readme_text(scenario, notes))
-    write_bytes(folder / PREVIEW, preview_png(scenario))
+    if notes.preview_png is not None:
+        write_bytes(folder / PREVIEW, notes.preview_png)
     if notes.spec and scenario.truth is not None:
         write_text(folder / TRUTH / SPEC, notes.spec)
 

@@ -1,43 +1,76 @@
-"""The picture of `dvf-ig study retiming`."""
+"""Figure of the retiming study: error of the surface shown against heart rate, for each way of retiming."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
-from dvf_ig.cardiac import SYSTOLE_SLOPE_S_PER_BPM
-from dvf_ig.study.retiming.surface_error import METHODS, RetimingRow
+from matplotlib.figure import Figure
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from dvf_ig.report.style import ESTIMATE, GUIDE, START, TRUTH
 
-COLORS = dict(zip(METHODS, ("#777777", "#e07b00", "#1f6fb4"), strict=True))
+COLORS = {"not retimed": GUIDE, "uniform": START, "two-segment": ESTIMATE}
 
 
-def retiming_figure(rows: Sequence[RetimingRow], model_rate_bpm: float) -> Figure:
-    """p95 surface error against heart rate: whole cycle, and systole."""
-    from matplotlib.figure import Figure
+class RetimingRow(Protocol):
+    """One method at one heart rate on a heart whose systole shortens by one slope."""
 
-    figure = Figure(figsize=(9.5, 3.9), layout="constrained")
+    @property
+    def rate_bpm(self) -> float: ...
+    @property
+    def true_slope_s_per_bpm(self) -> float: ...
+    @property
+    def method(self) -> str: ...
+    @property
+    def p95_mm(self) -> float: ...
+    @property
+    def systole_p95_mm(self) -> float: ...
+
+
+def retiming_figure(
+    rows: Sequence[RetimingRow], *, model_rate_bpm: float, assumed_slope_s_per_bpm: float
+) -> Figure:
+    """p95 surface error against heart rate: whole cycle, and systole.
+
+    Args:
+        rows: of all methods, rates and slopes; methods are drawn in the order of COLORS.
+        model_rate_bpm: heart rate of the pre-operative cycle.
+        assumed_slope_s_per_bpm: curves are hearts of this slope; bands reach over all slopes.
+    """
+    figure = Figure(figsize=(9.5, 4.3), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
-    lawful = [row for row in rows if row.true_slope_s_per_bpm == SYSTOLE_SLOPE_S_PER_BPM]
     rates = sorted({row.rate_bpm for row in rows})
-    for method in METHODS:
-        color = COLORS[method]
+    for method, color in COLORS.items():
         mine = [row for row in rows if row.method == method]
-        for axis, name in ((left, "p95_mm"), (right, "systole_p95_mm")):
-            at = [[getattr(row, name) for row in mine if row.rate_bpm == rate] for rate in rates]
-            axis.fill_between(
-                rates, [min(v) for v in at], [max(v) for v in at], color=color, alpha=0.18, lw=0
+        lawful = [row for row in mine if row.true_slope_s_per_bpm == assumed_slope_s_per_bpm]
+        values: tuple[Callable[[RetimingRow], float], ...] = (
+            lambda row: row.p95_mm,
+            lambda row: row.systole_p95_mm,
+        )
+        for axis, value in zip((left, right), values, strict=True):
+            at = [[value(row) for row in mine if row.rate_bpm == rate] for rate in rates]
+            low, high = [min(v) for v in at], [max(v) for v in at]
+            axis.fill_between(rates, low, high, color=color, alpha=0.18, lw=0)
+            axis.plot(
+                [row.rate_bpm for row in lawful],
+                [value(row) for row in lawful],
+                "o-",
+                clip_on=False,
+                color=color,
+                label=method,
             )
-            law = [getattr(row, name) for row in lawful if row.method == method]
-            axis.plot(rates[: len(law)], law, "o-", color=color, label=method)
     left.set(ylabel="p95 surface error, mm", title="whole cycle")
     right.set(title="systole")
     for axis in (left, right):
-        axis.axvline(model_rate_bpm, color="#222222", lw=0.8, ls=":")
+        axis.axvline(model_rate_bpm, color=TRUTH, lw=0.8, ls=":")
         axis.set_xlabel("heart rate, beats/min (dotted: the model's own)")
         axis.set_ylim(bottom=0)
         axis.grid(alpha=0.25, lw=0.5)
-    left.legend(fontsize=8, frameon=False, title="band: true k a third off", title_fontsize=8)
+    figure.legend(
+        *left.get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+        title="band: systole shortens a third less or more than assumed",
+    )
     return figure

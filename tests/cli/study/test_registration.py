@@ -9,7 +9,7 @@ import pytest
 from stub_registration import stub_problem
 from typer.testing import CliRunner, Result
 
-import dvf_ig.report.study.registration_page as capture_page
+import dvf_ig.study.registration.page as capture_page
 import dvf_ig.study.registration.trial as trials
 from dvf_ig.cli.main import app
 from dvf_ig.study.registration.experiments import MOTIONS

@@ -1,4 +1,4 @@
-"""What `inspect` says of sequences and PLUS files: clocks, validity, frame trees, image maps. Pictures."""
+"""What `inspect` says of sequences and PLUS files: clocks, validity, frame trees, image maps."""
 
 import json
 from pathlib import Path
@@ -8,13 +8,9 @@ import pytest
 import SimpleITK
 from typer.testing import CliRunner
 
-from dvf_ig.calibration import estimate_latency
 from dvf_ig.cli.main import app
 from dvf_ig.core import (
-    InvalidInputError,
-    LatencyRecording,
     PoseStream,
-    Trace,
     TrackedSequence,
     UnreadableFileError,
 )
@@ -22,8 +18,6 @@ from dvf_ig.io import (
     describe,
     read_image_map,
     write_coordinate_definitions,
-    write_latency_picture,
-    write_residual_picture,
     write_sequence,
 )
 from dvf_ig.io.describe.sequence import clock_facts, frame_tree
@@ -152,49 +146,6 @@ def test_an_image_calibration_beyond_a_degree_is_refused_and_told(tmp_path: Path
     matrix[0, 1] = 0.1 * np.tan(np.radians(0.9))
     write_coordinate_definitions(path, {"probe_from_image": matrix})
     assert read_image_map(path).shear_deg == pytest.approx(0.9, abs=1e-6)
-
-
-def picture_size(path: Path) -> tuple[int, int]:
-    data = path.read_bytes()
-    assert data[:8] == b"\x89PNG\r\n\x1a\n"
-    return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-
-
-def test_residual_pictures(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    values = rng.rayleigh(0.3, 200)
-    values[:20] = 60.0
-    values[30] = np.nan
-    write_residual_picture(tmp_path / "dots.png", values, title="Tip: 0.4 mm", used=values < 3.0)
-    names = [f"#{i}" for i in range(8)]
-    write_residual_picture(
-        tmp_path / "bars.png", values[100:108], title="8 landmarks", names=names, second=values[110:118]
-    )
-    assert picture_size(tmp_path / "dots.png")[0] > 1000
-    assert picture_size(tmp_path / "bars.png")[1] > 400
-    with pytest.raises(InvalidInputError, match="no finite residual"):
-        write_residual_picture(tmp_path / "x.png", np.full(3, np.nan), title="")
-    with pytest.raises(InvalidInputError, match="2 names for 3 residuals"):
-        write_residual_picture(tmp_path / "x.png", np.ones(3), title="", names=["a", "b"])
-    with pytest.raises(InvalidInputError, match=r"does not end in \.png"):
-        write_residual_picture(tmp_path / "x.jpg", np.ones(3), title="")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["bars.png", "dots.png"]
-
-
-def test_latency_picture(tmp_path: Path) -> None:
-    tracker_t, video_t = np.arange(-1.0, 19.0, 1 / 46), np.arange(0.0, 17.0, 1 / 12)
-
-    def depth(
-        t_s: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    ) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-        return np.asarray(12 * np.sin(2 * np.pi * (t_s / 1.03 + 0.2 * np.sin(0.9 * t_s))))
-
-    moved = np.column_stack([0 * tracker_t, 0 * tracker_t, depth(tracker_t)])
-    turns = np.tile(np.eye(3), (len(tracker_t), 1, 1))
-    poses = PoseStream("tracker", "probe", tracker_t, turns, moved, np.ones(len(tracker_t), bool))
-    found = estimate_latency(LatencyRecording(poses, Trace(video_t, 300 + 10 * depth(video_t - 0.05))))
-    write_latency_picture(tmp_path / "lag.png", found, title="Lag -50 ms")
-    assert picture_size(tmp_path / "lag.png")[0] > 1000
 
 
 def test_json_of_a_real_sequence_keeps_its_names(data_dir: Path) -> None:

@@ -4,7 +4,6 @@ import pytest
 
 from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance.blend import BLEND_CODES
-from dvf_ig.report.study.blending import blending_png
 from dvf_ig.study.blending.blend_errors import blending_errors
 
 
@@ -30,10 +29,6 @@ def test_at_the_phases_only_the_fit_errs(study):
     assert at.blend_mean_mm is None
     for error in study.errors:
         assert error.surface_mean_mm > at.surface_mean_mm
-
-
-def test_picture(study):
-    assert blending_png([study]).startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("counts", [[], [3, 10]])

@@ -1,62 +1,15 @@
-"""The summary of registration trials on made-up lines whose numbers are known by hand, and its page."""
+"""The summary of registration trials on made-up lines whose numbers are known by hand."""
 
-import base64
 import json
 import math
-import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from trial_lines import TEN, line
 
-from dvf_ig.core import OutputError
 from dvf_ig.io import plain
-from dvf_ig.report.study.registration_capture import (
-    OURS_COLOR,
-    capture_curves,
-    colors_of,
-    error_boxes,
-    methods_of,
-)
-from dvf_ig.report.study.registration_checks import calibration_picture, roc_picture
-from dvf_ig.report.study.registration_page import capture_html, write_capture_page
 from dvf_ig.study.registration.summary import Group, auc_of, capture_of, share_of, summarise_trials
-
-
-def line(seed: int, start_mm: float | None, tre_mm: float | None, **other: Any) -> dict[str, Any]:
-    return {
-        "seed": seed,
-        "pair": seed % 2,
-        "motion": "calm",
-        "quality": "standard",
-        "arm": "B",
-        "method": "dvf_ig",
-        "condition": "",
-        "start_mm": start_mm,
-        "tre_mm": tre_mm,
-        "rotation_deg": None if tre_mm is None else 2 * tre_mm,
-        "translation_mm": None if tre_mm is None else [-tre_mm, tre_mm / 2, 0.0],
-        "stop": "converged",
-        "usable": True,
-        "success_probability": 0.9,
-        "seconds": 0.5,
-        **other,
-    }
-
-
-TEN = [
-    line(0, 1.0, 0.5),
-    line(1, 2.0, 0.8),
-    line(2, 3.0, 1.0),
-    line(3, 3.5, 1.5),
-    line(4, 5.0, 2.0),
-    line(5, 6.0, 3.0),
-    line(6, 9.0, 10.0, usable=False, success_probability=0.1),
-    line(7, 11.0, None, stop="poor match", success_probability=0.9, seconds=1.5),
-    line(8, 11.5, 1.9, usable=False, success_probability=0.3),
-    {**line(9, 12.0, None), "refused": "no overlap", "tre_mm": None, "usable": None},
-]
 
 
 def only(groups: list[Group]) -> Group:
@@ -169,68 +122,3 @@ def test_groups_come_in_the_order_of_their_seeds_and_are_json() -> None:
     text = json.dumps(plain(summarise_trials([*TEN, *lines])), allow_nan=False)
     assert json.loads(text)[0]["tre_mm"]["max"] is None
     assert summarise_trials([]) == []
-
-
-def test_the_page_shows_these_numbers_and_is_self_contained(tmp_path: Path) -> None:
-    others = [
-        line(20 + k, 2.0 * k, 4.0, method="<edges>", usable=None, success_probability=None) for k in range(3)
-    ]
-    lines = [*TEN, *others, {"seed": 30, "refused": "no pair"}]
-    write_capture_page(lines, tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text()
-    assert "13 registrations" in page
-    assert "1 more trials were refused" in page
-    assert (
-        "<td class=n>10 (1 refused)<small>2</small></td><td class=n>50.0<small>23.7–76.3</small></td>" in page
-    )
-    assert "<td class=n>1.90<small>lost · lost</small></td>" in page
-    assert "&lt;edges&gt;" in page
-    assert "<edges>" not in page
-    assert "NaN" not in page
-    assert not re.findall(r'(?:src|href)="(?!data:)', page)
-    pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
-    assert len(pictures) == 4
-    assert all(base64.b64decode(picture).startswith(b"\x89PNG") for picture in pictures)
-    with pytest.raises(OutputError, match="cannot write"):
-        write_capture_page(lines, tmp_path / "missing" / "page.html")
-
-
-def test_a_page_of_nothing_and_of_refusals_alone_is_a_page() -> None:
-    assert "0 registrations" in capture_html([])
-    assert "1 registrations" in capture_html([{"seed": 1, "method": "dvf_ig", "refused": "why"}])
-
-
-def test_pictures_hold_the_numbers() -> None:
-    lines = [*TEN, *(line(20 + k, 1.0, 4.0, method="edges", condition="RR +5 %") for k in range(3))]
-    colors = colors_of(lines)
-    assert methods_of(lines) == ["dvf_ig", "edges"]
-    assert colors["dvf_ig"] == OURS_COLOR != colors["edges"]
-    curves = capture_curves(lines, colors)
-    assert curves is not None
-    assert [panel.get_title() for panel in curves.axes] == ["", "RR +5 %"]
-    shares = curves.axes[0].containers[0].lines[0].get_ydata()  # type: ignore[attr-defined]
-    assert shares == pytest.approx([100, 100, 0, 0, 100 / 3])
-    boxes = error_boxes([("ours", TEN), ("refused", TEN[9:])], colors)
-    assert boxes is not None
-    assert [text.get_text() for text in boxes.axes[0].get_yticklabels()] == ["ours  (n = 9)"]
-    assert error_boxes([("refused", TEN[9:])], colors) is None
-    assert capture_curves([], colors) is None
-
-
-def test_pictures_of_the_self_check_hold_the_numbers() -> None:
-    colors = colors_of(TEN)
-    roc = roc_picture(TEN, colors)
-    assert roc is not None
-    curve, ring = roc.axes[0].lines[:2]
-    assert np.column_stack(curve.get_data()) == pytest.approx(
-        np.array([(0, 0), (0, 50), (20, 50), (100, 100)])
-    )
-    assert np.column_stack(ring.get_data()) == pytest.approx(np.array([(20, 50)]))
-    told = calibration_picture(TEN, colors)
-    assert told is not None
-    x, y = told.axes[0].containers[0].lines[0].get_data()  # type: ignore[attr-defined]
-    assert x == pytest.approx([10, 30, 90])
-    assert y == pytest.approx([0, 100, 50])
-    silent = [line(0, 1.0, 1.0, success_probability=None)]
-    assert roc_picture(silent, colors) is None
-    assert calibration_picture(silent, colors) is None

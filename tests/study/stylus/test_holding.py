@@ -7,7 +7,7 @@ from data_synth.operator.contact import MovingSurface
 from dvf_ig.core import CycleTiming, FloatArray, InvalidInputError, SurfaceSeries
 from dvf_ig.guidance import DEVICES, DeviceLimits, SimulatedDevice
 from dvf_ig.preop import ModelOptions, model_from_surfaces
-from dvf_ig.report.study.stylus import picture_png
+from dvf_ig.report.study.stylus import tracking_figure, tracking_png
 from dvf_ig.study.stylus.holding import (
     BeatingSurface,
     held_styli,
@@ -115,16 +115,29 @@ def test_feed_forward_is_tried_where_friction_can_be_spared() -> None:
     ]  # fmt: skip
 
 
+def test_the_figure_shows_errors_within_the_bound_of_friction(ball: BeatingSurface) -> None:
+    """Fig. 14: a tool that nobody holds lags by what it takes to overcome friction, drag and its mass."""
+    omni, turn = DEVICES["omni"], 2 * np.pi / 0.6
+    moved_n = omni.viscous_n_s_per_m * 0.002 * turn + omni.mass_kg * 0.002 * turn**2
+    runs = [hold_stylus(ball, with_fixture(omni, "force", compensate=c), cycles=2) for c in (False, True)]
+    axes = tracking_figure(runs, motion="paper5mm", cycle_s=0.6).axes
+    for run, shown, mean in zip(runs, axes[1].lines, axes[2].lines, strict=False):
+        np.testing.assert_array_equal(shown.get_ydata(), run.distance_mm[-1])
+        left_n = omni.dry_n - run.stylus.feed_forward.friction_n
+        bound_mm = run.stylus.law.half_width_mm(left_n + moved_n)
+        assert mean.get_ydata().max() < bound_mm
+        assert np.abs(shown.get_ydata()).max() < 2.5 * bound_mm, "a swing about the mean"
+    assert mean.get_ydata().max() < axes[2].lines[0].get_ydata().min(), "feed-forward helps"
+    surface, tool = axes[0].lines
+    np.testing.assert_allclose(surface.get_ydata() - tool.get_ydata(), runs[0].distance_mm[-1], atol=1e-9)
+    assert tracking_png(runs, motion="paper5mm", cycle_s=0.6).startswith(b"\x89PNG")
+
+
 def test_hearts_are_pooled_place_by_place(ball: BeatingSurface) -> None:
     run = hold_stylus(ball, with_fixture(DEVICES["premium"], "force", compensate=False), cycles=1)
     both = pool_hearts([run, run])
     assert both.distance_mm.shape == (4, 600)
     assert both.summary() == pytest.approx(run.summary())
-
-
-def test_the_picture_is_a_png(ball: BeatingSurface) -> None:
-    runs = [hold_stylus(ball, f, cycles=1) for f in held_styli([DEVICES["omni"]], ["force", "distance"])]
-    assert picture_png(ball, runs).startswith(b"\x89PNG")
 
 
 def test_senseless_numbers_are_refused(ball: BeatingSurface) -> None:

@@ -1,0 +1,68 @@
+"""Self-contained HTML pages: one skeleton and style, figures inlined, tables of text."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from .style import png_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 1080px; margin: 2rem auto;
+       padding: 0 1rem; }
+h1 { font-size: 1.5rem; margin-bottom: .2rem; } h2 { font-size: 1.1rem; margin: 2rem 0 .3rem; }
+p.note { color: #555; margin: .2rem 0 .8rem; max-width: 75ch; }
+table { border-collapse: collapse; }
+th { text-align: left; font-weight: 600; padding: .25rem 1rem .25rem 0; border-bottom: 1px solid #999; }
+td { padding: .25rem 1rem .25rem 0; border-bottom: 1px solid #e4e4e4; vertical-align: top; }
+td:first-child { color: #555; } img { max-width: 100%; height: auto; }
+figure { margin: 2rem 0; } figcaption { color: #555; max-width: 75ch; }
+.verdict { display: inline-block; padding: .3rem .8rem; border-radius: .3rem; color: #fff; }
+.good { background: #2b7a3d; } .bad { background: #b3261e; }
+"""
+
+
+def html_page(title: str, body: str, *, style: str = "") -> str:
+    """A whole page.
+
+    Args:
+        title: plain text, also the first heading.
+        body: HTML below it.
+        style: CSS rules beyond the common ones.
+    """
+    name = html.escape(title)
+    return (
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}</title>"
+        f"<style>{STYLE}{style}</style><h1>{name}</h1>{body}</html>\n"
+    )
+
+
+def section(title: str, note: str, content: str, *, level: int = 2) -> str:
+    """A heading, a grey paragraph and HTML below them; title and note are plain text."""
+    return f"<h{level}>{html.escape(title)}</h{level}><p class=note>{html.escape(note)}</p>{content}"
+
+
+def table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of plain text."""
+    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in heading)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    return f"<table><tr>{head}</tr>{body}</table>"
+
+
+def image_tag(figure: Figure, title: str, *, width_px: int | None = None) -> str:
+    """The figure as a PNG inside the page."""
+    return png_tag(png_bytes(figure), title, width_px=width_px)
+
+
+def png_tag(png: bytes, title: str, *, width_px: int | None = None) -> str:
+    """A PNG file's bytes inside the page."""
+    data = base64.b64encode(png).decode("ascii")
+    size = "" if width_px is None else f' width="{width_px}"'
+    return f'<img alt="{html.escape(title)}"{size} src="data:image/png;base64,{data}">'

@@ -1,0 +1,84 @@
+"""`report.html` of a replay: one self-contained page with its estimates, errors and figures."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+
+from dvf_ig.report.page import html_page, image_tag, section, table
+
+from .figures import (
+    distance_histogram,
+    ecg_figure,
+    force_figure,
+    overlay_figure,
+    phase_error_figure,
+    pose_figure,
+)
+from .values import RegistrationMark, ReplayPage
+
+
+def replay_html(page: ReplayPage) -> str:
+    """The page for one replay."""
+    ticks = page.ticks
+    span_s = (float(ticks.t_s[0]), float(ticks.t_s[-1]))
+    sections = (
+        (
+            "Ultrasound and model, before and after registration",
+            "The model's surface in the ultrasound plane at the phase of each frame.",
+            overlay_figure(page.overlays),
+        ),
+        (
+            "The pose from beat to beat",
+            "After each heart beat its ultrasound is compared with the model under the pose in use. Above: "
+            "mean target registration error (TRE) of the beat's best pose, where the ground truth is known "
+            "(dotted: 2 mm). Below: by how much that pose explains the beat better than the pose in use "
+            "(dotted: more than noise does). Red: the pose is suspended, no force is given. Vertical lines: "
+            "a registration came into use, or (dotted) did not.",
+            pose_figure(page.beats, page.registrations, span_s),
+        ),
+        (
+            "Phase error over time",
+            "Against the ground truth. Grey: no force was given.",
+            phase_error_figure(ticks),
+        ),
+        (
+            "Force and distance",
+            "Force of the fixture at the tool tip through the estimated pose and phase, and distance of the "
+            "tip from the surface. Grey: no force was given.",
+            force_figure(ticks),
+        ),
+        (
+            "Distance from the surface",
+            "How long the tool tip spent at each distance while a force was given.",
+            distance_histogram(ticks),
+        ),
+        (
+            "ECG, R peaks and phase",
+            "Phase as it was known at each moment, from the past alone. Grey: phase could not be used.",
+            ecg_figure(page.ecg),
+        ),
+    )
+    body = "".join(
+        section(title, note, image_tag(figure, title))
+        for title, note, figure in sections
+        if figure is not None
+    )
+    estimates = table(("", "estimate", "error against the ground truth"), page.estimates)
+    about = f"patient {html.escape(page.patient_id)}, dvf_ig {html.escape(page.version)}"
+    return html_page(
+        f"Replay of {page.scenario}",
+        f"<p class=note>{about}</p>{_verdict(page.registrations)}<h2>Estimates</h2>{estimates}{body}",
+    )
+
+
+def _verdict(registrations: Sequence[RegistrationMark]) -> str:
+    used = any(mark.usable for mark in registrations)
+    last = registrations[-1].reason if registrations else "the recording is too short to register"
+    if used and registrations[-1].usable:
+        return "<p class='verdict good'>Registered: force was given in valid state only</p>"
+    if used:
+        text = f"Registered, but not to the end; the last attempt: {last}"
+    else:
+        text = f"Not registered, no force was given: {last}"
+    return f"<p class='verdict bad'>{html.escape(text)}</p>"

@@ -1,0 +1,142 @@
+"""What the page of a replay is made from: arrays over time, and ultrasound frames with the model's plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core.arrays import BoolArray, FloatArray, read_only_arrays
+
+
+@dataclass(frozen=True, slots=True)
+class RegistrationMark:
+    """One registration: from when it could be used, whether it was, and why it ended as it did."""
+
+    ready_s: float
+    usable: bool
+    reason: str
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaneOverlay:
+    """An ultrasound frame and the model's plane at the same place.
+
+    Attributes:
+        event_s: when it was seen, tracker clock.
+        model_phase: place in the model's cycle, 0 to 1.
+        image: (rows, columns) grey levels, 0 to 255.
+        row_px, column_px: (r, c) pixels of the image at which the model was sampled.
+        model_grey: (r, c) grey level of the pre-operative image through the registered pose.
+        start_distance_mm, distance_mm: (r, c) distance to the model's surface through the start pose and
+            through the registered one, positive inside; NaN outside the model's box.
+    """
+
+    event_s: float
+    model_phase: float
+    image: NDArray[np.uint8]
+    row_px: FloatArray
+    column_px: FloatArray
+    model_grey: FloatArray
+    start_distance_mm: FloatArray
+    distance_mm: FloatArray
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class BeatTrace:
+    """Heart beats that were compared with the model under a pose.
+
+    Attributes:
+        decided_s: (b,) when the result took effect.
+        in_use: (b,) the pose was in use; False where it was pending and no force was given.
+        log_likelihood_ratio: (b,) by how much another pose explains the beat better.
+        tre_mm: (b,) mean target registration error of that beat's best pose; None without ground truth.
+        limit: of the ratio, above which noise alone does not explain it.
+        suspended_s: begin and end of each time in which no pose was trusted.
+    """
+
+    decided_s: FloatArray
+    in_use: BoolArray
+    log_likelihood_ratio: FloatArray
+    tre_mm: FloatArray | None
+    limit: float
+    suspended_s: Sequence[tuple[float, float]]
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class TickTrace:
+    """Every tick of the force loop.
+
+    Attributes:
+        t_s: (n,) tracker clock.
+        valid: (n,) a force was given.
+        phase_valid: (n,) phase was LOCKED.
+        force_n: (n,) size of the force given.
+        distance_mm: (n,) of the tool tip from the surface, positive inside; NaN where it is not known.
+        true_force_n, true_distance_mm: (n,) the same by the ground truth; None without.
+        phase_error_percent: (n,) of RR; None without ground truth.
+    """
+
+    t_s: FloatArray
+    valid: BoolArray
+    phase_valid: BoolArray
+    force_n: FloatArray
+    distance_mm: FloatArray
+    true_force_n: FloatArray | None
+    true_distance_mm: FloatArray | None
+    phase_error_percent: FloatArray | None
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class EcgStrip:
+    """A few seconds of the ECG, and the phase kept from it.
+
+    Attributes:
+        lead, unit: of the samples.
+        ecg_t_s, ecg: (m,) samples of one lead.
+        r_peaks_s: (k,) detected R peaks.
+        t_s, phase: (n,) ticks and the phase known at each.
+        phase_valid: (n,) LOCKED.
+        true_phase: (n,); None without ground truth.
+    """
+
+    lead: str
+    unit: str
+    ecg_t_s: FloatArray
+    ecg: FloatArray
+    r_peaks_s: FloatArray
+    t_s: FloatArray
+    phase: FloatArray
+    phase_valid: BoolArray
+    true_phase: FloatArray | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReplayPage:
+    """Everything on the page.
+
+    Attributes:
+        scenario, patient_id, version: what was replayed, whose it is, and by which version.
+        estimates: rows of quantity, estimate, error against the ground truth.
+        registrations: in order.
+        overlays: frames of the last registration in use; empty where none saw any.
+        beats: None where no beat was compared.
+        ticks: every tick.
+        ecg: a few seconds in the middle.
+    """
+
+    scenario: str
+    patient_id: str
+    version: str
+    estimates: Sequence[tuple[str, str, str]]
+    registrations: Sequence[RegistrationMark]
+    overlays: Sequence[PlaneOverlay]
+    beats: BeatTrace | None
+    ticks: TickTrace
+    ecg: EcgStrip

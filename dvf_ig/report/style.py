@@ -1,0 +1,86 @@
+"""One look for every figure: colours by what is shown, and figures as PNG and SVG.
+
+Blue is what was estimated or taken, orange the start, the rival or what was left out, black the truth or the
+reference. matplotlib is loaded by the modules that draw, not here.
+"""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.io.atomic import write_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ESTIMATE, START, TRUTH = "#1f6fb4", "#e07b00", "#222222"
+WRONG = "#c43131"
+"""What is refused, or wrong as printed."""
+FAINT, GUIDE = "#b8b8b8", "#8a8a8a"
+"""What stands behind for comparison; lines that guide the eye."""
+REFUSED, SUSPENDED = "#d9d9d9", "#f6d5d2"
+"""Shades of times without force, and of times in which the pose was suspended."""
+ON_GREY = "#41b6e6"
+"""Outlines over grey images, where blue is too dark."""
+OUTLINE = "#d35400"
+"""The surface over a field shaded blue."""
+SERIES = (ESTIMATE, START, "#2a8c4a", "#8e44ad", "#7f6a55", WRONG)
+"""One colour each for things of equal rank, ours first."""
+BLUES = ("#9ecae1", "#4a9bd0", "#1f6fb4", "#123f6e")
+"""One parameter that grows, pale to dark."""
+DPI = 110
+
+
+def png_bytes(figure: Figure, dpi: int = DPI) -> bytes:
+    """The figure as a PNG file's bytes; the same figure gives the same bytes."""
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def svg_bytes(figure: Figure) -> bytes:
+    """The figure as an SVG file's bytes; the same figure gives the same bytes."""
+    from matplotlib import rc_context
+
+    buffer = BytesIO()
+    with rc_context({"svg.hashsalt": "dvf_ig"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()
+
+
+def png_path(path: Path | str) -> Path:
+    """The path, which ends in .png.
+
+    Raises:
+        InvalidInputError: another suffix.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".png":
+        raise InvalidInputError(f"{path} does not end in .png; pictures are written as PNG")
+    return path
+
+
+def write_png(path: Path | str, figure: Figure, dpi: int = DPI) -> None:
+    """Write the figure whole or not at all.
+
+    Raises:
+        InvalidInputError: a suffix that is not .png.
+        OutputError: not writable.
+    """
+    write_bytes(png_path(path), png_bytes(figure, dpi))
+
+
+def open_frame(*axes: Axes) -> None:
+    """Leave the upper and the right line of the frame out."""
+    for axis in axes:
+        axis.spines[["top", "right"]].set_visible(False)
+
+
+def without_ticks(*axes: Axes) -> None:
+    """Images need no ticks."""
+    for axis in axes:
+        axis.set(xticks=[], yticks=[])

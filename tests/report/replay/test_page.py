@@ -1,0 +1,166 @@
+"""The page of a replay: what its figures draw, what they leave out without ground truth, and the verdict."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dvf_ig.report.replay import (
+    BeatTrace,
+    EcgStrip,
+    PlaneOverlay,
+    RegistrationMark,
+    ReplayPage,
+    TickTrace,
+    replay_html,
+)
+from dvf_ig.report.replay.figures import (
+    distance_histogram,
+    ecg_figure,
+    force_figure,
+    overlay_figure,
+    phase_error_figure,
+    pose_figure,
+)
+
+T_S = np.arange(4000) / 1000.0
+VALID = T_S >= 1.0
+
+
+def ticks() -> TickTrace:
+    wave = np.sin(2 * np.pi * T_S)
+    return TickTrace(
+        t_s=T_S,
+        valid=VALID,
+        phase_valid=T_S >= 0.5,
+        force_n=0.3 * np.abs(wave) * VALID,
+        distance_mm=np.where(VALID, 3 * wave, np.nan),
+        true_force_n=0.3 * np.abs(wave),
+        true_distance_mm=3 * wave + 0.1,
+        phase_error_percent=wave,
+    )
+
+
+def overlay() -> PlaneOverlay:
+    row, column = np.mgrid[:40:2, :60:2].astype(np.float64)
+    return PlaneOverlay(
+        event_s=2.5,
+        model_phase=0.4,
+        image=np.zeros((40, 60), np.uint8),
+        row_px=row,
+        column_px=column,
+        model_grey=row,
+        start_distance_mm=10.0 - row,
+        distance_mm=20.0 - row,
+    )
+
+
+def page() -> ReplayPage:
+    return ReplayPage(
+        scenario="toy <1>",
+        patient_id="nobody",
+        version="0",
+        estimates=[("tool tip", "(0, 0, 0) mm", "0.1 mm")],
+        registrations=[RegistrationMark(1.0, True, "converged"), RegistrationMark(3.0, True, "converged")],
+        overlays=[overlay(), overlay()],
+        beats=BeatTrace(
+            decided_s=np.array([1.0, 2.0, 3.0]),
+            in_use=np.array([False, True, True]),
+            log_likelihood_ratio=np.array([1.0, 2.0, 9.0]),
+            tre_mm=np.array([0.5, 0.6, 0.7]),
+            limit=7.0,
+            suspended_s=((3.0, 4.0),),
+        ),
+        ticks=ticks(),
+        ecg=EcgStrip(
+            lead="II",
+            unit="mV",
+            ecg_t_s=T_S,
+            ecg=np.cos(T_S),
+            r_peaks_s=np.array([1.0, 2.0]),
+            t_s=T_S,
+            phase=T_S % 1.0,
+            phase_valid=VALID,
+            true_phase=T_S % 1.0,
+        ),
+    )
+
+
+def test_the_page_holds_every_figure_and_is_self_contained() -> None:
+    text = replay_html(page())
+    assert text.count("data:image/png;base64,") == 6
+    assert "Replay of toy &lt;1&gt;" in text
+    assert "<td>tool tip</td><td>(0, 0, 0) mm</td><td>0.1 mm</td>" in text
+    assert "Registered: force was given in valid state only" in text
+
+
+def test_without_ground_truth_and_registration_there_is_less() -> None:
+    bare = replace(
+        ticks(), true_force_n=None, true_distance_mm=None, phase_error_percent=None, valid=T_S < 0.0
+    )
+    lone = replace(page(), registrations=[], overlays=[], beats=None, ticks=bare)
+    text = replay_html(lone)
+    assert text.count("data:image/png;base64,") == 3
+    assert "Not registered, no force was given: the recording is too short to register" in text
+
+
+@pytest.mark.parametrize(
+    ("usable", "verdict"),
+    [
+        ((True, False), "Registered, but not to the end; the last attempt: &lt;why&gt;"),
+        ((False, False), "Not registered, no force was given: &lt;why&gt;"),
+    ],
+)
+def test_the_verdict_is_of_the_last_registration(usable: tuple[bool, bool], verdict: str) -> None:
+    marks = [RegistrationMark(float(k), good, "<why>") for k, good in enumerate(usable)]
+    assert verdict in replay_html(replace(page(), registrations=marks))
+
+
+def test_surfaces_are_drawn_where_the_distance_is_zero() -> None:
+    figure = overlay_figure([overlay()])
+    assert figure is not None
+    for axis in figure.axes:
+        start, found = (np.concatenate([p.vertices for p in c.get_paths()]) for c in axis.collections)
+        assert start[:, 1] == pytest.approx(10.0)
+        assert found[:, 1] == pytest.approx(20.0)
+    assert overlay_figure([]) is None
+
+
+def test_beats_are_told_apart_by_use() -> None:
+    given = page()
+    figure = pose_figure(given.beats, given.registrations, (0.0, 4.0))
+    assert figure is not None
+    upper, lower = figure.axes
+    assert [line.get_xdata().tolist() for line in upper.lines[:2]] == [[2.0, 3.0], [1.0]]
+    assert [line.get_ydata().tolist() for line in lower.lines[:2]] == [[2.0, 9.0], [1.0]]
+    assert lower.lines[2].get_ydata()[0] == 7.0
+    assert pose_figure(None, given.registrations, (0.0, 4.0)) is None
+
+
+def test_phase_error_is_shown_where_phase_is_valid() -> None:
+    figure = phase_error_figure(ticks())
+    assert figure is not None
+    shown = figure.axes[0].lines[0].get_ydata()
+    np.testing.assert_array_equal(np.isfinite(shown), T_S >= 0.5)
+    (refused,) = figure.axes[0].patches
+    assert (refused.get_x(), refused.get_width()) == (0.0, 1.0)
+
+
+def test_force_and_distance_are_the_ticks() -> None:
+    upper, lower = force_figure(ticks()).axes
+    truth, estimate = upper.lines
+    np.testing.assert_array_equal(estimate.get_ydata(), ticks().force_n[::5])
+    np.testing.assert_array_equal(truth.get_ydata(), ticks().true_force_n[::5])
+    np.testing.assert_array_equal(lower.lines[1].get_ydata(), ticks().distance_mm[::5])
+
+
+def test_the_histogram_counts_valid_ticks() -> None:
+    axis = distance_histogram(ticks()).axes[0]
+    assert sum(patch.get_height() for patch in axis.patches[:60]) == VALID.sum()
+
+
+def test_r_peaks_lie_on_the_ecg() -> None:
+    upper, lower = ecg_figure(page().ecg).axes
+    x, y = upper.lines[1].get_data()
+    assert y == pytest.approx(np.cos(x), abs=1e-6)
+    np.testing.assert_array_equal(lower.lines[0].get_ydata(), T_S % 1.0)

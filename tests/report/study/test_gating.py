@@ -1,0 +1,22 @@
+"""The risk–coverage figure: curves in percent, a dot where the clock locks, none where it never does."""
+
+import math
+
+import numpy as np
+
+from dvf_ig.report.study.gating import RiskCoverage, risk_coverage_figure
+
+
+def test_curves_and_dots() -> None:
+    share, p95 = np.array([0.1, 0.5, 1.0]), np.array([1.0, 2.0, 9.0])
+    rhythms = [
+        RiskCoverage("sinus", share, p95, 0.9, 3.0),
+        RiskCoverage("fibrillation", share, 2 * p95, 0.0, math.nan),
+    ]
+    lines = risk_coverage_figure(rhythms).axes[0].lines
+    curve, dot, target, other = lines
+    assert curve.get_xdata().tolist() == [10.0, 50.0, 100.0]
+    assert curve.get_ydata().tolist() == [1.0, 2.0, 9.0]
+    assert (dot.get_xdata()[0], dot.get_ydata()[0]) == (90.0, 3.0)
+    assert target.get_ydata()[0] == 8.0
+    assert other.get_ydata().tolist() == [2.0, 4.0, 18.0]
