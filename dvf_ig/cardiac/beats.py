@@ -15,10 +15,12 @@ NEIGHBOURS = 4
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BeatPhase:
-    """Attributes:
-    phi: (n,) fraction of the enclosing RR interval, [0, 1); 0 where there is none.
-    rr_s: (n,) length of that interval; NaN where there is none.
-    regular: (n,) True where the beat is complete and neither it nor the one before was early or late.
+    """Phase of times between R peaks.
+
+    Attributes:
+        phi: (n,) fraction of the enclosing RR interval, [0, 1); 0 where there is none.
+        rr_s: (n,) length of that interval; NaN where there is none.
+        regular: (n,) True where the beat is complete and neither it nor the one before was early or late.
     """
 
     phi: FloatArray

@@ -15,10 +15,12 @@ MIN_BEATS = 5
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class GateSummary:
-    """Attributes:
-    rate_bpm: 60 / median RR interval.
-    valid_share: share of the track's times at which the clock was LOCKED.
-    invalid_segments_s: (k, 2) start and stop of each interval in which it was not.
+    """Heart rate and validity of phase over a recording.
+
+    Attributes:
+        rate_bpm: 60 / median RR interval.
+        valid_share: share of the track's times at which the clock was LOCKED.
+        invalid_segments_s: (k, 2) start and stop of each interval in which it was not.
     """
 
     rate_bpm: float

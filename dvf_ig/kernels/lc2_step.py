@@ -38,7 +38,6 @@ STEP_SCORE, STEP_WEIGHT = TRIANGLE + 6, TRIANGLE + 7
 STEP_SUMS = TRIANGLE + 8
 
 Vector6 = tuple[float, float, float, float, float, float]
-Gradient = tuple[float, float, float]
 
 
 class RigidMotion(NamedTuple):
@@ -186,20 +185,18 @@ def fit_patches(
 
 
 @inlined
-def _in_mm(index_from_mm: Floats, gx: float, gy: float, gz: float) -> Gradient:
-    """Gradient per mm of a gradient per voxel."""
-    m = index_from_mm
-    return (
-        m[0, 0] * gx + m[1, 0] * gy + m[2, 0] * gz,
-        m[0, 1] * gx + m[1, 1] * gy + m[2, 1] * gz,
-        m[0, 2] * gx + m[1, 2] * gy + m[2, 2] * gz,
-    )
+def _pose_derivative(
+    gradient: Floats, first: int, index_from_mm: Floats, x: float, y: float, z: float, per_radius: float
+) -> Vector6:
+    """Change of a channel with rotation (about the centre, in mm at the radius) and translation.
 
-
-@inlined
-def _pose_derivative(gradient: Gradient, x: float, y: float, z: float, per_radius: float) -> Vector6:
-    """Change of a channel with rotation (about the centre, in mm at the radius) and translation."""
-    gx, gy, gz = gradient
+    Args:
+        gradient: (6,) of both channels per voxel; `first`: 0 for a, 3 for b.
+    """
+    m, g, h, k = index_from_mm, gradient[first], gradient[first + 1], gradient[first + 2]
+    gx = m[0, 0] * g + m[1, 0] * h + m[2, 0] * k
+    gy = m[0, 1] * g + m[1, 1] * h + m[2, 1] * k
+    gz = m[0, 2] * g + m[1, 2] * h + m[2, 2] * k
     return (
         (y * gz - z * gy) * per_radius,
         (z * gx - x * gz) * per_radius,
@@ -210,22 +207,50 @@ def _pose_derivative(gradient: Gradient, x: float, y: float, z: float, per_radiu
     )
 
 
-@inlined
-def _add_pixel(out: Floats, fit: Floats, u: float, a: float, b: float, ja: Vector6, jb: Vector6) -> None:
-    """One pixel's part of the lower triangle of JᵀJ and of Jᵀr; `fit`: its sums of coefficients."""
-    ra = u * fit[ALPHA] - a * fit[ALPHA2] - b * fit[ALPHA_BETA] - fit[ALPHA_GAMMA]
-    rb = u * fit[BETA] - a * fit[ALPHA_BETA] - b * fit[BETA2] - fit[BETA_GAMMA]
-    q = 0
-    for i in range(6):
-        for j in range(i + 1):
-            out[q] += (
-                fit[ALPHA2] * ja[i] * ja[j]
-                + fit[ALPHA_BETA] * (ja[i] * jb[j] + jb[i] * ja[j])
-                + fit[BETA2] * jb[i] * jb[j]
-            )
-            q += 1
-    for i in range(6):
-        out[TRIANGLE + i] += ra * ja[i] + rb * jb[i]
+@kernel
+def add_normal_equations(
+    image: NDArray[np.float32],
+    mask: Bools,
+    mm_from_pixel: Floats,
+    index_from_mm: Floats,
+    radius_mm: float,
+    values: Floats,
+    gradients: Floats,
+    coefficients: Floats,
+    out: Floats,
+) -> None:
+    """Normal equations of one slice: the lower triangle of JᵀJ and Jᵀr, summed over its pixels.
+
+    Args:
+        mm_from_pixel, index_from_mm, radius_mm: as in `RigidMotion`, of this slice.
+        values, gradients, coefficients: of this slice, as in `StepScratch`.
+        out: (STEP_SUMS,) of which the first STEP_SCORE are filled.
+    """
+    out[:STEP_SCORE] = 0.0
+    place = mm_from_pixel
+    for r in range(image.shape[0]):
+        for c in range(image.shape[1]):
+            if not mask[r, c]:
+                continue
+            x = place[0, 0] * c + place[0, 1] * r + place[0, 2]
+            y = place[1, 0] * c + place[1, 1] * r + place[1, 2]
+            z = place[2, 0] * c + place[2, 1] * r + place[2, 2]
+            ja = _pose_derivative(gradients[r, c], 0, index_from_mm, x, y, z, 1.0 / radius_mm)
+            jb = _pose_derivative(gradients[r, c], 3, index_from_mm, x, y, z, 1.0 / radius_mm)
+            fit, u, a, b = coefficients[r, c], image[r, c], values[r, c, 0], values[r, c, 1]
+            ra = u * fit[ALPHA] - a * fit[ALPHA2] - b * fit[ALPHA_BETA] - fit[ALPHA_GAMMA]
+            rb = u * fit[BETA] - a * fit[ALPHA_BETA] - b * fit[BETA2] - fit[BETA_GAMMA]
+            q = 0
+            for i in range(6):
+                for j in range(i + 1):
+                    out[q] += (
+                        fit[ALPHA2] * ja[i] * ja[j]
+                        + fit[ALPHA_BETA] * (ja[i] * jb[j] + jb[i] * ja[j])
+                        + fit[BETA2] * jb[i] * jb[j]
+                    )
+                    q += 1
+            for i in range(6):
+                out[TRIANGLE + i] += ra * ja[i] + rb * jb[i]
 
 
 @kernel
@@ -243,26 +268,24 @@ def lc2_normal_slices(
     Args:
         out: (s, STEP_SUMS) filled with the normal equations of Σ w(1 − S), then Σ w·S and Σ w.
     """
-    per_radius = 1.0 / motion.radius_mm
     for s in range(begin, end):
-        image, mask, place = slices.images[s], slices.masks[s], motion.mm_from_pixel[s]
+        image, mask = slices.images[s], slices.masks[s]
         values, gradients = scratch.values[s], scratch.gradients[s]
         table, coefficients = scratch.tables[s], scratch.coefficients[s]
         sample_gradients(model.channels, model.phases[s], model.index_from_pixel[s], mask, values, gradients)
         integrate_products(image, values, table)
         first, last = slices.first_patch[s], slices.first_patch[s + 1]
-        score, weight = fit_patches(table, slices.boxes, slices.moments, first, last, coefficients)
-        row = out[s]
-        row[:STEP_SCORE] = 0.0
-        row[STEP_SCORE], row[STEP_WEIGHT] = score, weight
-        for r in range(image.shape[0]):
-            for c in range(image.shape[1]):
-                if not mask[r, c]:
-                    continue
-                x = place[0, 0] * c + place[0, 1] * r + place[0, 2]
-                y = place[1, 0] * c + place[1, 1] * r + place[1, 2]
-                z = place[2, 0] * c + place[2, 1] * r + place[2, 2]
-                g = gradients[r, c]
-                ja = _pose_derivative(_in_mm(motion.index_from_mm, g[0], g[1], g[2]), x, y, z, per_radius)
-                jb = _pose_derivative(_in_mm(motion.index_from_mm, g[3], g[4], g[5]), x, y, z, per_radius)
-                _add_pixel(row, coefficients[r, c], image[r, c], values[r, c, 0], values[r, c, 1], ja, jb)
+        out[s, STEP_SCORE], out[s, STEP_WEIGHT] = fit_patches(
+            table, slices.boxes, slices.moments, first, last, coefficients
+        )
+        add_normal_equations(
+            image,
+            mask,
+            motion.mm_from_pixel[s],
+            motion.index_from_mm,
+            motion.radius_mm,
+            values,
+            gradients,
+            coefficients,
+            out[s],
+        )

@@ -24,6 +24,9 @@ from .distance.signed import signed_distance_mm as signed_distance_mm
 from .distance.triangle_tree import Nearest as Nearest
 from .distance.triangle_tree import TriangleTree as TriangleTree
 from .distance.triangle_tree import build_triangle_tree as build_triangle_tree
+from .knots import KnotChoice as KnotChoice
+from .knots import KnotTrial as KnotTrial
+from .knots import choose_knot_spacing as choose_knot_spacing
 from .motion.cavity import cavity_volumes_mm3 as cavity_volumes_mm3
 from .motion.cycle import CycleMotion as CycleMotion
 from .motion.cycle import MotionOptions as MotionOptions
@@ -48,9 +51,6 @@ from .spline.fit import AxisSolver as AxisSolver
 from .spline.fit import fit_coefficients as fit_coefficients
 from .spline.fit import fit_weighted as fit_weighted
 from .spline.fit import surface_weights as surface_weights
-from .spline.knots import KnotChoice as KnotChoice
-from .spline.knots import KnotTrial as KnotTrial
-from .spline.knots import choose_knot_spacing as choose_knot_spacing
 from .surface.budget import SurfaceBudget as SurfaceBudget
 from .surface.budget import surface_budget as surface_budget
 from .surface.closing import close_surface as close_surface

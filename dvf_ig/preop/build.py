@@ -20,11 +20,12 @@ from dvf_ig.core import (
     VolumeSeries,
 )
 from dvf_ig.core.frames import require_same_frame
-from dvf_ig.preop.spline.knots import choose_knot_spacing
 from dvf_ig.preop.spline.phase_fit import axis_solvers, fit_phase, sample_grid
 from dvf_ig.preop.surface.closing import close_surface
 from dvf_ig.preop.surface.from_labels import border_caps, surfaces_from_labels
 from dvf_ig.preop.surface.topology import count_edges
+
+from .knots import choose_knot_spacing
 
 Progress = Callable[[float], None]
 

@@ -1,4 +1,4 @@
-"""The phase clock: never backwards, honest states, causal, accurate."""
+"""The phase clock: never backwards, states that hold, causal, accurate."""
 
 import numpy as np
 import pytest
@@ -213,4 +213,4 @@ def test_refusals() -> None:
     with pytest.raises(InvalidInputError, match="in order"):
         clock.add(RPeak(1.5, 2.2, 1.0))
     with pytest.raises(InvalidInputError, match="choose ar8"):
-        PhaseClock(PhaseClockOptions(rhythm=RhythmOptions(predictor="magic")))  # type: ignore[arg-type]
+        PhaseClock(PhaseClockOptions(rhythm=RhythmOptions(predictor="magic")))

@@ -58,7 +58,7 @@ def test_vectorised_over_rr() -> None:
 
 def test_refusals() -> None:
     with pytest.raises(InvalidInputError, match="choose uniform"):
-        retime(0.5, 0.8, 0.8, 0.3, "magic")  # type: ignore[arg-type]
+        retime(0.5, 0.8, 0.8, 0.3, "magic")
     with pytest.raises(InvalidInputError, match="above 0"):
         retime(0.5, float("nan"), 0.8, 0.3)
     with pytest.raises(InvalidInputError, match="end-systole"):

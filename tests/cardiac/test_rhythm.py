@@ -70,7 +70,7 @@ def test_an_early_pair_does_not_move_the_normal_interval() -> None:
     assert not rhythm.forecast.unreliable
 
 
-def test_isolated_early_beats_cost_little_and_stay_honest() -> None:
+def test_isolated_early_beats_cost_little_and_stay_within_two_sigma() -> None:
     error, valid, sigma = errors(with_ectopy(800, 101, lambda k, u: u < 0.02))
     assert valid.mean() > 0.85
     assert np.percentile(error[valid], 95) < 0.08

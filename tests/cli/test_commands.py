@@ -195,6 +195,6 @@ def test_latency_draws_its_evidence(data_dir: Path, tmp_path: Path) -> None:
     )  # fmt: skip
     assert result["lag_s"] == pytest.approx(-0.0648, abs=0.002)
     assert result["second_sigmas"] > 3.0  # type: ignore[operator]
-    assert len(result["period_lags_s"]) == 17  # type: ignore[arg-type]
+    assert len(result["period_lags_s"]) == 17
     assert out.with_suffix(".png").is_file()
     assert not out.with_suffix(".xml").exists()

@@ -62,7 +62,7 @@ def test_every_frozen_value_with_arrays_owns_them() -> None:
                     re.search("ndarray", str(f.type)) and get_origin(f.type) is not Callable
                     for f in dataclasses.fields(cls)
                 )
-                frozen = cls.__dataclass_params__.frozen
+                frozen = vars(cls)["__dataclass_params__"].frozen
                 protected = hasattr(cls.__init__, "__wrapped__")
                 if holds and frozen and not protected:
                     missing.append(f"{found.name}.{name}")

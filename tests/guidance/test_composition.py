@@ -84,7 +84,7 @@ def test_bounded_and_the_sum_of_its_parts(seed, walls, guides):
     np.testing.assert_allclose(out.force_n, out.forbidden_n + out.guidance_n, atol=1e-15)
     if forbidden:
         total = np.sum([c.force_n for c in forbidden], axis=0)
-        share = min(1.0, CAP / max(np.linalg.norm(total), 1e-300))
+        share = min(1.0, CAP / max(float(np.linalg.norm(total)), 1e-300))
         np.testing.assert_allclose(out.forbidden_n, share * total, atol=1e-12)
 
 

@@ -65,7 +65,7 @@ def test_borders_of_the_box_belong_to_it():
     np.testing.assert_allclose(gradient, 0.0, atol=1e-12)
 
 
-def test_outside_and_non_finite_points_are_told_apart():
+def test_outside_and_non_finite_points_are_distinguished():
     coefficients = np.ones((1, *SHAPE), dtype=np.float32)
     middle = ORIGIN + KNOT
     points = np.stack([middle, middle, middle, middle])

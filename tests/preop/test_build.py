@@ -131,9 +131,9 @@ def test_force_has_vanished_at_the_border(model):
 
 
 def test_progress_reaches_one(beating_sphere):
-    told = []
-    model_from_surfaces(beating_sphere, progress=told.append)
-    assert told == pytest.approx([1 / 3, 2 / 3, 1.0])
+    reported: list[float] = []
+    model_from_surfaces(beating_sphere, progress=reported.append)
+    assert reported == pytest.approx([1 / 3, 2 / 3, 1.0])
 
 
 def test_open_surfaces_are_refused(beating_sphere):

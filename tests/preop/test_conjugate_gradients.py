@@ -43,14 +43,14 @@ def test_it_takes_as_many_steps_as_scipy_on_the_scaled_system():
     """With D^-1/2 A D^-1/2 the Euclidean residual, which SciPy tests, is the preconditioned one."""
     a, b = system()
     root = np.sqrt(a.diagonal())
-    steps = []
+    steps: list[np.ndarray] = []
     cg(a / root / root[:, None], b / root, rtol=1e-6, callback=steps.append)
     assert solve(a, b, tolerance=1e-6).iterations == pytest.approx(len(steps), abs=1)
 
 
-def test_arrays_of_any_shape_and_every_step_is_told():
+def test_arrays_of_any_shape_and_every_step_is_reported():
     a, b = system(24)
-    steps = []
+    steps: list[np.ndarray] = []
     flat = solve(a, b, on_iteration=steps.append)
     whole = conjugate_gradients(
         lambda x: (a @ x.ravel()).reshape(2, 3, 4),

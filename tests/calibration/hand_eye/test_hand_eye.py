@@ -168,4 +168,4 @@ def test_refusals() -> None:
     with pytest.raises(NoOverlapError, match="record both on one clock"):
         calibrate_hand_eye(bench.hand, later, rng=rng)
     with pytest.raises(InvalidInputError, match="'kabsch' is not one of tsai, park"):
-        calibrate_hand_eye(bench.hand, bench.camera, rng=rng, options=HandEyeOptions(method="kabsch"))  # type: ignore[arg-type]
+        calibrate_hand_eye(bench.hand, bench.camera, rng=rng, options=HandEyeOptions(method="kabsch"))

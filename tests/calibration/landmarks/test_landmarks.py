@@ -129,7 +129,7 @@ def test_a_square_is_ambiguous_and_a_lopsided_set_is_not() -> None:
 
 
 def register_rms(target: np.ndarray[tuple[int, ...], np.dtype[np.float64]], source: object) -> float:
-    points = Points("b", source)  # type: ignore[arg-type]
+    points = Points("b", source)
     misses = fit_paired_points(Points("a", target), points).apply(points).xyz_mm - target
     return float(np.sqrt((misses**2).sum(axis=1).mean()))
 

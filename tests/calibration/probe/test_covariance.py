@@ -29,7 +29,7 @@ def test_a_linear_fit_is_left_out_exactly() -> None:
     rng = np.random.default_rng(1)
     rows, right = rng.standard_normal((47, 3, 4)), rng.standard_normal((47, 3))
 
-    def fit(keep: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    def fit(keep: np.ndarray) -> np.ndarray:
         return np.linalg.lstsq(rows[keep].reshape(-1, 4), right[keep].ravel(), rcond=None)[0]
 
     everything = np.arange(47)

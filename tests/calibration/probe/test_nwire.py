@@ -40,7 +40,7 @@ def phantom() -> NWirePhantom:
                 for k, (f, g) in enumerate(ends)
             )
         )
-    return NWirePhantom(tuple(rows))  # type: ignore[arg-type]
+    return NWirePhantom(tuple(rows))
 
 
 def image_wires(frames: int, noise_px: float, seed: int) -> NWireRecording:
@@ -143,7 +143,7 @@ def test_refusals() -> None:
     with pytest.raises(InvalidInputError, match=r"5 of 40 frames are usable .*all 9 wires"):
         calibrate_nwire(altered(recording, few), rng=rng)
     with pytest.raises(InvalidInputError, match="choose linear"):
-        calibrate_nwire(recording, rng=rng, options=NWireOptions(method="magic"))  # type: ignore[arg-type]
+        calibrate_nwire(recording, rng=rng, options=NWireOptions(method="magic"))
     swapped = recording.points_px[:, [2, 1, 0, 5, 4, 3, 8, 7, 6]]
     with pytest.raises(QualityGateError):
         calibrate_nwire(altered(recording, swapped), rng=rng)

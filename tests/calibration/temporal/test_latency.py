@@ -90,7 +90,7 @@ def synthetic(seed: int, **changes: float) -> tuple[LatencyRecording, float]:
     """A recording of the synthetic world, with sway, jitter and noise, and its true lag."""
     probe, options, rng = SectorProbe(), Preset(), np.random.default_rng([seed, 7])
     planted = draw_ground_truth(np.zeros(3), probe.plane_from_image, 150.0, rng)
-    spec = replace(options.watertank, **changes)  # type: ignore[arg-type]
+    spec = replace(options.watertank, **changes)
     tracker = options.watertank_tracker
     made = watertank_recording(planted.probe_from_image, probe.fan, planted.lag_s, tracker, spec, rng)
     return made, planted.lag_s

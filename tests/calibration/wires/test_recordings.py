@@ -49,7 +49,7 @@ def still(images: NDArray[np.uint8], **fields: object) -> TrackedSequence:
     count = len(images)
     return replace(
         TrackedSequence(np.arange(count, dtype=float), images, np.ones(count, dtype=np.bool_), {}), **fields
-    )  # type: ignore[arg-type]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +158,7 @@ def test_real_images_calibrate_the_probe(data_dir: Path) -> None:
     second, held_out = real_wires(folder, "Validation")
     table = folder / "FreehandCalibration3NWires_fCal2.0.results.xml"
     for found, section in ((first, "CalibrationData"), (second, "ValidationData")):
-        theirs = read_wire_points(table, section, recording.phantom, len(found.frames))  # type: ignore[arg-type]
+        theirs = read_wire_points(table, section, recording.phantom, len(found.frames))
         both = np.isfinite(theirs).all(axis=(1, 2)) & np.isfinite(found.points_px).all(axis=(1, 2))
         assert both.sum() >= 0.98 * np.isfinite(theirs).all(axis=(1, 2)).sum()
         misses = np.linalg.norm((found.points_px - theirs)[both], axis=2)

@@ -30,7 +30,7 @@ def result(*arguments: object) -> dict[str, object]:
 def test_pivot(tmp_path: Path) -> None:
     truth = made("pivot", tmp_path)
     found = result("pivot", tmp_path / "pivot.igs.mha")
-    assert np.linalg.norm(np.subtract(found["tip_mm"], truth["tip_mm"])) < 0.2  # type: ignore[arg-type]
+    assert np.linalg.norm(np.subtract(found["tip_mm"], truth["tip_mm"])) < 0.2
 
 
 def test_nwire(tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def test_imaged_surface_is_the_true_one(anatomy: PhantomAnatomy) -> None:
 
 def test_largest_motion_of_the_named_presets() -> None:
     for motion, low, high in (("physiological", 13.0, 15.0), ("paper5mm", 4.7, 5.3)):
-        heart = phantom_anatomy(motion=motion, mismatch_mm=0.0, seed=2)  # type: ignore[arg-type]
+        heart = phantom_anatomy(motion=motion, mismatch_mm=0.0, seed=2)
         still, contracted = heart.surface_vertices(0.0), heart.surface_vertices(heart.es_fraction)
         assert low < np.linalg.norm(contracted - still, axis=1).max() < high
 
@@ -144,6 +144,6 @@ def test_preop_is_reproducible(anatomy: PhantomAnatomy) -> None:
 
 def test_bad_requests_are_refused() -> None:
     with pytest.raises(InvalidInputError, match="motion 'wild'"):
-        phantom_anatomy(motion="wild", mismatch_mm=0.0, seed=1)  # type: ignore[arg-type]
+        phantom_anatomy(motion="wild", mismatch_mm=0.0, seed=1)
     with pytest.raises(InvalidInputError, match="mismatch"):
         phantom_anatomy(motion="paper5mm", mismatch_mm=-1.0, seed=1)

@@ -63,7 +63,7 @@ def nwire(seed: int, tracker: TrackerSpec = EXACT, **changes: float) -> NWireRec
         PROBE.fan,
         (PROBE.columns, PROBE.rows),
         tracker,
-        NWireSpec(**changes),  # type: ignore[arg-type]
+        NWireSpec(**changes),
         np.random.default_rng(seed),
     )
 

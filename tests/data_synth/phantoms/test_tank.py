@@ -56,7 +56,7 @@ def test_a_point_has_the_width_of_the_beam_and_the_pulse() -> None:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_nwire_images_are_of_the_recording_and_show_every_wire(seed: int) -> None:
-    spec = NWireSpec(frames=12, **NOISELESS)  # type: ignore[arg-type]
+    spec = NWireSpec(frames=12, **NOISELESS)
     recording, sequence = nwire_images(IMAGE, PROBE, EXACT, spec, rng(seed))
     plain = nwire_recording(IMAGE, PROBE.fan, (PROBE.columns, PROBE.rows), EXACT, spec, rng(seed))
     np.testing.assert_array_equal(recording.points_px, plain.points_px)
@@ -80,7 +80,7 @@ def test_nwire_images_are_of_the_recording_and_show_every_wire(seed: int) -> Non
 
 
 def test_every_crosswire_image_passes_through_the_crossing() -> None:
-    spec = CrossWireSpec(frames=30, out_of_plane_mm=0.0, **NOISELESS)  # type: ignore[arg-type]
+    spec = CrossWireSpec(frames=30, out_of_plane_mm=0.0, **NOISELESS)
     made = crosswire_recording(IMAGE, PROBE, EXACT, spec, rng())
     stream, images = made.recording.sequence.stream("tracker", "probe"), made.recording.sequence.images
     assert images is not None
@@ -93,7 +93,7 @@ def test_every_crosswire_image_passes_through_the_crossing() -> None:
 
 
 def test_out_of_plane_error_is_as_stated() -> None:
-    spec = CrossWireSpec(frames=150, out_of_plane_mm=0.5, **NOISELESS)  # type: ignore[arg-type]
+    spec = CrossWireSpec(frames=150, out_of_plane_mm=0.5, **NOISELESS)
     made = crosswire_recording(IMAGE, PROBE, EXACT, spec, rng(3))
     stream = made.recording.sequence.stream("tracker", "probe")
     seen = [
@@ -104,7 +104,7 @@ def test_out_of_plane_error_is_as_stated() -> None:
 
 
 def test_wall_lines_lie_on_the_wall_and_in_the_image() -> None:
-    made = wall_recording(IMAGE, PROBE, EXACT, WallSpec(frames=20, **NOISELESS), rng())  # type: ignore[arg-type]
+    made = wall_recording(IMAGE, PROBE, EXACT, WallSpec(frames=20, **NOISELESS), rng())
     stream, images = made.recording.sequence.stream("tracker", "probe"), made.recording.sequence.images
     assert images is not None
     for i, image in enumerate(images):

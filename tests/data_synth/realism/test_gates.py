@@ -18,6 +18,7 @@ from data_synth.realism.heart import heart_gates
 from data_synth.realism.media import medium
 from data_synth.realism.motion import EARLY_SYSTOLE, beating_gates, block_matching_gates
 from data_synth.realism.scan import real_pair_gates
+from data_synth.ultrasound.probe import SectorProbe
 from data_synth.ultrasound.sequence import simulate_frame
 from data_synth.ultrasound.volume import MatrixProbe, simulate_volume
 from dvf_ig.core import FloatArray
@@ -63,7 +64,7 @@ def test_speckle_follows_the_physiologically_beating_wall(anatomy: PhantomAnatom
 
 
 def test_point_target_of_the_scenarios_probe() -> None:
-    assert failed(realism.point_gates(realism.SectorProbe(noise_db=-140.0))) == []
+    assert failed(realism.point_gates(SectorProbe(noise_db=-140.0))) == []
 
 
 def test_slice_thickness() -> None:

@@ -234,7 +234,7 @@ def test_poor_images_get_the_faults_of_their_preset(
     pair: ImagePair, without_images: dict[str, list[Any]]
 ) -> None:
     for quality in ("no-mismatch", "calm", "poor-image"):
-        with_quality(pair, quality).volumes([0.0], probe=ARRAY)  # type: ignore[arg-type]
+        with_quality(pair, quality).volumes([0.0], probe=ARRAY)
     faults = [(s.clutter, s.shadows, shown_db) for s, shown_db in without_images["specs"]]
     assert faults == [(0.0, 0, 60.0)] * 4 + [(5.0, 3, 45.0)] * 2
 
@@ -299,6 +299,6 @@ def test_impossible_pairs_are_refused(pair: ImagePair) -> None:
     with pytest.raises(InvalidInputError, match="non-negative seed"):
         PairSpec(-1)
     with pytest.raises(InvalidInputError, match="no-mismatch, calm, poor-image"):
-        PairSpec(1, quality="excellent")  # type: ignore[arg-type]
+        PairSpec(1, quality="excellent")
     with pytest.raises(InvalidInputError, match="sector probe"):
-        pair.planes([], [0.0], probe=ARRAY)  # type: ignore[arg-type]
+        pair.planes([], [0.0], probe=ARRAY)

@@ -132,7 +132,7 @@ def test_an_ecg_that_is_too_short_is_refused() -> None:
 )
 def test_impossible_specifications_are_refused(changes: dict[str, object], words: str) -> None:
     with pytest.raises(InvalidInputError, match=words):
-        ScenarioSpec(**changes)  # type: ignore[arg-type]
+        ScenarioSpec(**changes)
 
 
 def test_images_show_the_heart_where_and_when_the_truth_says(

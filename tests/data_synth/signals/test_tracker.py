@@ -76,7 +76,7 @@ def test_stated_losses_are_lost_and_nothing_else() -> None:
 )
 def test_impossible_trackers_are_refused(changes: dict[str, object]) -> None:
     with pytest.raises(InvalidInputError):
-        TrackerSpec(**{"rate_hz": 10.0, **changes})  # type: ignore[arg-type]
+        TrackerSpec(**{"rate_hz": 10.0, **changes})
 
 
 def test_reframing_composes_on_both_sides() -> None:

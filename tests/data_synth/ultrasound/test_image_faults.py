@@ -28,7 +28,8 @@ def rng() -> np.random.Generator:
 
 def test_without_faults_the_images_are_untouched() -> None:
     images = flat(0.0)
-    assert degraded(images, PROBE, T_S, ImageSpec(), rng()) is images
+    out: object = degraded(images, PROBE, T_S, ImageSpec(), rng())
+    assert out is images
 
 
 def depth_mm() -> FloatArray:

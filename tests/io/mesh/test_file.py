@@ -157,13 +157,13 @@ def vtp(kind: str, word: str, *, compressed: bool, order: str = "<") -> bytes:
     if kind in ("raw", "base64"):
         tail = b'<AppendedData encoding="' + kind.encode() + b'">\n   _' + appended + b"\n  </AppendedData>"
     points, *polygons = (node + b"</DataArray>" for node in nodes)
-    attributes = f'type="PolyData" version="1.0" header_type="{word}"'.encode()
-    attributes += b' byte_order="' + (b"LittleEndian" if order == "<" else b"BigEndian") + b'"'
+    root = f'type="PolyData" version="1.0" header_type="{word}"'.encode()
+    root += b' byte_order="' + (b"LittleEndian" if order == "<" else b"BigEndian") + b'"'
     if compressed:
-        attributes += b' compressor="vtkZLibDataCompressor"'
+        root += b' compressor="vtkZLibDataCompressor"'
     piece = b'<Piece NumberOfPoints="4" NumberOfPolys="4"><Points>' + points + b"</Points><Polys>"
     inner = b"<PolyData>" + piece + b"".join(polygons) + b"</Polys></Piece></PolyData>"
-    return b'<?xml version="1.0"?>\n<VTKFile ' + attributes + b">" + inner + tail + b"</VTKFile>"
+    return b'<?xml version="1.0"?>\n<VTKFile ' + root + b">" + inner + tail + b"</VTKFile>"
 
 
 @pytest.mark.parametrize("order", ["<", ">"])

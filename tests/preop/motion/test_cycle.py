@@ -59,20 +59,20 @@ def ball():
 
 
 @pytest.fixture(scope="module")
-def carried(ball):
+def estimated(ball):
     image, labels = ball
     return track_cycle(image, labels[0] > 0)
 
 
-def true_motion(carried):
+def true_motion(estimated):
     """The same, with the true displacement: what voxels alone cost is then known."""
-    grid = carried.grid
+    grid = estimated.grid
     place = grid.centers_mm()
     fields = [
         DisplacementField(grid, ((scale - 1.0) * place + shift) @ grid.direction)
         for scale, shift in zip(SCALES, SHIFTS_MM, strict=True)
     ]
-    return replace(carried, deformations=tuple(fields), meeting=fields[carried.meeting_phase])
+    return replace(estimated, deformations=tuple(fields), meeting=fields[estimated.meeting_phase])
 
 
 def surface_error_mm(motion, image, labels) -> float:
@@ -85,54 +85,56 @@ def surface_error_mm(motion, image, labels) -> float:
     return float(np.mean(off))
 
 
-def test_the_carried_surface_lies_on_the_true_one(ball, carried):
+def test_the_propagated_surface_lies_on_the_true_one(ball, estimated):
     image, labels = ball
-    assert surface_error_mm(carried, image, labels) < 0.2
-    assert surface_error_mm(replace(carried, deformations=carried.deformations[:1] * 6), image, labels) > 1.0
+    assert surface_error_mm(estimated, image, labels) < 0.2
+    assert (
+        surface_error_mm(replace(estimated, deformations=estimated.deformations[:1] * 6), image, labels) > 1.0
+    )
 
 
-def test_the_evidence_agrees_with_the_truth(ball, carried):
+def test_the_evidence_agrees_with_the_truth(ball, estimated):
     image, labels = ball
-    quality = assess_motion(carried, image, labels[0] > 0, labels > 0)
+    quality = assess_motion(estimated, image, labels[0] > 0, labels > 0)
     assert not quality.folds
     assert quality.meeting_phase == 3
     assert quality.closure_mean_mm < 0.3
     assert quality.slice_pitch_mm is None
     assert quality.dice is not None
     assert quality.dice_before is not None
-    exact = assess_motion(true_motion(carried), image, labels[0] > 0, labels > 0).dice
+    exact = assess_motion(true_motion(estimated), image, labels[0] > 0, labels > 0).dice
     assert exact is not None
     assert (quality.dice > exact - 0.01).all()
     assert (quality.dice[1:] > quality.dice_before[1:]).all()
     assert (quality.correlation[1:] > quality.correlation_before[1:]).all()
-    volumes = cavity_volumes_mm3(carried, labels[0] == 2)
+    volumes = cavity_volumes_mm3(estimated, labels[0] == 2)
     np.testing.assert_allclose(volumes / volumes[0], np.array(SCALES) ** 3, rtol=0.06)
     assert volumes.argmin() == 3
 
 
-def test_labels_are_carried(ball, carried):
+def test_labels_are_propagated(ball, estimated):
     image, labels = ball
     known = Volume(image.grid, labels[0])
-    moved, exact = (propagate_labels(m, image, known, 3) for m in (carried, true_motion(carried)))
+    moved, exact = (propagate_labels(m, image, known, 3) for m in (estimated, true_motion(estimated)))
     for part in ((1, 2), (2,)):
         truth = np.isin(labels[3], part)
         assert dice(np.isin(moved, part), truth) > dice(np.isin(exact, part), truth) - 0.02
     assert dice(exact > 0, labels[3] > 0) > 0.93
-    assert np.array_equal(propagate_labels(carried, image, Volume(image.grid, labels[0]), 0), labels[0])
+    assert np.array_equal(propagate_labels(estimated, image, Volume(image.grid, labels[0]), 0), labels[0])
 
 
-def test_the_number_of_threads_changes_nothing(ball, carried):
+def test_the_number_of_threads_changes_nothing(ball, estimated):
     image, labels = ball
     alone = track_cycle(image, labels[0] > 0, options=MotionOptions(threads=1))
-    for one, two in zip(alone.deformations, carried.deformations, strict=True):
+    for one, two in zip(alone.deformations, estimated.deformations, strict=True):
         assert np.array_equal(one.on_voxels(), two.on_voxels())
 
 
-def test_gain_and_offset_of_the_image_change_little(ball, carried):
+def test_gain_and_offset_of_the_image_change_little(ball, estimated):
     image, labels = ball
     values = image.values * np.linspace(1.0, 1.6, 6).reshape(-1, 1, 1, 1) + 5.0
     scaled = track_cycle(VolumeSeries(image.grid, values, image.timing), labels[0] > 0)
-    for one, two in zip(scaled.deformations, carried.deformations, strict=True):
+    for one, two in zip(scaled.deformations, estimated.deformations, strict=True):
         np.testing.assert_allclose(one.on_voxels(), two.on_voxels(), atol=1e-4)
 
 
@@ -161,7 +163,7 @@ def test_points_move_as_voxels_do(kind):
     grid = Grid("mr", (9, 8, 7), [3.0, -4.0, 5.0], [2.0, 1.5, 4.0], turned)
     rng = np.random.default_rng(4)
     lattice = Lattice.over(grid, 6.0)
-    move = FreeForm(lattice, rng.normal(size=(*lattice.shape, 3)))
+    move: FreeForm | DisplacementField = FreeForm(lattice, rng.normal(size=(*lattice.shape, 3)))
     if kind == "field":
         move = DisplacementField(grid, move.on_voxels())
     points = grid.centers_mm().reshape(-1, 3)
@@ -207,12 +209,12 @@ def test_a_real_cine_is_followed_without_folding(data_dir):
     assert quality.slice_pitch_mm == pytest.approx(17.7, abs=0.01)
     assert not quality.folds
     assert (quality.correlation[1:] > quality.correlation_before[1:]).all()
-    still, carried = [], []
+    still, estimated = [], []
     for deformation, there in zip(motion.deformations[1:], vertices[1:], strict=True):
         tree = build_triangle_tree(there, fitted.triangles)
         still.append(tree.distance_mm(vertices[0]).mean())
-        carried.append(tree.distance_mm(deformation.move(vertices[0])).mean())
-    assert np.mean(carried) < np.mean(still)
+        estimated.append(tree.distance_mm(deformation.move(vertices[0])).mean())
+    assert np.mean(estimated) < np.mean(still)
 
 
 def test_refusals(ball):
@@ -228,4 +230,4 @@ def test_refusals(ball):
     with pytest.raises(InvalidInputError, match="knot pitch"):
         FreeFormOptions(pitch_mm=1.0)
     with pytest.raises(InvalidInputError, match="motion method"):
-        MotionOptions(method="optical")  # type: ignore[arg-type]
+        MotionOptions(method="optical")

@@ -26,7 +26,7 @@ def test_cubic_polynomials_are_reproduced_with_their_gradient(seed):
     a = rng.normal(size=(4, 4, 4))
 
     def polynomial(q, derivative=(0, 0, 0)):
-        b = a
+        b: np.ndarray = a
         for axis, order in enumerate(derivative):
             for _ in range(order):
                 b = np.polynomial.polynomial.polyder(b, axis=axis)

@@ -25,10 +25,10 @@ def nested(sphere_of, timing=None):
 def test_labels_lie_where_the_surfaces_say(sphere_of):
     turned = Rotation.from_rotvec([0.2, 0.4, -0.3]).as_matrix()
     grid = Grid("mr", (30, 30, 30), turned @ np.full(3, -29.0), np.full(3, 2.0), turned)
-    told = []
-    labels = rasterise(nested(sphere_of), grid, progress=told.append)
+    reported: list[float] = []
+    labels = rasterise(nested(sphere_of), grid, progress=reported.append)
     assert labels.values.dtype == np.uint8
-    assert told == [0.5, 1.0]
+    assert reported == [0.5, 1.0]
     for phase, scale in enumerate((1.0, 0.8)):
         q = grid.centers_mm()
 

@@ -11,10 +11,9 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.study import training as command
 from dvf_ig.core import InvalidInputError, Mesh
-from dvf_ig.report.study.training import training_png
+from dvf_ig.report.study.training import EXACT, training_png
 from dvf_ig.study.training.comparison import (
     CONJUGATE,
-    EXACT,
     GRADIENT,
     Samples,
     compare_training,

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, Grid, InvalidInputError, Mesh
-from dvf_ig.preop.check import CAP_RIM_MM, away_from_caps
+from dvf_ig.preop.spline.field import SplineField
+from dvf_ig.preop.spline.phase_fit import axis_solvers, fit_phase, sample_grid
 from dvf_ig.preop.surface.closing import triangle_areas_mm2
 
-from .field import SplineField
-from .phase_fit import axis_solvers, fit_phase, sample_grid
+from .check import CAP_RIM_MM, away_from_caps
 
 log = logging.getLogger(__name__)
 
