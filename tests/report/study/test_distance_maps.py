@@ -22,5 +22,5 @@ def test_slices_show_the_error_near_the_surface() -> None:
     np.testing.assert_allclose(shown[near], 0.5)
     assert np.isnan(shown[~near]).all()
     bars = next(axis for axis in figure.axes if "fitted surface" in axis.get_xlabel())
-    assert [patch.get_width() for patch in bars.patches] == [0.5, 1.0, 0.0]
+    assert [patch.get_width() for patch in bars.patches] == [0.5, 1.0, 0.0]  # type: ignore[attr-defined]
     assert distance_maps_png(scores, EXACT, "maps", within_mm=15.0).startswith(b"\x89PNG")
