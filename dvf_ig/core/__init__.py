@@ -26,17 +26,18 @@ from .model import DvfModel as DvfModel
 from .phantom import NWirePhantom as NWirePhantom
 from .phantom import NWireRecording as NWireRecording
 from .phantom import Wire as Wire
+from .phantom import WireSearch as WireSearch
 from .phase import PhaseState as PhaseState
 from .phase import PhaseTrack as PhaseTrack
 from .points import Landmarks as Landmarks
 from .points import Points as Points
+from .points import Seeds as Seeds
 from .rigid import Rigid as Rigid
 from .scenario import LatencyRecording as LatencyRecording
 from .scenario import Preop as Preop
 from .scenario import Scenario as Scenario
 from .scenario import ScenarioTruth as ScenarioTruth
 from .scenario import ToolTruth as ToolTruth
-from .seeds import Seeds as Seeds
 from .sequence import Fan as Fan
 from .sequence import TrackedSequence as TrackedSequence
 from .signal import Signal as Signal
@@ -47,4 +48,3 @@ from .tracked_volume import TrackedVolume as TrackedVolume
 from .volume import Grid as Grid
 from .volume import Volume as Volume
 from .volume import VolumeSeries as VolumeSeries
-from .wire_search import WireSearch as WireSearch

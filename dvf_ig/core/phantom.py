@@ -56,3 +56,20 @@ class NWireRecording:
                 f"N-wire poses are {self.phantom_from_probe.name}; needed phantom_from_probe"
             )
         object.__setattr__(self, "points_px", points)
+
+
+@dataclass(frozen=True, slots=True)
+class WireSearch:
+    """How the wires of a phantom are to be looked for in ultrasound images; None where nothing was said.
+
+    Attributes:
+        spacing_mm: pixel size.
+        clip: first column, first row, columns, rows in px of the part of the image to search.
+        candidates: largest number of bright dots that are considered.
+        collinear_mm: largest distance of a dot from the line of its N pattern.
+    """
+
+    spacing_mm: float | None = None
+    clip: tuple[int, int, int, int] | None = None
+    candidates: int | None = None
+    collinear_mm: float | None = None

@@ -1,10 +1,10 @@
-"""Points that carry their frame, and landmarks that also carry names."""
+"""Points that carry their frame, landmarks that also carry names, and seed points of a segmentation."""
 
 from dataclasses import dataclass
 
 from .arrays import FloatArray, frozen_floats, read_only_arrays
 from .errors import InvalidInputError
-from .frames import check_frame
+from .frames import check_frame, require_same_frame
 
 
 @read_only_arrays
@@ -50,3 +50,25 @@ class Landmarks:
             Points(self.frame, self.points.xyz_mm[mine]),
             Points(other.frame, other.points.xyz_mm[[theirs[name] for name in common]]),
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seeds:
+    """Seed points set by the user in the image.
+
+    Attributes:
+        heart: in the muscle.
+        background: outside the heart; together they should surround it.
+        cavity: in the blood inside the heart; may be empty where blood looks like muscle.
+    """
+
+    heart: Points
+    background: Points
+    cavity: Points
+
+    def __post_init__(self) -> None:
+        for name, points in (("heart", self.heart), ("background", self.background)):
+            if len(points) == 0:
+                raise InvalidInputError(f"no seed is named {name}; set at least one point of that name")
+        require_same_frame(self.heart.frame, self.background.frame, "background seeds")
+        require_same_frame(self.heart.frame, self.cavity.frame, "cavity seeds")

@@ -8,8 +8,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.points import Points
-from dvf_ig.core.seeds import Seeds
+from dvf_ig.core.points import Points, Seeds
 from dvf_ig.io.json_file import read_json
 from dvf_ig.io.landmarks import markup_points
 from dvf_ig.io.reading import reading

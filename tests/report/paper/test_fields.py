@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from plotted import axes_of
 
 from dvf_ig.core import DvfModel
 from dvf_ig.guidance import Evaluator, Gaussian, Sigmoid
@@ -40,7 +41,7 @@ def test_what_is_drawn_is_the_field(sphere_model: DvfModel) -> None:
     whole, near = organ_field(evaluator, 0.0), surface_field(evaluator, 0.0)
     assert near.center_mm == pytest.approx([20.0, 0.0, 0.0], abs=0.1)
     figure = field_figure(whole, near, "forces")
-    left = figure.axes[0]
+    left = axes_of(figure)[0]
     np.testing.assert_array_equal(left.images[0].get_array(), whole.force_size_n)
     # rows run to the back, and the axis with them: the front is at the top
     assert tuple(left.images[0].get_extent()[2:]) == left.get_ylim()
