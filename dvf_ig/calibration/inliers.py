@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from scipy.stats import chi2
 
-from dvf_ig.core import BoolArray, FloatArray
+from dvf_ig.core import BoolArray, FloatArray, read_only_arrays
 
 LEAST_LIMIT = 1e-6
 """Smallest limit, in the residuals' unit: what rounding leaves of exact data counts as an inlier."""
@@ -63,6 +63,7 @@ class InlierRule:
         return np.logical_and.reduce(within), limits
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Consensus(Generic[M]):
     """A fit and the samples that agree with it.

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from plotted import axes_of
 
 from dvf_ig.core import Grid, SurfaceSeries, VolumeSeries
 from dvf_ig.preop.motion.quality import MotionQuality
@@ -26,8 +25,10 @@ def test_contours_are_the_surface_of_each_phase(beating_sphere: SurfaceSeries, t
     figure = motion_figure(image(beating_sphere), beating_sphere, quality(), 0, 1)
     # the origin lies 30 mm from the first voxel; the plane misses it by a thousandth of a voxel
     for row, radius_mm in ((0, 20.0), (3, 17.0)):
-        for axis in axes_of(figure)[row : row + 3]:
-            dotted, contour = (np.array(lines.get_segments()) for lines in axis.collections)
+        for axis in figure.axes[row : row + 3]:
+            dotted, contour = (
+                np.concatenate([path.vertices for path in lines.get_paths()]) for lines in axis.collections
+            )
             assert np.allclose(np.linalg.norm(dotted - 30.0, axis=-1), 20.0, atol=0.1)
             assert np.allclose(np.linalg.norm(contour - 30.0, axis=-1), radius_mm, atol=0.1)
     path = tmp_path / "motion.png"

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from plotted import axes_of
 
 from dvf_ig.core import DvfModel
 from dvf_ig.preop import check_model
@@ -34,7 +33,7 @@ def test_errors_are_those_of_all_phases(fit: SurfaceFit, sphere_model: DvfModel)
     assert fit.errors_mm.mean() == pytest.approx(stated.mean_mm, rel=0.15)
     # corners stand out of their facets by up to 0.03 mm
     assert fit.mesh_error_mm.max() < stated.max_mm + 0.03
-    shares = [patch.get_height() for patch in axes_of(surface_figure(fit))[2].patches]
+    shares = [patch.get_height() for patch in surface_figure(fit).axes[2].patches]  # type: ignore[attr-defined]
     assert sum(shares[:50]) == pytest.approx(100.0)
 
 

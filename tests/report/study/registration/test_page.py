@@ -4,7 +4,7 @@ import base64
 import re
 
 import pytest
-from plotted import xdata, ydata
+from drawn_lines import x_of, y_of
 from trial_lines import TEN, line
 
 from dvf_ig.report.study.registration import capture_html
@@ -49,7 +49,7 @@ def test_figures_hold_the_numbers() -> None:
     curves = capture_curves(page.success, colors, page.limits)
     assert curves is not None
     assert [panel.get_title() for panel in curves.axes] == ["", "RR +5 %"]
-    shares = ydata(curves.axes[0].containers[0].lines[0])  # type: ignore[attr-defined]
+    shares = curves.axes[0].containers[0].lines[0].get_ydata()  # type: ignore[attr-defined]
     assert shares == pytest.approx([100, 100, 0, 0, 100 / 3])
     ours = page.groups[0].errors_mm
     boxes = error_boxes([("ours", "dvf_ig", ours), ("refused", "dvf_ig", ours[:0])], colors, page.limits)
@@ -65,8 +65,8 @@ def test_figures_of_the_self_check_hold_the_numbers() -> None:
     roc = roc_figure(page.roc, colors, page.limits)
     assert roc is not None
     curve, ring = roc.axes[0].lines[:2]
-    assert ydata(curve) == pytest.approx(page.roc[0].caught_percent)
-    assert (xdata(ring)[0], ydata(ring)[0]) == pytest.approx((20, 50))
+    assert curve.get_ydata() == pytest.approx(page.roc[0].caught_percent)
+    assert (x_of(ring)[0], y_of(ring)[0]) == pytest.approx((20, 50))
     told = reliability_figure(page.reliability, colors, page.limits)
     assert told is not None
     x, y = told.axes[0].containers[0].lines[0].get_data()  # type: ignore[attr-defined]
