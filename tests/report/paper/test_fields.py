@@ -48,7 +48,7 @@ def test_what_is_drawn_is_the_field(sphere_model: DvfModel) -> None:
     assert left.get_ylim()[0] > left.get_ylim()[1]
     arrows = left.collections[-1]
     shown = np.linalg.norm(whole.arrow_n, axis=2) > 0.02 * 0.6
-    np.testing.assert_allclose(arrows.U, whole.arrow_n[shown][:, 0])  # type: ignore[attr-defined]
-    np.testing.assert_allclose(arrows.V, whole.arrow_n[shown][:, 1])  # type: ignore[attr-defined]
+    np.testing.assert_allclose(arrows.U, whole.arrow_n[shown][:, 0])
+    np.testing.assert_allclose(arrows.V, whole.arrow_n[shown][:, 1])
     outline = np.concatenate([path.vertices for path in left.collections[0].get_paths()])
     assert np.linalg.norm(outline, axis=1) == pytest.approx(20.0, abs=0.1)
