@@ -1,8 +1,9 @@
 """Figs 5 and 11: arrows point out of a forbidden region, and back to the surface from either side."""
 
+from typing import Any
+
 import numpy as np
 import pytest
-from plotted import axes_of
 
 from dvf_ig.core import DvfModel
 from dvf_ig.guidance import Evaluator, Gaussian, Sigmoid
@@ -41,12 +42,12 @@ def test_what_is_drawn_is_the_field(sphere_model: DvfModel) -> None:
     whole, near = organ_field(evaluator, 0.0), surface_field(evaluator, 0.0)
     assert near.center_mm == pytest.approx([20.0, 0.0, 0.0], abs=0.1)
     figure = field_figure(whole, near, "forces")
-    left = axes_of(figure)[0]
+    left = figure.axes[0]
     np.testing.assert_array_equal(left.images[0].get_array(), whole.force_size_n)
     # rows run to the back, and the axis with them: the front is at the top
     assert tuple(left.images[0].get_extent()[2:]) == left.get_ylim()
     assert left.get_ylim()[0] > left.get_ylim()[1]
-    arrows = left.collections[-1]
+    arrows: Any = left.collections[-1]
     shown = np.linalg.norm(whole.arrow_n, axis=2) > 0.02 * 0.6
     np.testing.assert_allclose(arrows.U, whole.arrow_n[shown][:, 0])
     np.testing.assert_allclose(arrows.V, whole.arrow_n[shown][:, 1])
