@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plotted import xdata, ydata
+from drawn_lines import x_of, y_of
 
 from dvf_ig.report.replay import (
     BeatTrace,
@@ -132,16 +132,16 @@ def test_beats_are_told_apart_by_use() -> None:
     figure = pose_figure(given.beats, given.registrations, (0.0, 4.0))
     assert figure is not None
     upper, lower = figure.axes
-    assert [xdata(line).tolist() for line in upper.lines[:2]] == [[2.0, 3.0], [1.0]]
-    assert [ydata(line).tolist() for line in lower.lines[:2]] == [[2.0, 9.0], [1.0]]
-    assert ydata(lower.lines[2])[0] == 7.0
+    assert [x_of(line).tolist() for line in upper.lines[:2]] == [[2.0, 3.0], [1.0]]
+    assert [y_of(line).tolist() for line in lower.lines[:2]] == [[2.0, 9.0], [1.0]]
+    assert y_of(lower.lines[2])[0] == 7.0
     assert pose_figure(None, given.registrations, (0.0, 4.0)) is None
 
 
 def test_phase_error_is_shown_where_phase_is_valid() -> None:
     figure = phase_error_figure(ticks())
     assert figure is not None
-    shown = ydata(figure.axes[0].lines[0])
+    shown = y_of(figure.axes[0].lines[0])
     np.testing.assert_array_equal(np.isfinite(shown), T_S >= 0.5)
     (refused,) = figure.axes[0].patches
     corners = refused.get_path().vertices
@@ -152,9 +152,9 @@ def test_phase_error_is_shown_where_phase_is_valid() -> None:
 def test_force_and_distance_are_the_ticks() -> None:
     upper, lower = force_figure(ticks()).axes
     truth, estimate = upper.lines
-    np.testing.assert_array_equal(ydata(estimate), ticks().force_n[::5])
-    np.testing.assert_array_equal(ydata(truth), 0.3 * np.abs(np.sin(2 * np.pi * T_S))[::5])
-    np.testing.assert_array_equal(ydata(lower.lines[1]), ticks().distance_mm[::5])
+    np.testing.assert_array_equal(y_of(estimate), ticks().force_n[::5])
+    np.testing.assert_array_equal(y_of(truth), 0.3 * np.abs(np.sin(2 * np.pi * T_S))[::5])
+    np.testing.assert_array_equal(y_of(lower.lines[1]), ticks().distance_mm[::5])
 
 
 def test_the_histogram_counts_valid_ticks() -> None:
@@ -166,4 +166,4 @@ def test_r_peaks_lie_on_the_ecg() -> None:
     upper, lower = ecg_figure(page().ecg).axes
     x, y = upper.lines[1].get_data()
     assert y == pytest.approx(np.cos(x), abs=1e-6)
-    np.testing.assert_array_equal(ydata(lower.lines[0]), T_S % 1.0)
+    np.testing.assert_array_equal(y_of(lower.lines[0]), T_S % 1.0)

@@ -1,7 +1,7 @@
 """The blending figure draws mean and 95th percentile of each blend, in the units of its axes."""
 
 import pytest
-from plotted import ydata
+from drawn_lines import y_of
 
 from dvf_ig.report.study.blending import blending_figure, blending_png
 from dvf_ig.study.blending.blend_errors import BlendError, BlendStudy
@@ -19,8 +19,8 @@ def study() -> BlendStudy:
 
 def test_curves_are_the_errors() -> None:
     own, surface, force = blending_figure([study()]).axes
-    assert ydata(own.lines[0]) == pytest.approx([0.1, 0.05])
-    assert ydata(surface.lines[1]) == pytest.approx([0.4, 0.2])
-    assert ydata(force.lines[0]) == pytest.approx([20.0, 10.0]), "mN"
+    assert y_of(own.lines[0]) == pytest.approx([0.1, 0.05])
+    assert y_of(surface.lines[1]) == pytest.approx([0.4, 0.2])
+    assert y_of(force.lines[0]) == pytest.approx([20.0, 10.0]), "mN"
     assert [len(axis.lines) for axis in (own, surface, force)] == [4, 5, 5], "a floor where there is one"
     assert blending_png([study()]).startswith(b"\x89PNG")

@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from plotted import xdata, ydata
+from drawn_lines import x_of, y_of
 
 from dvf_ig.report.study.gating import RiskCoverage, risk_coverage_figure
 
@@ -16,8 +16,8 @@ def test_curves_and_dots() -> None:
     ]
     lines = risk_coverage_figure(rhythms).axes[0].lines
     curve, dot, target, other = lines
-    assert xdata(curve).tolist() == [10.0, 50.0, 100.0]
-    assert ydata(curve).tolist() == [1.0, 2.0, 9.0]
-    assert (xdata(dot)[0], ydata(dot)[0]) == (90.0, 3.0)
-    assert ydata(target)[0] == 8.0
-    assert ydata(other).tolist() == [2.0, 4.0, 18.0]
+    assert x_of(curve).tolist() == [10.0, 50.0, 100.0]
+    assert y_of(curve).tolist() == [1.0, 2.0, 9.0]
+    assert (x_of(dot)[0], y_of(dot)[0]) == (90.0, 3.0)
+    assert y_of(target)[0] == 8.0
+    assert y_of(other).tolist() == [2.0, 4.0, 18.0]

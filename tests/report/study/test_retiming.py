@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from plotted import xdata, ydata
+from drawn_lines import x_of, y_of
 
 from dvf_ig.report.study.retiming import COLORS, retiming_figure
 from dvf_ig.study.retiming.surface_error import METHODS, RetimingRow
@@ -21,8 +21,8 @@ def test_curves_and_bands() -> None:
     ]
     left, right = retiming_figure(rows, model_rate_bpm=70.0, assumed_slope_s_per_bpm=0.002).axes
     assert [line.get_label() for line in left.lines[:3]] == list(METHODS)
-    assert xdata(left.lines[1]) == pytest.approx([60.0, 90.0])
-    assert ydata(left.lines[1]) == pytest.approx([2.2, 2.7])
-    assert ydata(right.lines[2]) == pytest.approx([4.0, 4.0])
+    assert x_of(left.lines[1]) == pytest.approx([60.0, 90.0])
+    assert y_of(left.lines[1]) == pytest.approx([2.2, 2.7])
+    assert y_of(right.lines[2]) == pytest.approx([4.0, 4.0])
     band = np.asarray(left.collections[0].get_paths()[0].vertices)[:, 1]
     assert (band.min(), band.max()) == pytest.approx((1.13, 1.77))

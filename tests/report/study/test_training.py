@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from plotted import xdata, ydata
+from drawn_lines import x_of, y_of
 
 from dvf_ig.report.study.training import EXACT, FLOOR, TrainingCurve, training_figure
 
@@ -12,8 +12,8 @@ def test_curves_are_the_excess_cost() -> None:
     descent = TrainingCurve("gradient descent", 3, steps, seconds, np.array([1.0, 0.1, 0.0]))
     exact = TrainingCurve(EXACT, 3, np.ones(1), np.array([0.05]), np.zeros(1))
     by_iteration, by_time = training_figure([descent, exact], "toy").axes
-    assert xdata(by_iteration.lines[0]).tolist() == [1.0, 2.0, 4.0]
-    assert xdata(by_time.lines[0]).tolist() == [0.1, 0.2, 0.4]
-    assert ydata(by_time.lines[0]) == pytest.approx([1.0, 0.1, FLOOR])
-    assert xdata(by_time.lines[1])[0] == 0.05
+    assert x_of(by_iteration.lines[0]).tolist() == [1.0, 2.0, 4.0]
+    assert x_of(by_time.lines[0]).tolist() == [0.1, 0.2, 0.4]
+    assert y_of(by_time.lines[0]) == pytest.approx([1.0, 0.1, FLOOR])
+    assert x_of(by_time.lines[1])[0] == 0.05
     assert by_time.lines[0].get_color() == by_time.lines[1].get_color(), "one colour a degree"

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from plotted import ydata
+from drawn_lines import y_of
 
 from data_synth.operator.contact import MovingSurface
 from dvf_ig.core import CycleTiming, FloatArray, InvalidInputError, SurfaceSeries
@@ -123,14 +123,14 @@ def test_the_figure_shows_errors_within_the_bound_of_friction(ball: BeatingSurfa
     runs = [hold_stylus(ball, with_fixture(omni, "force", compensate=c), cycles=2) for c in (False, True)]
     axes = tracking_figure(runs, motion="paper5mm", cycle_s=0.6).axes
     for run, shown, mean in zip(runs, axes[1].lines, axes[2].lines, strict=False):
-        np.testing.assert_array_equal(ydata(shown), run.distance_mm[-1])
+        np.testing.assert_array_equal(y_of(shown), run.distance_mm[-1])
         left_n = omni.dry_n - run.stylus.feed_forward.friction_n
         bound_mm = run.stylus.law.half_width_mm(left_n + moved_n)
-        assert ydata(mean).max() < bound_mm
-        assert np.abs(ydata(shown)).max() < 2.5 * bound_mm, "a swing about the mean"
-    assert ydata(mean).max() < ydata(axes[2].lines[0]).min(), "feed-forward helps"
+        assert y_of(mean).max() < bound_mm
+        assert np.abs(y_of(shown)).max() < 2.5 * bound_mm, "a swing about the mean"
+    assert y_of(mean).max() < y_of(axes[2].lines[0]).min(), "feed-forward helps"
     surface, tool = axes[0].lines
-    np.testing.assert_allclose(ydata(surface) - ydata(tool), runs[0].distance_mm[-1], atol=1e-9)
+    np.testing.assert_allclose(y_of(surface) - y_of(tool), runs[0].distance_mm[-1], atol=1e-9)
     assert tracking_png(runs, motion="paper5mm", cycle_s=0.6).startswith(b"\x89PNG")
 
 

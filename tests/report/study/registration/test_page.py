@@ -4,7 +4,7 @@ import base64
 import re
 
 import pytest
-from plotted import xdata, ydata
+from drawn_lines import x_of, y_of
 from trial_lines import TEN, line
 
 from dvf_ig.report.study.registration import capture_html
@@ -66,7 +66,7 @@ def test_figures_of_the_self_check_hold_the_numbers() -> None:
     assert roc is not None
     curve, ring = roc.axes[0].lines[:2]
     assert curve.get_ydata() == pytest.approx(page.roc[0].caught_percent)
-    assert (xdata(ring)[0], ydata(ring)[0]) == pytest.approx((20, 50))
+    assert (x_of(ring)[0], y_of(ring)[0]) == pytest.approx((20, 50))
     told = reliability_figure(page.reliability, colors, page.limits)
     assert told is not None
     x, y = told.axes[0].containers[0].lines[0].get_data()  # type: ignore[attr-defined]
