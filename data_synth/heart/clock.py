@@ -8,7 +8,7 @@ from dvf_ig.core import FloatArray, IntArray, InvalidInputError, read_only_array
 from dvf_ig.core.arrays import frozen_floats
 
 SYSTOLE_S_PER_BPM = 0.002
-"""How much systole shortens per beat/min (k about 2 ms; dvf_ig/docs/theory/synthetic.md)."""
+"""How much systole shortens per beat/min (k about 2 ms; docs/theory/synthetic.md)."""
 
 SYSTOLE_SHARE = (0.25, 0.65)
 """Systole stays within this share of the running RR interval."""

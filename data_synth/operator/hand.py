@@ -10,7 +10,7 @@ from dvf_ig.core import FloatArray, Rigid
 
 TREMOR_HZ = (8.0, 12.0)
 TREMOR_RMS_MM = 0.05
-"""RMS of the 3-D displacement (dvf_ig/docs/theory/synthetic.md)."""
+"""RMS of the 3-D displacement (docs/theory/synthetic.md)."""
 
 
 def tremor(rng: np.random.Generator) -> Callable[[FloatArray], FloatArray]:

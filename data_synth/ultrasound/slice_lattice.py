@@ -22,10 +22,12 @@ _COUNT = 24
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """Attributes:
-    number: which orientation; each has its own texture.
-    axes: (3, 3) unit rows, two in the cells' plane and one across, frame "mr".
-    per_mm: (3,) cells a millimetre along the axes.
+    """A lattice of scatterers: its orientation and its cells.
+
+    Attributes:
+        number: which orientation; each has its own texture.
+        axes: (3, 3) unit rows, two in the cells' plane and one across, frame "mr".
+        per_mm: (3,) cells a millimetre along the axes.
     """
 
     number: int

@@ -41,7 +41,7 @@ def retime(
         (...) model phase in [0, 1), increasing with phi; equal to phi where rr_s equals timing_rr_s.
     Raises:
         InvalidInputError: unknown mode, or an RR interval or end-systole out of range.
-    Source: Ren 2008, Section VII (uniform); Weissler 1968 for the slope; dvf_ig/docs/theory/cardiac.md.
+    Source: Ren 2008, Section VII (uniform); Weissler 1968 for the slope; docs/theory/cardiac.md.
     """
     if mode not in ("uniform", "two-segment"):
         raise InvalidInputError(f"retiming '{mode}' is unknown; choose uniform or two-segment")

@@ -12,7 +12,7 @@ from .frames import check_frame, require_same_frame
 from .points import Points
 
 RIGID_TOLERANCE = 1e-3
-"""Largest accepted |RᵀR − I| and |det R − 1| of an imported matrix (dvf_ig/docs/theory/safety.md)."""
+"""Largest accepted |RᵀR − I| and |det R − 1| of an imported matrix (docs/theory/safety.md)."""
 
 
 @read_only_arrays

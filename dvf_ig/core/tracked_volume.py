@@ -12,12 +12,14 @@ from .volume import Volume
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedVolume:
-    """Attributes:
-    image: uint8 log-compressed grey levels, in the frame of the transducer.
-    mask: non-zero where a voxel was insonified, on the same grid.
-    tracker_from_image: where the tracker saw the image's frame.
-    model_phase: where in the model's cycle it was taken, [0, 1).
-    t_s: event time.
+    """One gated 3-D ultrasound image, with its pose and its phase of the model.
+
+    Attributes:
+        image: uint8 log-compressed grey levels, in the frame of the transducer.
+        mask: non-zero where a voxel was insonified, on the same grid.
+        tracker_from_image: where the tracker saw the image's frame.
+        model_phase: where in the model's cycle it was taken, [0, 1).
+        t_s: event time.
     """
 
     image: Volume

@@ -26,7 +26,7 @@ class DeviceLimits:
     Attributes:
         rate_hz: servo rate 1/T.
         stiffness_n_per_m: largest stiffness that the device renders (400 N/m: see
-            dvf_ig/docs/theory/fixtures.md).
+            docs/theory/fixtures.md).
         damping_n_s_per_m: physical damping b of device and hand; None where it is unknown, and then the
             passivity bound is not checked.
         virtual_damping_n_s_per_m: damping B that the controller adds.

@@ -132,7 +132,7 @@ class Gaussian:
     ) -> "Gaussian":
         """The law whose force stays below `detection_threshold_n` within `half_width_mm` of its target.
 
-        δ = w/[−ln(1 − f_t/F)]^(1/2m) (dvf_ig/docs/theory/fixtures.md).
+        δ = w/[−ln(1 − f_t/F)]^(1/2m) (docs/theory/fixtures.md).
         """
         _require_positive("free zone half_width_mm", half_width_mm, "mm")
         unit = cls(1.0, m, cap_n, depth_mm)

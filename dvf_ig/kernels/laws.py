@@ -15,7 +15,7 @@ DIRECTION_LOST = 0.2
 """Below this |∇d| the direction is lost (medial axis, opposing walls): no force."""
 DIRECTION_SURE = 0.4
 """Above this |∇d| the law is unchanged; between the two it fades by smoothstep
-(dvf_ig/docs/theory/fixtures.md)."""
+(docs/theory/fixtures.md)."""
 
 
 @inlined

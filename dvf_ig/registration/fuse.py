@@ -14,11 +14,13 @@ from .refine import Refined
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Fused:
-    """Attributes:
-    pose: target_from_source.
-    covariance: (6, 6) rad², mm²; NaN where the pose is no minimum.
-    curvature: of LC2's cost about its own pose.
-    boundary: fit of the boundary from LC2's pose; None where the model's surface is not known.
+    """The pose fused from LC2 and the boundary, with its covariance.
+
+    Attributes:
+        pose: target_from_source.
+        covariance: (6, 6) rad², mm²; NaN where the pose is no minimum.
+        curvature: of LC2's cost about its own pose.
+        boundary: fit of the boundary from LC2's pose; None where the model's surface is not known.
     """
 
     pose: Rigid

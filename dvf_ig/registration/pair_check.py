@@ -1,6 +1,6 @@
-"""Whether the pose of a pair may be believed, where one image may be of somebody else.
+"""Whether the pose of a pair may be used, where one image may be of somebody else.
 
-A wrong image of the same organ also has a best pose, far above chance. Two things tell it from the right one:
+A wrong image of the same organ also has a best pose, far above chance. Two checks tell it from the right one:
 half-volumes of the ultrasound, registered on their own, disagree; and the anatomy mirrored, which no patient
 fits, can be registered to the ultrasound nearly as well.
 """

@@ -16,11 +16,13 @@ FINE = OptimiserOptions(steps=30, cap_mm=2.0, tolerance_mm=0.01)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """Attributes:
-    whole: LC2 on all fine slices.
-    optima: of the candidates by `whole`, best first.
-    inside: LC2 on what of the fine slices lies within the model's volume at the best optimum.
-    best: optimum by `inside`.
+    """Refined candidates, and the metrics that they were refined by.
+
+    Attributes:
+        whole: LC2 on all fine slices.
+        optima: of the candidates by `whole`, best first.
+        inside: LC2 on what of the fine slices lies within the model's volume at the best optimum.
+        best: optimum by `inside`.
     """
 
     whole: Lc2

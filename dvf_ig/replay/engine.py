@@ -48,7 +48,7 @@ class Replay:
         history: registrations, evaluated beats and what they did to the pose.
         poses: (time from which it was in use, mr_from_tracker), with the bounded motion between updates.
         tip: predicted tool tip.
-        model_phase: (n,) retimed phase; valid where `tracking.track.valid`.
+        model_phase: (n,) retimed phase; valid where `phase_tracking.track.valid`.
         samples: force in frame "tracker", distance, gradient and status.
         valid: (n,) ticks with tracked tool, locked phase, a usable pose and the tool inside the model's box.
         seconds: computing time of the whole.
@@ -57,7 +57,7 @@ class Replay:
     scenario: Scenario
     heart: Heart
     calibrations: Calibrations
-    tracking: PhaseTracking
+    phase_tracking: PhaseTracking
     start: Rigid
     history: PoseHistory
     poses: tuple[tuple[float, Rigid], ...]
@@ -97,19 +97,19 @@ def run_replay(
     calibrations = calibrate(scenario, seed)
     report_progress(0.05)
     t_s = tick_times(scenario)
-    tracking = track_phase(scenario.ecg, t_s)
-    require_heart_beats(tracking, scenario)
+    phase_tracking = track_phase(scenario.ecg, t_s)
+    require_heart_beats(phase_tracking, scenario)
     heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.05 + 0.35 * f))
-    recording = _recording(scenario, heart, tracking, calibrations)
+    recording = _recording(scenario, heart, phase_tracking, calibrations)
     monitor = RegistrationMonitor(heart.center_mm, landmark_pose(scenario))
     timing = Timing(_first_event_s(scenario, calibrations), float(t_s[-1]), BEAT_COMPUTE_S)
     with SliceThreads() as threads:
         ultrasound = RecordedUltrasound(recording, seed, clock, threads)
         history = track_pose(
-            ultrasound, tracking.peaks, monitor, start, timing, lambda f: report_progress(0.4 + 0.5 * f)
+            ultrasound, phase_tracking.peaks, monitor, start, timing, lambda f: report_progress(0.4 + 0.5 * f)
         )
     poses = pose_schedule(history.updates, heart.center_mm)
-    track = tracking.track
+    track = phase_tracking.track
     model_phase = retimed(heart.model, track.phi, track.rr_s)
     tip = predict_tip(scenario.tool, calibrations.pivot.tip.xyz_mm[0], t_s)
     suspended = suspended_at(history.updates, t_s)
@@ -119,7 +119,7 @@ def run_replay(
         scenario=scenario,
         heart=heart,
         calibrations=calibrations,
-        tracking=tracking,
+        phase_tracking=phase_tracking,
         start=start,
         history=history,
         poses=poses,
@@ -132,10 +132,10 @@ def run_replay(
 
 
 def _recording(
-    scenario: Scenario, heart: Heart, tracking: PhaseTracking, calibrations: Calibrations
+    scenario: Scenario, heart: Heart, phase_tracking: PhaseTracking, calibrations: Calibrations
 ) -> UltrasoundRecording:
     lag_s, probe_from_image = calibrations.latency.lag_s, calibrations.probe.probe_from_image
-    return UltrasoundRecording(scenario, heart, tracking.peaks, lag_s, probe_from_image)
+    return UltrasoundRecording(scenario, heart, phase_tracking.peaks, lag_s, probe_from_image)
 
 
 def _first_event_s(scenario: Scenario, calibrations: Calibrations) -> float:
@@ -162,10 +162,10 @@ def register_scenario(
     pose = start if start is not None else start_pose(scenario)
     require_tracked_poses(scenario)
     calibrations = calibrate(scenario, seed)
-    tracking = track_phase(scenario.ecg, tick_times(scenario))
-    require_heart_beats(tracking, scenario)
+    phase_tracking = track_phase(scenario.ecg, tick_times(scenario))
+    require_heart_beats(phase_tracking, scenario)
     heart = build_heart(scenario.preop, progress=lambda f: report_progress(0.6 * f))
-    recording = _recording(scenario, heart, tracking, calibrations)
+    recording = _recording(scenario, heart, phase_tracking, calibrations)
     result = register_frames(
         recording,
         gate_recording(recording, from_s=-np.inf, until_s=np.inf),

@@ -48,14 +48,16 @@ LABEL_BOUNDARY_SHARE = 0.8
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Heart:
-    """Attributes:
-    model: signed distance per phase.
-    coarse, fine: channels at the two pitches of registration.
-    center_mm: (3,) centre of the heart box.
-    surface: the boundary of blood and wall, which ultrasound shows; None without a cavity.
-    boundary_share: how far a registration goes from LC2's pose (0) to that of the boundary (1).
-    beats_update_pose: whether LC2 on these channels is good enough for a single beat to move the pose.
-    brightness: of ultrasound that is compared with these channels.
+    """The fixture model, and what ultrasound is registered to.
+
+    Attributes:
+        model: signed distance per phase.
+        coarse, fine: channels at the two pitches of registration.
+        center_mm: (3,) centre of the heart box.
+        surface: the boundary of blood and wall, which ultrasound shows; None without a cavity.
+        boundary_share: how far a registration goes from LC2's pose (0) to that of the boundary (1).
+        beats_update_pose: whether LC2 on these channels is good enough for a single beat to move the pose.
+        brightness: of ultrasound that is compared with these channels.
     """
 
     model: DvfModel

@@ -15,12 +15,15 @@ MIN_SPAN_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class PoseSummary:
-    """Attributes:
-    tracked_beats: beats that were compared with the pose then in use.
-    drift_mm_per_min: speed of the pose since the last suspension, mean over the heart; None where that is
-        short.
-    update_s_median, update_s_p95: computing time of a beat's update, preparation included; None without any.
-    suspended_s: begin and end of each suspension; the last may end with the recording.
+    """What the pose did over a replay, in numbers.
+
+    Attributes:
+        tracked_beats: beats that were compared with the pose then in use.
+        drift_mm_per_min: speed of the pose since the last suspension, mean over the heart; None where that is
+            short.
+        update_s_median, update_s_p95: computing time of a beat's update, preparation included; None without
+            any.
+        suspended_s: begin and end of each suspension; the last may end with the recording.
     """
 
     tracked_beats: int
@@ -36,8 +39,10 @@ class PoseSummary:
 
 
 def summarise_poses(history: PoseHistory, center_mm: FloatArray, end_s: float) -> PoseSummary:
-    """Args:
-    center_mm: (3,) centre of the heart box; end_s: of the recording.
+    """Beats, drift, computing time and suspensions of a whole replay.
+
+    Args:
+        center_mm: (3,) centre of the heart box; end_s: of the recording.
     """
     seconds = [beat.seconds for beat in history.beats]
     return PoseSummary(
@@ -72,6 +77,6 @@ def drift_mm_per_min(updates: PoseUpdates, center_mm: FloatArray) -> float | Non
     times = np.array([from_s for from_s, _ in since])
     coordinates = np.array([chart.coordinates(pose) for _, pose in since])
     slope = np.polyfit(times - times.mean(), coordinates, 1)[0]
-    arms = np.vstack([np.eye(3), -np.eye(3)])
-    moved = np.cross(slope[:3], arms) + slope[3:]
+    points = np.vstack([np.eye(3), -np.eye(3)])
+    moved = np.cross(slope[:3], points) + slope[3:]
     return float(60.0 * np.linalg.norm(moved, axis=1).mean())

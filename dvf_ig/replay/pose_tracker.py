@@ -66,9 +66,11 @@ class UltrasoundSource(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Attributes:
-    begin_s: event time of the first ultrasound frame; `end_s` of the last force.
-    beat_compute_s: a beat's evaluation takes effect this long after its R peak was detected.
+    """Begin and end of a replay, and the delay of a beat's evaluation.
+
+    Attributes:
+        begin_s: event time of the first ultrasound frame; `end_s` of the last force.
+        beat_compute_s: a beat's evaluation takes effect this long after its R peak was detected.
     """
 
     begin_s: float

@@ -37,11 +37,11 @@ def require_tracked_poses(scenario: Scenario) -> None:
             )
 
 
-def require_heart_beats(tracking: PhaseTracking, scenario: Scenario) -> None:
+def require_heart_beats(phase_tracking: PhaseTracking, scenario: Scenario) -> None:
     """Raise InvalidInputError where the ECG shows too few R peaks."""
-    if len(tracking.peaks) < MIN_BEATS:
+    if len(phase_tracking.peaks) < MIN_BEATS:
         ecg = scenario.ecg
         raise InvalidInputError(
-            f"the ECG has {len(tracking.peaks)} R peaks in {len(ecg) / ecg.rate_hz:.0f} s on lead(s) "
+            f"the ECG has {len(phase_tracking.peaks)} R peaks in {len(ecg) / ecg.rate_hz:.0f} s on lead(s) "
             f"{', '.join(ecg.leads)}, needed at least {MIN_BEATS}; check the electrodes and the lead"
         )

@@ -116,12 +116,12 @@ def _beats(replay: Replay) -> BeatTrace | None:
         log_likelihood_ratio=np.array([beat.measurement.log_likelihood_ratio for beat in beats]),
         tre_mm=tre_mm,
         limit=SUSPEND_LOG_RATIO,
-        suspended_s=suspensions(replay.history.updates, float(replay.tracking.track.t_s[-1])),
+        suspended_s=suspensions(replay.history.updates, float(replay.phase_tracking.track.t_s[-1])),
     )
 
 
 def _ticks(replay: Replay) -> TickTrace:
-    track = replay.tracking.track
+    track = replay.phase_tracking.track
     distance = force = error = None
     if replay.scenario.truth is not None:
         distance, true_force = true_contact(replay)
@@ -141,7 +141,7 @@ def _ticks(replay: Replay) -> TickTrace:
 
 def _ecg_strip(replay: Replay) -> EcgStrip:
     """STRIP_S seconds in the middle of the recording."""
-    ecg, track = replay.scenario.ecg, replay.tracking.track
+    ecg, track = replay.scenario.ecg, replay.phase_tracking.track
     middle = float(track.t_s[len(track.t_s) // 2])
     begin = max(float(track.t_s[0]), middle - STRIP_S / 2)
     end = begin + STRIP_S
@@ -152,7 +152,7 @@ def _ecg_strip(replay: Replay) -> EcgStrip:
         unit=ecg.unit,
         ecg_t_s=ecg.t_s[shown],
         ecg=ecg.samples[shown, 0],
-        r_peaks_s=np.array([peak.t_s for peak in replay.tracking.peaks if begin <= peak.t_s < end]),
+        r_peaks_s=np.array([peak.t_s for peak in replay.phase_tracking.peaks if begin <= peak.t_s < end]),
         t_s=track.t_s[ticks],
         phase=track.phi[ticks],
         phase_valid=track.state[ticks] == int(PhaseState.LOCKED),

@@ -38,7 +38,7 @@ def validate(result: dict[str, Any]) -> None:
 
 def result_of(replay: Replay) -> dict[str, Any]:
     """Every estimate of a replay, and beside it its error where the scenario carries its truth."""
-    track, force = replay.tracking.track, replay.samples.force_n
+    track, force = replay.phase_tracking.track, replay.samples.force_n
     magnitude = np.linalg.norm(force, axis=1)
     valid = replay.valid
     out: dict[str, Any] = {
@@ -89,7 +89,7 @@ def _refusals(replay: Replay) -> dict[str, int]:
 
 
 def _estimates(replay: Replay) -> dict[str, Any]:
-    calibrations, track = replay.calibrations, replay.tracking.track
+    calibrations, track = replay.calibrations, replay.phase_tracking.track
     locked = track.valid
     rr_s = float(np.median(track.rr_s[locked])) if locked.any() else None
     model = replay.heart.model
@@ -101,7 +101,7 @@ def _estimates(replay: Replay) -> dict[str, Any]:
         "probe_calibration_mean95_mm": calibrations.probe.calibration.summary.mean95,
         "lag_s": calibrations.latency.lag_s,
         "lag_correlation": calibrations.latency.correlation,
-        "beats": len(replay.tracking.peaks),
+        "beats": len(replay.phase_tracking.peaks),
         "rr_s": rr_s,
         "frame_period_s": frame_period_s(rr_s, model.phases) if rr_s else None,
         "model_rr_s": model.timing.rr_s,
@@ -114,7 +114,7 @@ def _estimates(replay: Replay) -> dict[str, Any]:
 
 def _pose_updates(replay: Replay) -> dict[str, Any]:
     """What beats and registrations did to the pose."""
-    t_s = replay.tracking.track.t_s
+    t_s = replay.phase_tracking.track.t_s
     done = summarise_poses(replay.history, replay.heart.center_mm, float(t_s[-1]))
     return {
         "tracked_beats": done.tracked_beats,
@@ -171,7 +171,7 @@ def _errors(replay: Replay) -> dict[str, Any]:
     truth = replay.scenario.truth
     if truth is None:
         return {}
-    track, valid = replay.tracking.track, replay.valid
+    track, valid = replay.phase_tracking.track, replay.valid
     start_errors = target_errors_mm(replay.start, truth.mr_from_tracker_at(0.0), truth.targets.points)
     out: dict[str, Any] = {
         "start_tre_mm": summarise_errors(start_errors).tre_fields(),
@@ -212,7 +212,7 @@ def true_phases(replay: Replay) -> tuple[FloatArray, FloatArray]:
     truth = replay.scenario.truth
     if truth is None:
         raise InvalidInputError("the scenario carries no truth")
-    nearest = _nearest(truth.tool.t_s, replay.tracking.track.t_s)
+    nearest = _nearest(truth.tool.t_s, replay.phase_tracking.track.t_s)
     return truth.tool.phi[nearest], truth.tool.model_phase[nearest]
 
 
@@ -221,7 +221,7 @@ def true_contact(replay: Replay) -> tuple[FloatArray, FloatArray]:
     truth = replay.scenario.truth
     if truth is None:
         raise InvalidInputError("the scenario carries no truth")
-    t_s = replay.tracking.track.t_s
+    t_s = replay.phase_tracking.track.t_s
     nearest = _nearest(truth.tool.t_s, t_s)
     distance, normal = truth.tool.distance_mm[nearest], truth.tool.normal[nearest]
     force_mr = static_force(Sigmoid(), distance, normal)

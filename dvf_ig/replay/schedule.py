@@ -11,7 +11,7 @@ from dvf_ig.registration import mean_displacement_mm
 from .pose_history import PoseUpdates
 
 UPDATE_MM_PER_S = 10.0
-"""Fastest motion of the model by a registration update (dvf_ig/docs/theory/safety.md)."""
+"""Fastest motion of the model by a registration update (docs/theory/safety.md)."""
 STEP_S = 0.005
 
 

@@ -15,10 +15,12 @@ VELOCITY_SPAN_S = 0.030
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TipTrack:
-    """Attributes:
-    t_s: (n,) tick times.
-    tip_tracker_mm: (n, 3) predicted tip; 0 where not valid.
-    valid: (n,) False before the first pose, when the newest is too old, or while tracking is lost.
+    """The tool tip at every tick, as predicted by then.
+
+    Attributes:
+        t_s: (n,) tick times.
+        tip_tracker_mm: (n, 3) predicted tip; 0 where not valid.
+        valid: (n,) False before the first pose, when the newest is too old, or while tracking is lost.
     """
 
     t_s: FloatArray
@@ -27,7 +29,7 @@ class TipTrack:
 
 
 def predict_tip(tool: PoseStream, tip_tool_mm: FloatArray, t_s: FloatArray) -> TipTrack:
-    """Tip at each tick by constant velocity from the newest valid pose (dvf_ig/docs/theory/safety.md).
+    """Tip at each tick by constant velocity from the newest valid pose (docs/theory/safety.md).
 
     Args:
         tool: tracker_from_tool.

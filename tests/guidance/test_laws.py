@@ -47,7 +47,7 @@ def test_gaussian_stiffness_is_its_steepest_slope(m, c):
 
 @given(st.floats(0.5, 20.0))
 def test_both_forms_of_the_steepness_are_one(m):
-    """c_m = n·u^u·e^(−u) with u = (n−1)/n (dvf_ig/docs/theory/fixtures.md)."""
+    """c_m = n·u^u·e^(−u) with u = (n−1)/n (docs/theory/fixtures.md)."""
     n = 2 * m
     u = (n - 1) / n
     assert gaussian_steepness(m) == pytest.approx(n * u ** (1 - 1 / n) * math.exp(-u), rel=1e-12)

@@ -20,7 +20,7 @@ from dvf_ig.core import (
 
 @dataclass(frozen=True, slots=True)
 class PivotOptions:
-    """How outliers are found and what is refused (dvf_ig/docs/theory/calibration.md).
+    """How outliers are found and what is refused (docs/theory/calibration.md).
 
     Attributes:
         consensus_mm: 3-D residual within which a pose supports a hypothesis.

@@ -19,10 +19,12 @@ BEAT_SYMBOLS = frozenset("NLRBAaJSVrFejnE/fQ?")
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BeatAnnotations:
-    """Attributes:
-    t_s: (k,) increasing, s from the start of the record.
-    symbols: (k,) PhysioNet's code of each beat, for example "N" or "V".
-    rhythms: (start s, name) in order, for example (0.0, "N"), (662.5, "AFIB"); each holds until the next.
+    """An expert's beats and rhythms of one recording.
+
+    Attributes:
+        t_s: (k,) increasing, s from the start of the record.
+        symbols: (k,) PhysioNet's code of each beat, for example "N" or "V".
+        rhythms: (start s, name) in order, for example (0.0, "N"), (662.5, "AFIB"); each holds until the next.
     """
 
     t_s: FloatArray

@@ -3,7 +3,7 @@
 The scale σ of Geman–McClure is annealed from 12 to 2 mm: a far start is first pulled by everything, at last
 only by what lies on the surface. Ultrasound blooms walls into the blood by up to a millimetre, alike
 everywhere: a uniform offset along the normal is a seventh unknown once σ <= 4 mm
-(dvf_ig/docs/theory/registration.md).
+(docs/theory/registration.md).
 Rank the ends of many starts by image similarity, not by `score`: the boundary alone prefers wrong optima at
 times.
 """
@@ -46,14 +46,16 @@ the errors of fits on tuning seeds 101–103."""
 
 @dataclass(frozen=True, slots=True)
 class BoundaryFitOptions:
-    """Attributes:
-    sigmas_mm: scales, from far to near.
-    steps: at each scale but the last.
-    last_steps: most at the last scale.
-    free_offset_mm: the offset is free at scales up to this; 0 fixes it at the expected one.
-    expected_offset_mm, offset_sigma_mm: mean and standard deviation of the offset before the fit.
-    cap_mm: longest step.
-    tolerance_mm: a step shorter than this ends the last scale; ten times as long a one ends the others.
+    """Scales, steps and the offset's prior of a boundary fit.
+
+    Attributes:
+        sigmas_mm: scales, from far to near.
+        steps: at each scale but the last.
+        last_steps: most at the last scale.
+        free_offset_mm: the offset is free at scales up to this; 0 fixes it at the expected one.
+        expected_offset_mm, offset_sigma_mm: mean and standard deviation of the offset before the fit.
+        cap_mm: longest step.
+        tolerance_mm: a step shorter than this ends the last scale; ten times as long a one ends the others.
     """
 
     sigmas_mm: tuple[float, ...] = (12.0, 8.0, 5.5, 4.0, 2.8, 2.0)
@@ -84,15 +86,17 @@ class Boundary:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BoundaryFit:
-    """Attributes:
-    pose: target_from_source.
-    offset_mm: distance of the points from the surface, positive inside, common to all.
-    share_near: share of the weight within NEAR_MM of the surface with normals in agreement.
-    residual_mm: RMS of d − offset over those.
-    covariance: (6, 6) rad², mm²; rotation first, left perturbation about the centre; NaN if singular.
-    score: share of the weight that lies on the surface, soft at the last scale.
-    converged: whether the last step was shorter than the tolerance and some points are near.
-    evaluations: effort.
+    """A pose fitted to boundary points, with its residual and covariance.
+
+    Attributes:
+        pose: target_from_source.
+        offset_mm: distance of the points from the surface, positive inside, common to all.
+        share_near: share of the weight within NEAR_MM of the surface with normals in agreement.
+        residual_mm: RMS of d − offset over those.
+        covariance: (6, 6) rad², mm²; rotation first, left perturbation about the centre; NaN if singular.
+        score: share of the weight that lies on the surface, soft at the last scale.
+        converged: whether the last step was shorter than the tolerance and some points are near.
+        evaluations: effort.
     """
 
     pose: Rigid

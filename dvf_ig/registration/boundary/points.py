@@ -38,12 +38,14 @@ class BoundaryPointOptions:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BoundaryPoints:
-    """Attributes:
-    frame: of points and normals, that of the slices.
-    points_mm: (n, 3).
-    normals: (n, 3) unit, in the slice's plane, from dark (blood) to bright (wall).
-    model_phase: (n,) where in the model's cycle each was seen.
-    weights: (n,) relative contrast over FULL_CONTRAST, at most 1.
+    """Oriented points of the boundary, found in ultrasound slices.
+
+    Attributes:
+        frame: of points and normals, that of the slices.
+        points_mm: (n, 3).
+        normals: (n, 3) unit, in the slice's plane, from dark (blood) to bright (wall).
+        model_phase: (n,) where in the model's cycle each was seen.
+        weights: (n,) relative contrast over FULL_CONTRAST, at most 1.
     """
 
     frame: str

@@ -34,12 +34,14 @@ PLANE_VOXELS = 3.0
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BoundaryTarget:
-    """Attributes:
-    frame: of the model.
-    coefficients: (n, cx, cy, cz) float32 mm, as in `DvfModel`.
-    knots_from_mm: (3, 4) knot coordinates from mm.
-    fractions: (n,) when in the cycle each phase was taken.
-    polarity: of the boundary, −1 where the inside is its dark side (blood), +1 where it is the bright one.
+    """The model's boundary: one spline of signed distance per phase.
+
+    Attributes:
+        frame: of the model.
+        coefficients: (n, cx, cy, cz) float32 mm, as in `DvfModel`.
+        knots_from_mm: (3, 4) knot coordinates from mm.
+        fractions: (n,) when in the cycle each phase was taken.
+        polarity: of the boundary, −1 where the inside is its dark side (blood), +1 where it is the bright.
     """
 
     frame: str

@@ -1,1 +1,1 @@
-"""Whether a registration may be believed: its checks and its least-constrained direction."""
+"""Whether a registered pose may be used: its checks and its least-constrained direction."""

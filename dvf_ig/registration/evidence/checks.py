@@ -1,4 +1,4 @@
-"""Whether a registration may be believed: what it is tested by, and the success probability from that."""
+"""Whether a registered pose may be used: its tests, their limits, and the success probability from them."""
 
 import math
 from dataclasses import dataclass
@@ -33,13 +33,17 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Attributes:
-    z_score: standard deviations by which LC2 stands above wrong poses WRONG_MM away.
-    split_half_mm: mean distance over the heart between the optima of two interleaved halves of the slices.
-    phase_mm: the largest such distance between one part of the cycle and the rest.
-    half_volume_mm: RMS distance of the optima of half-volumes from that of all; None where it was not tested.
-    boundary_mm: mean distance over the heart between the poses of LC2 and of the boundary; None where the
-        model's surface was not given.
+    """What a registered pose was tested by, one value a test.
+
+    Attributes:
+        z_score: standard deviations by which LC2 stands above wrong poses WRONG_MM away.
+        split_half_mm: mean distance over the heart between the optima of two interleaved halves of the
+            slices.
+        phase_mm: the largest such distance between one part of the cycle and the rest.
+        half_volume_mm: RMS distance of the optima of half-volumes from that of all; None where it was not
+            tested.
+        boundary_mm: mean distance over the heart between the poses of LC2 and of the boundary; None where the
+            model's surface was not given.
     """
 
     z_score: float
@@ -62,8 +66,8 @@ class Evidence:
         return float(max(ratio if math.isfinite(ratio) else math.inf for ratio in ratios))
 
 
-TRACKED_LIMITS = Limits()
-"""For tracked planes."""
+SLICE_LIMITS = Limits()
+"""For tracked slices."""
 VOLUME_LIMITS = Limits(z_score=5.5, split_half_mm=2.0, phase_mm=1.22, half_volume_mm=2.25, boundary_mm=2.4)
 """For gated 3-D images. On tuning seeds 101–106 good poses (below 2 mm, calm and poor images) stand against
 wrong local optima (z-score above 6.9, below 4.5; boundary up to 2.1 mm, above 7), changed motion (phase up to

@@ -21,10 +21,12 @@ LEAST_SHARE = 0.1
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class HalfVolume:
-    """Attributes:
-    slices: what lies in one half of space.
-    points_mm: (k, 3) source frame, where poses are compared.
-    center_mm: (3,) target frame, about which its pose turns.
+    """The slices of one half of space, to be registered on their own.
+
+    Attributes:
+        slices: what lies in one half of space.
+        points_mm: (k, 3) source frame, where poses are compared.
+        center_mm: (3,) target frame, about which its pose turns.
     """
 
     slices: SliceSet

@@ -26,10 +26,12 @@ WALL, BLOOD = 1, 2
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelChannels:
-    """Attributes:
-    grid: where the volumes lie, frame "mr".
-    values: (n, nx, ny, nz, 2) float32, each channel scaled to zero mean and unit variance.
-    fractions: (n,) when in the cycle each volume was taken; (0,) for a still image.
+    """Two volumes per phase, by which LC2 explains the ultrasound.
+
+    Attributes:
+        grid: where the volumes lie, frame "mr".
+        values: (n, nx, ny, nz, 2) float32, each channel scaled to zero mean and unit variance.
+        fractions: (n,) when in the cycle each volume was taken; (0,) for a still image.
     """
 
     grid: Grid

@@ -21,10 +21,12 @@ STEP_MM = 0.5
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Curvature:
-    """Attributes:
-    chart: of the pose.
-    cost: (s,) Σ w(1 − S) of each slice; gradient: (s, 6).
-    hessian: (6, 6) of the whole cost.
+    """Cost of every slice to second order about a pose.
+
+    Attributes:
+        chart: of the pose.
+        cost: (s,) Σ w(1 − S) of each slice; gradient: (s, 6).
+        hessian: (6, 6) of the whole cost.
     """
 
     chart: PoseChart

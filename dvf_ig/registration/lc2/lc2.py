@@ -71,9 +71,11 @@ class NormalEquations:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class CostGradient:
-    """Attributes:
-    cost: (s,) Σ w(1 − S) of each slice.
-    gradient: (s, 6) of the cost in the coordinates of `PoseChart`, exact.
+    """LC2's cost of every slice, and its gradient over the pose.
+
+    Attributes:
+        cost: (s,) Σ w(1 − S) of each slice.
+        gradient: (s, 6) of the cost in the coordinates of `PoseChart`, exact.
     """
 
     cost: FloatArray
@@ -155,11 +157,13 @@ class Lc2:
         density_width_mm: float | None = None,
         threads: SliceThreads | None = None,
     ) -> None:
-        """Args:
-        slices, model: what is compared with what.
-        patch_mm: edge of a patch; pitch_mm: of a pixel.
-        density_width_mm: see `patches_of`.
-        threads: of the caller, who closes them; without any all slices run on the calling thread.
+        """LC2 of a slice set against a model, at any pose.
+
+        Args:
+            slices, model: what is compared with what.
+            patch_mm: edge of a patch; pitch_mm: of a pixel.
+            density_width_mm: see `patches_of`.
+            threads: of the caller, who closes them; without any all slices run on the calling thread.
         """
         self._slices = slices
         self._model = model

@@ -38,10 +38,12 @@ class PosePrior(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class OptimiserOptions:
-    """Attributes:
-    steps: most evaluations.
-    cap_mm: longest step.
-    tolerance_mm: a step shorter than this ends the search.
+    """When the optimiser ends, and its longest step.
+
+    Attributes:
+        steps: most evaluations.
+        cap_mm: longest step.
+        tolerance_mm: a step shorter than this ends the search.
     """
 
     steps: int

@@ -42,7 +42,7 @@ def retiming_figure(
     rates = sorted({row.rate_bpm for row in rows})
     for method, color in COLORS.items():
         mine = [row for row in rows if row.method == method]
-        lawful = [row for row in mine if row.true_slope_s_per_bpm == assumed_slope_s_per_bpm]
+        as_assumed = [row for row in mine if row.true_slope_s_per_bpm == assumed_slope_s_per_bpm]
         values: tuple[Callable[[RetimingRow], float], ...] = (
             lambda row: row.p95_mm,
             lambda row: row.systole_p95_mm,
@@ -52,8 +52,8 @@ def retiming_figure(
             low, high = [min(v) for v in at], [max(v) for v in at]
             axis.fill_between(rates, low, high, color=color, alpha=0.18, lw=0)
             axis.plot(
-                [row.rate_bpm for row in lawful],
-                [value(row) for row in lawful],
+                [row.rate_bpm for row in as_assumed],
+                [value(row) for row in as_assumed],
                 "o-",
                 clip_on=False,
                 color=color,

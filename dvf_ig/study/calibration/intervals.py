@@ -63,7 +63,7 @@ def calibration_trial(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
 
     Args:
         settings: "kind", one of KINDS; "method" of an N-wire calibration ("chosen": by cross-validation).
-        seed: of the planted truth and of the recording.
+        seed: of the ground truth and of the recording.
     Raises:
         InvalidInputError: another kind.
     """
@@ -71,15 +71,15 @@ def calibration_trial(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
     if kind not in KINDS:
         raise InvalidInputError(f"there is no calibration '{kind}'; choose {', '.join(KINDS)}")
     probe = SectorProbe()
-    planted = draw_ground_truth(np.zeros(3), probe.plane_from_image, 150.0, child_rng(seed, "planting"))
+    truth = draw_ground_truth(np.zeros(3), probe.plane_from_image, 150.0, child_rng(seed, "planting"))
     rng = child_rng(seed, str(kind))
     if kind == "watertank":
-        return _latency_trial(planted, probe, rng)
-    uncertainty, extra = _MAPS[kind](planted, probe, rng, settings)
+        return _latency_trial(truth, probe, rng)
+    uncertainty, extra = _MAPS[kind](truth, probe, rng, settings)
     middle = np.array(probe.apex_px) + np.array([0.0, 0.5 * (probe.fan.start_px + probe.fan.stop_px)])
     uncertainty = uncertainty.about(middle)
     parameters = uncertainty.parameters
-    error = -parameters.step_to(planted.probe_from_image) * _MAP_UNITS
+    error = -parameters.step_to(truth.probe_from_image) * _MAP_UNITS
     half = uncertainty.half_width[[*range(parameters.count), *[-1] * (8 - parameters.count)]]
     return {**_line(_MAP_NAMES, error, half * _MAP_UNITS), **extra}
 
@@ -115,12 +115,12 @@ def _coverage_of(name: str, error: FloatArray, half: FloatArray) -> IntervalCove
 
 
 def _nwire(
-    planted: GroundTruth, probe: SectorProbe, rng: np.random.Generator, settings: Mapping[str, Any]
+    truth: GroundTruth, probe: SectorProbe, rng: np.random.Generator, settings: Mapping[str, Any]
 ) -> tuple[MapUncertainty, dict[str, Any]]:
     options = Preset()
     size = (probe.columns, probe.rows)
     recording = nwire_recording(
-        planted.probe_from_image, probe.fan, size, options.nwire_tracker, options.nwire, rng
+        truth.probe_from_image, probe.fan, size, options.nwire_tracker, options.nwire, rng
     )
     method = settings["method"]
     if method == "chosen":
@@ -131,31 +131,31 @@ def _nwire(
 
 
 def _crosswire(
-    planted: GroundTruth, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
+    truth: GroundTruth, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
 ) -> tuple[MapUncertainty, dict[str, Any]]:
     made = crosswire_recording(
-        planted.probe_from_image, probe, Preset().nwire_tracker, CrossWireSpec(), rng, rendered=False
+        truth.probe_from_image, probe, Preset().nwire_tracker, CrossWireSpec(), rng, rendered=False
     ).recording
     poses = made.sequence.stream("tracker", "probe")
     return calibrate_crosswire(poses, made.features_px, rng=rng).uncertainty, {}
 
 
 def _wall(
-    planted: GroundTruth, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
+    truth: GroundTruth, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
 ) -> tuple[MapUncertainty, dict[str, Any]]:
     made = wall_recording(
-        planted.probe_from_image, probe, Preset().nwire_tracker, WallSpec(), rng, rendered=False
+        truth.probe_from_image, probe, Preset().nwire_tracker, WallSpec(), rng, rendered=False
     ).recording
     poses = made.sequence.stream("tracker", "probe")
     return calibrate_wall(poses, made.features_px, rng=rng).uncertainty, {}
 
 
-def _latency_trial(planted: GroundTruth, probe: SectorProbe, rng: np.random.Generator) -> dict[str, Any]:
+def _latency_trial(truth: GroundTruth, probe: SectorProbe, rng: np.random.Generator) -> dict[str, Any]:
     options = Preset()
     recording = watertank_recording(
-        planted.probe_from_image,
+        truth.probe_from_image,
         probe.fan,
-        planted.lag_s,
+        truth.lag_s,
         options.watertank_tracker,
         options.watertank,
         rng,
@@ -164,8 +164,8 @@ def _latency_trial(planted: GroundTruth, probe: SectorProbe, rng: np.random.Gene
     low, high = found.interval_s
     # an interval need not lie evenly about its estimate: its middle is what is judged
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    line = _line(("lag_ms",), np.array([1000 * (middle - planted.lag_s)]), np.array([1000 * half]))
-    return {**line, "estimate_error_ms": 1000 * (found.lag_s - planted.lag_s)}
+    line = _line(("lag_ms",), np.array([1000 * (middle - truth.lag_s)]), np.array([1000 * half]))
+    return {**line, "estimate_error_ms": 1000 * (found.lag_s - truth.lag_s)}
 
 
 def _line(names: Sequence[str], error: FloatArray, half: FloatArray) -> dict[str, Any]:

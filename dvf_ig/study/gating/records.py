@@ -79,11 +79,13 @@ class PhaseErrors:
 
 @dataclass(frozen=True, slots=True)
 class PhaseSummary:
-    """Attributes:
-    valid_share: of the time.
-    mean_percent, p95_percent: |error| where valid, % of RR; NaN where nothing is valid.
-    within_2_sigma: share of valid moments whose error lies within two stated standard deviations.
-    fibrillation_refused: share of annotated fibrillation in which phase was invalid; NaN without any.
+    """How accurate phase was, and how much of the time it was valid.
+
+    Attributes:
+        valid_share: of the time.
+        mean_percent, p95_percent: |error| where valid, % of RR; NaN where nothing is valid.
+        within_2_sigma: share of valid moments whose error lies within two stated standard deviations.
+        fibrillation_refused: share of annotated fibrillation in which phase was invalid; NaN without any.
     """
 
     valid_share: float

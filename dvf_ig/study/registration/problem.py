@@ -56,12 +56,14 @@ Register = Callable[[Rigid, np.random.Generator], RegistrationResult]
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RegistrationProblem:
-    """Attributes:
-    truth: mr_from_tracker.
-    targets: where errors are declared, frame "mr".
-    center_mm: (3,) centre of the heart box.
-    register: (start, rng) to a result.
-    fixed, mask, moving: one ultrasound volume in frame "tracker" and the MR of its phase, for baselines.
+    """One registration with known truth: its data, its targets, and the call that solves it.
+
+    Attributes:
+        truth: mr_from_tracker.
+        targets: where errors are declared, frame "mr".
+        center_mm: (3,) centre of the heart box.
+        register: (start, rng) to a result.
+        fixed, mask, moving: one ultrasound volume in frame "tracker" and the MR of its phase, for baselines.
     """
 
     truth: Rigid

@@ -89,11 +89,11 @@ def test_lost_tracking_is_not_interpolated_over() -> None:
 def synthetic(seed: int, **changes: float) -> tuple[LatencyRecording, float]:
     """A recording of the synthetic world, with sway, jitter and noise, and its true lag."""
     probe, options, rng = SectorProbe(), Preset(), np.random.default_rng([seed, 7])
-    planted = draw_ground_truth(np.zeros(3), probe.plane_from_image, 150.0, rng)
+    truth = draw_ground_truth(np.zeros(3), probe.plane_from_image, 150.0, rng)
     spec = replace(options.watertank, **changes)
     tracker = options.watertank_tracker
-    made = watertank_recording(planted.probe_from_image, probe.fan, planted.lag_s, tracker, spec, rng)
-    return made, planted.lag_s
+    made = watertank_recording(truth.probe_from_image, probe.fan, truth.lag_s, tracker, spec, rng)
+    return made, truth.lag_s
 
 
 def test_the_interval_holds_the_truth_as_often_as_it_says() -> None:

@@ -55,10 +55,10 @@ def still(images: NDArray[np.uint8], **fields: object) -> TrackedSequence:
 @pytest.fixture(scope="module")
 def synthetic() -> tuple[NWireRecording, TrackedSequence]:
     """Twenty simulated images with their exact wires."""
-    planted = draw_ground_truth(np.zeros(3), SectorProbe().plane_from_image, 150.0, np.random.default_rng(1))
+    truth = draw_ground_truth(np.zeros(3), SectorProbe().plane_from_image, 150.0, np.random.default_rng(1))
     spec = NWireSpec(frames=20, point_noise_mm=0.0, failed_share=0.0)
     rng = np.random.default_rng(2)
-    return nwire_images(planted.probe_from_image, SectorProbe(), Preset().nwire_tracker, spec, rng)
+    return nwire_images(truth.probe_from_image, SectorProbe(), Preset().nwire_tracker, spec, rng)
 
 
 def test_synthetic_images_at_unknown_pixel_size(
@@ -70,9 +70,9 @@ def test_synthetic_images_at_unknown_pixel_size(
     assert found.used == 8
     assert found.spacing_mm == pytest.approx(SectorProbe().plane_from_image.scale_mm_per_px[0], rel=0.02)
     # an oblique wire in a beam some millimetres wide is seen off its axis, by its rough pieces
-    misses_mm = np.linalg.norm(found.points_px - truth.points_px[:8], axis=2) * found.spacing_mm
-    assert np.median(misses_mm) < 0.35
-    assert misses_mm.max() < 2.0
+    errors_mm = np.linalg.norm(found.points_px - truth.points_px[:8], axis=2) * found.spacing_mm
+    assert np.median(errors_mm) < 0.35
+    assert errors_mm.max() < 2.0
 
 
 def test_a_lost_wire_and_an_invalid_image_are_left_out_for_their_reason(
@@ -161,10 +161,11 @@ def test_real_images_calibrate_the_probe(data_dir: Path) -> None:
         theirs = read_wire_points(table, section, recording.phantom, len(found.frames))
         both = np.isfinite(theirs).all(axis=(1, 2)) & np.isfinite(found.points_px).all(axis=(1, 2))
         assert both.sum() >= 0.98 * np.isfinite(theirs).all(axis=(1, 2)).sum()
-        misses = np.linalg.norm((found.points_px - theirs)[both], axis=2)
-        print(f"{section}: {found.used} of {len(found.frames)} frames, {(misses < 5).mean():.4f} within 5 px")  # noqa: T201
-        assert (misses < 5).mean() > 0.998
-        assert misses.max() < 10
+        error_px = np.linalg.norm((found.points_px - theirs)[both], axis=2)
+        within = (error_px < 5).mean()
+        print(f"{section}: {found.used} of {len(found.frames)} frames, {within:.4f} within 5 px")  # noqa: T201
+        assert within > 0.998
+        assert error_px.max() < 10
     calibrated = calibrate_nwire(recording, rng=np.random.default_rng(0))
     checked = validate_nwire(calibrated.probe_from_image, held_out)
     print(f"validation {checked.summary.mean95:.3f} mm over {checked.frames_used} of {checked.frames} frames")  # noqa: T201
@@ -189,10 +190,10 @@ def test_real_candidates_lie_on_plus_baseline(data_dir: Path) -> None:
         output = case.find("Output")
         assert output is not None
         rivals = np.array([p.attrib["Positon"].split() for p in case.iter("Point")], dtype=float)
-        candidates.append(misses_px(rivals, frame.dots.points_px))
+        candidates.append(errors_px_px(rivals, frame.dots.points_px))
         if output.attrib["SegmentationSuccess"] == "1":
             six = np.array(output.attrib["SegmentationPoints"].split(), dtype=float).reshape(-1, 2)
-            wires.append(misses_px(six, frame.dots.points_px))
+            wires.append(errors_px_px(six, frame.dots.points_px))
             if frame.found is not None:
                 labelled.append(np.linalg.norm(six - frame.found.points_px, axis=1))
     of_wires, of_all = (float((np.concatenate(d) < 5).mean()) for d in (wires, candidates))
@@ -204,5 +205,5 @@ def test_real_candidates_lie_on_plus_baseline(data_dir: Path) -> None:
     assert (np.concatenate(labelled) < 5).mean() >= 0.99
 
 
-def misses_px(points: FloatArray, dots: FloatArray) -> FloatArray:
+def errors_px_px(points: FloatArray, dots: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(points[:, None] - dots[None], axis=2).min(axis=1))

@@ -17,7 +17,7 @@ from dvf_ig.registration import (
     mean_displacement_mm,
 )
 from dvf_ig.registration.evidence.checks import (
-    TRACKED_LIMITS,
+    SLICE_LIMITS,
     VOLUME_LIMITS,
     Evidence,
     phase_disagreement_mm,
@@ -143,7 +143,7 @@ def test_the_worst_test_decides() -> None:
     untested = replace(good, half_volume_mm=None, boundary_mm=None)
     assert untested.worst_test_ratio(VOLUME_LIMITS) == pytest.approx(0.5)
     assert replace(good, half_volume_mm=float("nan")).worst_test_ratio(VOLUME_LIMITS) == np.inf
-    assert replace(good, phase_mm=100.0).worst_test_ratio(TRACKED_LIMITS) < 1.0
+    assert replace(good, phase_mm=100.0).worst_test_ratio(SLICE_LIMITS) < 1.0
 
 
 def test_probability_falls_with_the_worst_test_and_is_even_at_the_limit() -> None:

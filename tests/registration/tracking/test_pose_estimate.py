@@ -79,7 +79,7 @@ def test_a_beat_tells_a_good_pose_from_a_wrong_one(seed: int) -> None:
 
 
 def test_offset_is_that_of_the_optimum_of_the_slices() -> None:
-    """With much of it known before, the belief stays; with nothing known, it goes to the optimise's end."""
+    """With much known before, the estimate stays; with nothing known, it goes to the slices' optimum."""
     start = TRUTH.perturbed_left([0.0, 0.0, 0.0], [3.0, 0.0, 0.0], CENTER_MM)
     measurement = measure_beat(beat(TRUTH, 4), start, CENTER_MM)
     sure = estimate(start, 0.01).update(measurement.offset_information_mm, measurement.information)
