@@ -12,7 +12,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.registration import BeatMeasurement, Lc2, SliceThreads, measure_beat
 
-from .frame_registration import EVEN_MM
+from .frame_registration import DENSITY_WIDTH_MM
 from .gated_frames import UltrasoundRecording, gate_recording, slices_of, ultrasound_mask
 
 BEAT_PITCH_MM = 2.0
@@ -114,7 +114,7 @@ def beat_slices(
         recording.heart.fine,
         patch_mm=PATCH_MM,
         pitch_mm=BEAT_PITCH_MM,
-        density_width_mm=EVEN_MM,
+        density_width_mm=DENSITY_WIDTH_MM,
         threads=threads,
     )
     return BeatSlices(

@@ -1,4 +1,4 @@
-"""The evaluator against closed forms and its readable twin; continuity; what it refuses to push with."""
+"""The evaluator against closed forms and its NumPy reference; continuity; what it refuses to push with."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def field(model: DvfModel, phase: int, xyz):
     return d, g
 
 
-def twin(evaluator: Evaluator, xyz, phi):
+def reference(evaluator: Evaluator, xyz, phi):
     """The readable form, point by point."""
     out = []
     for point, at in zip(xyz, phi, strict=True):
@@ -64,7 +64,7 @@ def test_kernel_is_its_readable_twin(ball, shell_points, law, blend):
     evaluator = Evaluator(ball, law, blend=blend)
     phi = np.random.default_rng(2).uniform(-1, 2, size=len(shell_points))
     got = evaluator.force(shell_points, phi).force_n
-    np.testing.assert_allclose(got, twin(evaluator, shell_points, phi), atol=1e-12)
+    np.testing.assert_allclose(got, reference(evaluator, shell_points, phi), atol=1e-12)
 
 
 @given(

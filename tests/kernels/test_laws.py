@@ -1,4 +1,4 @@
-"""Scalar laws of the kernels against their readable twins, and the fade where the direction is lost."""
+"""Scalar laws of the kernels against their NumPy references, and the fade where the direction is lost."""
 
 import math
 

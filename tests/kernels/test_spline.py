@@ -29,7 +29,7 @@ def axis_weights(u, count, derivative):
     )
 
 
-def twin(coefficients, xyz):
+def reference(coefficients, xyz):
     """Value and gradient by full sums over every coefficient."""
     u = (xyz - ORIGIN) / KNOT
     plain = [axis_weights(u[:, a], SHAPE[a], 0) for a in range(3)]
@@ -50,7 +50,7 @@ def test_value_and_gradient_are_those_of_scipy(seed):
     cells = np.array(SHAPE) - 3
     xyz = ORIGIN + rng.uniform(0, cells, size=(20, 3)) * 0.999999 * KNOT
     value, gradient, status = evaluate(coefficients, 1, xyz)
-    expected_value, expected_gradient = twin(coefficients[1], xyz)
+    expected_value, expected_gradient = reference(coefficients[1], xyz)
     assert (status == code.OK).all()
     np.testing.assert_allclose(value, expected_value, atol=1e-12)
     np.testing.assert_allclose(gradient, expected_gradient, atol=1e-12)

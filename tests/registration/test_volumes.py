@@ -1,4 +1,4 @@
-"""Gated volumes as planes, averaged as a readable twin says, placed where they were seen; known poses."""
+"""Gated volumes as planes, averaged as a NumPy reference says, placed where they were seen; known poses."""
 
 from dataclasses import replace
 from time import perf_counter
@@ -102,7 +102,7 @@ def test_a_bright_block_is_where_the_tracker_saw_it_on_planes_along_every_axis()
 
 
 def test_brightness_follows_place_on_every_pixel() -> None:
-    """Grey grows along one direction of space: the twin reads it at the place that each pixel claims."""
+    """Grey grows along one direction of space: the reference reads it at the place that each pixel claims."""
     grid = oblique()
     direction = np.array([0.6, -0.3, 0.74])
     ramp = grid.centers_mm() @ direction

@@ -189,11 +189,11 @@ def test_real_candidates_lie_on_plus_baseline(data_dir: Path) -> None:
     for case, frame in zip(cases, found.frames, strict=True):
         output = case.find("Output")
         assert output is not None
-        rivals = np.array([p.attrib["Positon"].split() for p in case.iter("Point")], dtype=float)
-        candidates.append(errors_px_px(rivals, frame.dots.points_px))
+        theirs = np.array([p.attrib["Positon"].split() for p in case.iter("Point")], dtype=float)
+        candidates.append(nearest_px(theirs, frame.dots.points_px))
         if output.attrib["SegmentationSuccess"] == "1":
             six = np.array(output.attrib["SegmentationPoints"].split(), dtype=float).reshape(-1, 2)
-            wires.append(errors_px_px(six, frame.dots.points_px))
+            wires.append(nearest_px(six, frame.dots.points_px))
             if frame.found is not None:
                 labelled.append(np.linalg.norm(six - frame.found.points_px, axis=1))
     of_wires, of_all = (float((np.concatenate(d) < 5).mean()) for d in (wires, candidates))
@@ -205,5 +205,5 @@ def test_real_candidates_lie_on_plus_baseline(data_dir: Path) -> None:
     assert (np.concatenate(labelled) < 5).mean() >= 0.99
 
 
-def errors_px_px(points: FloatArray, dots: FloatArray) -> FloatArray:
+def nearest_px(points: FloatArray, dots: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(points[:, None] - dots[None], axis=2).min(axis=1))

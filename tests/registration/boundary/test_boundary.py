@@ -1,4 +1,4 @@
-"""Boundary points in slices, their distance to the model: closed forms, a readable twin, known poses."""
+"""Boundary points in slices, their distance to the model: closed forms, a NumPy reference, known poses."""
 
 from dataclasses import replace
 

@@ -61,7 +61,7 @@ def test_repeated_slices_do_not_outvote_the_others() -> None:
     def of(which: SliceSet, density_width_mm: float | None) -> float:
         return share(Lc2(which, model, patch_mm=13.0, pitch_mm=4.0, density_width_mm=density_width_mm))
 
-    grown_plain = of(again, None) / of(slices, None)
-    grown_even = of(again, 12.0) / of(slices, 12.0)
-    assert grown_plain > 2.0
-    assert 1.0 <= grown_even < 0.75 * grown_plain
+    growth_unweighted = of(again, None) / of(slices, None)
+    growth_weighted = of(again, 12.0) / of(slices, 12.0)
+    assert growth_unweighted > 2.0
+    assert 1.0 <= growth_weighted < 0.75 * growth_unweighted

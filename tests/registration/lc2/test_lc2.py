@@ -1,4 +1,4 @@
-"""LC2: the kernel against its readable twin, and what the score must not depend on."""
+"""LC2: the kernel against its NumPy reference, and what the score must not depend on."""
 
 import numpy as np
 import pytest
