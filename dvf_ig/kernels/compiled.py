@@ -4,7 +4,7 @@ Kernels are compiled anew for read-only arrays, so callers hand over writable co
 The disk cache follows the file of the outer kernel alone: after an edit to a function that is inlined into
 another file's kernel, delete `dvf_ig/kernels/__pycache__`.
 
-No fast-math: sums keep their order, NaN keeps its meaning, and a kernel can be tested against its NumPy reference.
+No fast-math: sums keep their order, NaN keeps its meaning, and a kernel can be tested against NumPy.
 The spline works on rows of four (docs/decisions/0006) and uses fused multiply-add where the processor
 has it; numba's own settings are left as they are.
 """
