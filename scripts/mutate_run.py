@@ -1,4 +1,4 @@
-"""Apply named mutants to a copy of the tree, one at a time, and list which tests fell: `scripts/mutate`."""
+"""Apply named mutants to a copy of the tree, one at a time, and list which tests failed: `scripts/mutate`."""
 
 import argparse
 import json
@@ -18,7 +18,7 @@ REPO = Path(__file__).resolve().parent.parent
 COPIED = ("pyproject.toml", "dvf_ig", "data_synth", "tests")
 WANTED_SHARE = 0.9
 SECONDS = 600
-"""A test run that takes longer is counted as fallen: the mutant made it hang."""
+"""A test run that takes longer is counted as failed: the mutant made it hang."""
 KERNELS = re.compile(r"/kernels/|_kernel\.py$")
 
 
@@ -99,12 +99,12 @@ def _copy(tree: Path) -> Path:
 
 
 def _refuse_broken(trees: "Queue[Path]", mutants: list[Mutant]) -> None:
-    """Tests that fall without any mutant would be counted as having noticed."""
+    """Tests that fail without any mutant would be counted as having noticed."""
     tree = trees.get()
-    fell = _fallen(tree, sorted({test for mutant in mutants for test in mutant.tests}))
+    fell = _failed_tests(tree, sorted({test for mutant in mutants for test in mutant.tests}))
     trees.put(tree)
     if fell:
-        sys.exit("mutate: these tests fall without any mutant; mend them first:\n  " + "\n  ".join(fell))
+        sys.exit("mutate: these tests fail without any mutant; repair them first:\n  " + "\n  ".join(fell))
 
 
 def _outcome(trees: "Queue[Path]", mutant: Mutant) -> Outcome:
@@ -115,7 +115,7 @@ def _outcome(trees: "Queue[Path]", mutant: Mutant) -> Outcome:
         path.write_text(original.replace(mutant.old, mutant.new))
         if KERNELS.search(mutant.file):
             _forget_kernels(tree)
-        outcome = Outcome(mutant.name, tuple(_fallen(tree, list(mutant.tests))))
+        outcome = Outcome(mutant.name, tuple(_failed_tests(tree, list(mutant.tests))))
     finally:
         path.write_text(original)
         if KERNELS.search(mutant.file):
@@ -131,7 +131,7 @@ def _forget_kernels(tree: Path) -> None:
         compiled.unlink()
 
 
-def _fallen(tree: Path, tests: list[str]) -> list[str]:
+def _failed_tests(tree: Path, tests: list[str]) -> list[str]:
     """Tests that failed; "(hangs)" where they did not end."""
     data = os.environ.get("DVF_IG_DATA", str(REPO / ".." / "shared" / "data"))
     command = [
@@ -166,12 +166,12 @@ def _words(outcome: Outcome) -> str:
 
 
 def _report(outcomes: list[Outcome]) -> int:
-    fallen = [o for o in outcomes if o.fell]
-    share = len(fallen) / len(outcomes)
+    killed = [o for o in outcomes if o.fell]
+    share = len(killed) / len(outcomes)
     (REPO / "out").mkdir(exist_ok=True)
     document = {"share": share, "mutants": [asdict(o) for o in outcomes]}
     (REPO / "out" / "mutants.json").write_text(json.dumps(document, indent=1) + "\n")
-    print(f"{len(fallen)} of {len(outcomes)} mutants were noticed; wrote out/mutants.json")
+    print(f"{len(killed)} of {len(outcomes)} mutants were killed; wrote out/mutants.json")
     return 0 if share >= WANTED_SHARE else 7
 
 

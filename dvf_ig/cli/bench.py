@@ -17,7 +17,7 @@ def bench(
         Path | None, typer.Argument(metavar="[MODEL]", help="Model file (default: the phantom's heart).")
     ] = None,
     calls: Annotated[int, typer.Option("--calls", min=100, help="Points of the path, 1 kHz.")] = 10_000,
-    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Passes; the quietest counts.")] = 5,
+    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Passes; the fastest counts.")] = 5,
     peers: Annotated[bool, typer.Option("--peers/--no-peers", help="Time other libraries too.")] = True,
     continuity: Annotated[
         int, typer.Option("--continuity", min=0, help="Also compare forces at this many pairs of neighbours.")
@@ -30,7 +30,7 @@ def bench(
 ) -> None:
     """Time single calls, kernel loops and batches, ours and others', on one heart; print their ratios.
 
-    Times are per call in µs, of the quietest pass; error_mm is the RMS error against the exact distance to
+    Times are per call in µs, of the fastest pass; error_mm is the RMS error against the exact distance to
     the mesh. Other programs on the machine lengthen everything: compare ratios.
     """
     with command(threads):

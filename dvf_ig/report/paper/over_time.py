@@ -87,7 +87,7 @@ def over_time_figure(found: ForceOverTime) -> Figure:
         for t_s in found.volume_t_s:
             axis.axvline(t_s, color="#e9e9e9", lw=0.7, zorder=0)
     open_frame(upper, lower)
-    figure.suptitle("Equations 10–11: a forbidden region that beats, felt at a point that stays")
+    figure.suptitle("Equations 10–11: a beating forbidden region, at a fixed point")
     return figure
 
 

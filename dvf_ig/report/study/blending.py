@@ -59,7 +59,7 @@ def blending_png(studies: Sequence[BlendStudy]) -> bytes:
 
 
 def blending_figure(studies: Sequence[BlendStudy]) -> Figure:
-    """One row a motion: the blend's own share, surface felt, force; mean solid, 95th percentile dashed."""
+    """One row a motion: the blend's own share, rendered surface, force; mean solid, p95 dashed."""
     figure = Figure(figsize=(14.5, 4.3 * len(studies)), layout="constrained")
     panels = figure.subplots(len(studies), 3, squeeze=False)
     for (own, surface, force), study in zip(panels, studies, strict=True):
@@ -68,7 +68,7 @@ def blending_figure(studies: Sequence[BlendStudy]) -> Figure:
         _curves(force, study, lambda e: 1000.0 * e.force_mean_n, lambda e: 1000.0 * e.force_p95_n)
         own.set(yscale="log", ylabel="blend against the spline of that instant, mm")
         own.set_title(f"{study.motion}: motion up to {study.largest_motion_mm:.1f} mm")
-        surface.set(ylim=(0.0, None), ylabel="distance from the true surface to the one felt, mm")
+        surface.set(ylim=(0.0, None), ylabel="distance from the true surface to the rendered one, mm")
         force.set(ylim=(0.0, None), ylabel="force error within 3 mm, mN (largest force 600)")
     panels[0][2].legend(loc="best", fontsize=9, frameon=False)
     return figure

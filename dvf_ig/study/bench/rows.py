@@ -39,7 +39,7 @@ class BenchOptions:
 
     Attributes:
         calls: points of the path, one a millisecond.
-        repeats: passes over the path; the quietest counts.
+        repeats: passes over the path; the fastest counts.
         batch: points in a batch.
         peers: whether to time other libraries too.
         seed: of the path.

@@ -48,7 +48,7 @@ def clock_overhead_ns(samples: int = 20_000) -> float:
 
 
 def time_calls(call: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], repeats: int) -> FloatArray:
-    """(n,) µs of each call from Python, the quietest of several passes, the clock's own time taken off."""
+    """(n,) µs of each call from Python, the fastest of several passes, the clock's own time taken off."""
     clock = time.perf_counter_ns
     overhead = clock_overhead_ns()
 
@@ -61,7 +61,7 @@ def time_calls(call: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], r
         return spent
 
     call(*arguments[0])
-    return np.maximum(_quietest(once, repeats) - overhead, 0.0) / 1e3
+    return np.maximum(_fastest(once, repeats) - overhead, 0.0) / 1e3
 
 
 def time_batches(batch: Callable[[int, int], Any], count: int, size: int, repeats: int) -> FloatArray:
@@ -78,7 +78,7 @@ def time_batches(batch: Callable[[int, int], Any], count: int, size: int, repeat
         return spent
 
     batch(0, size)
-    return _quietest(once, repeats) / (size * 1e3)
+    return _fastest(once, repeats) / (size * 1e3)
 
 
 def row(
@@ -95,6 +95,6 @@ def row(
     return Row(name, what, median, p99, p999, float(spent_us.max()), error_mm, calls_per_sample, note)
 
 
-def _quietest(once: Callable[[], FloatArray], repeats: int) -> FloatArray:
+def _fastest(once: Callable[[], FloatArray], repeats: int) -> FloatArray:
     """The pass with the smallest median: other programs only ever lengthen it."""
     return min((once() for _ in range(repeats)), key=lambda spent: float(np.median(spent)))

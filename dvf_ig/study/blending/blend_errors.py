@@ -119,10 +119,10 @@ class _Errors:
 def _errors(model: DvfModel, blend: str, truth: ExactAnswer, fitted: Sequence[FittedPhase]) -> _Errors:
     chosen = next(name for name in BLEND_CODES if name == blend)
     fixture = Evaluator(model, LAW, blend=chosen)
-    surface_mm = np.abs(_felt_depth_mm(fixture, truth.on_surface_mm, truth.phase))
+    surface_mm = np.abs(_rendered_depth_mm(fixture, truth.on_surface_mm, truth.phase))
     force_n = fixture.force(truth.around_mm, truth.phase).force_n
     blend_mm = [
-        np.abs(_felt_depth_mm(fixture, other.points_mm, np.array(float(other.phase))) - other.depth_mm)
+        np.abs(_rendered_depth_mm(fixture, other.points_mm, np.array(float(other.phase))) - other.depth_mm)
         for other in fitted
         if (other.phase * model.phases).denominator > 1
     ]
@@ -139,10 +139,10 @@ def _pooled(motion: str, blend: str, count: int, hearts: Sequence[_Errors]) -> B
     return BlendError(motion, blend, count, *_mean_p95_max(surface_mm), *_mean_p95_max(force_n), *own)
 
 
-def _felt_depth_mm(fixture: Evaluator, xyz_mm: FloatArray, phase: FloatArray) -> FloatArray:
-    """(n,) depth at which the law alone would give the force that is felt."""
-    felt = np.linalg.norm(fixture.force(xyz_mm, phase).force_n, axis=1) / LAW.cap_n
-    return np.asarray(np.log(felt / (1.0 - felt)) / LAW.gamma_per_mm)
+def _rendered_depth_mm(fixture: Evaluator, xyz_mm: FloatArray, phase: FloatArray) -> FloatArray:
+    """(n,) depth at which the law alone would give the force that is rendered."""
+    share = np.linalg.norm(fixture.force(xyz_mm, phase).force_n, axis=1) / LAW.cap_n
+    return np.asarray(np.log(share / (1.0 - share)) / LAW.gamma_per_mm)
 
 
 def _mean_p95_max(values: FloatArray) -> tuple[float, float, float]:

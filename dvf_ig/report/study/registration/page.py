@@ -65,7 +65,7 @@ def _experiment_section(letter: str, page: CapturePage, colors: dict[str, str]) 
     figures = [
         (
             capture_curves(mine, colors, page.limits),
-            "Capture: how far from the truth a start may be",
+            "Capture range: success by the error of the start",
             f"Dotted: {page.limits.captured_percent:g} %. Bars: 95 % intervals.",
         ),
         (
@@ -99,14 +99,14 @@ def _check_section(page: CapturePage, colors: dict[str, str]) -> str:
         (roc_figure(page.roc, colors, page.limits), "Failures caught against good registrations refused"),
         (
             reliability_figure(page.reliability, colors, page.limits),
-            "Success probability against what came out",
+            "Stated success probability against the share of successes",
         ),
     ]
     images = "".join(image_tag(figure, title) for figure, title in figures if figure is not None)
     return (
-        "<h2>Does a registration know when it failed?</h2><p class=note>A registration that is not sure of "
-        "itself releases no pose. Left, ring: where it draws the line. Right: whether a probability of 80 % "
-        "comes true in 80 % of the runs (bars: 95 % intervals).</p>"
+        "<h2>Detection of failed registrations</h2><p class=note>A registration whose checks exceed a limit "
+        "releases no pose. Left, ring: the limit in use. Right: whether of runs with a stated probability "
+        "of 80 % in truth 80 % succeed (bars: 95 % intervals).</p>"
         f"{_table(['experiment', *(_LABELS[v] for v in varied)], _check_heads(page.limits), rows)}"
         f"<div class=pair>{images}</div>"
     )
