@@ -7,7 +7,7 @@
     ├── MissingDependencyError   an optional package or a system library is absent
     ├── OutputError              a result could not be written
     ├── NoOverlapError           two things that must share space or time do not
-    ├── NotConvergedError        an estimate did not settle; its evidence is kept
+    ├── NotConvergedError        an estimate did not converge; its evidence is kept
     └── QualityGateError         an estimate settled but must not be used; its evidence is kept
 
 Expected numerical outcomes inside a method are `Stop` values, not exceptions.
@@ -43,8 +43,8 @@ class NoOverlapError(DvfIgError):
 
 
 class NotConvergedError(DvfIgError):
-    """An estimate did not settle."""
+    """An estimate did not converge."""
 
 
 class QualityGateError(DvfIgError):
-    """An estimate settled but its evidence forbids its use."""
+    """An estimate converged but its evidence forbids its use."""

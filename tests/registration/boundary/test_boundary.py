@@ -155,7 +155,7 @@ def test_only_phases_in_use_are_built(target: BoundaryTarget) -> None:
     np.testing.assert_array_equal(target.nearest_phase(np.array([0.0, 0.5, 0.9])), 0)
 
 
-def _sums_twin(
+def _sums_reference(
     points: BoundaryPoints, target: BoundaryTarget, pose: Rigid, offset_mm: float, sigma_mm: float
 ) -> FloatArray:
     """What `boundary_step_sums` says, in array arithmetic, with the fixture's own spline kernel."""
@@ -193,7 +193,7 @@ def test_the_kernel_s_sums_are_those_of_its_twin(points: BoundaryPoints, target:
         3.0,
         out,
     )
-    expected = _sums_twin(points, target, pose, 0.4, 3.0)
+    expected = _sums_reference(points, target, pose, 0.4, 3.0)
     np.testing.assert_allclose(out, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
     assert len(expected) == UNKNOWNS * (UNKNOWNS + 1) + 3
 

@@ -12,7 +12,7 @@ from dvf_ig.registration import Lc2, ModelChannels, SliceSet, SliceThreads, chan
 from dvf_ig.registration.pose_chart import PoseChart
 
 
-def lc2_twin(slices: SliceSet, model: ModelChannels, pose: Rigid, radius: int) -> tuple[float, float]:
+def lc2_reference(slices: SliceSet, model: ModelChannels, pose: Rigid, radius: int) -> tuple[float, float]:
     """What LC2 says, spelt out: loop over patches and solve each ridge regression."""
     score = weight = 0.0
     rows, cols = slices.images.shape[1:]
@@ -54,7 +54,7 @@ def test_kernel_equals_readable_twin() -> None:
     ).subset(np.array([0, 5, 9]))
     model = channels_from_mr(toy_mr(), smoothing_mm=2.0)
     out = Lc2(holed, model, patch_mm=20.0, pitch_mm=5.0).per_slice(toy_pose())
-    score, weight = lc2_twin(holed, model, toy_pose(), radius=2)
+    score, weight = lc2_reference(holed, model, toy_pose(), radius=2)
     assert out[:, 1].sum() == pytest.approx(weight, rel=1e-5)
     assert out[:, 0].sum() == pytest.approx(score, rel=1e-5)
 

@@ -13,7 +13,7 @@ from .values import Limits, Reliability, RocCurve
 
 
 def roc_figure(curves: Sequence[RocCurve], colors: dict[str, str], limits: Limits) -> Figure | None:
-    """Failures caught against good registrations refused; the ring is where the method draws the line.
+    """Failures caught against good registrations refused; the ring is the limit in use.
 
     None without curves.
     """

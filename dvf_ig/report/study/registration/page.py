@@ -33,7 +33,7 @@ _LABELS = {"motion": "heart", "quality": "ultrasound", "method": "method", "cond
 
 
 def capture_html(page: CapturePage) -> str:
-    """The page: a table and figures for each experiment, then the self-check of all."""
+    """The page: a table and figures for each experiment, then how failures were detected in all."""
     limits, colors = page.limits, colors_of(page.methods)
     letters = sorted({row.group.experiment for row in page.groups})
     body = "".join(_experiment_section(letter, page, colors) for letter in letters)
@@ -90,11 +90,11 @@ def _experiment_section(letter: str, page: CapturePage, colors: dict[str, str]) 
 
 def _check_section(page: CapturePage, colors: dict[str, str]) -> str:
     groups = [row.group for row in page.groups]
-    telling = [g for g in groups if g.check.auc is not None or g.check.released_failures or _flags(g)]
-    if not telling:
+    judged = [g for g in groups if g.check.auc is not None or g.check.released_failures or _flags(g)]
+    if not judged:
         return ""
-    varied = _varied(telling)
-    rows = [(g, [g.experiment, *_labels(g, varied), *_checks(g)]) for g in telling]
+    varied = _varied(judged)
+    rows = [(g, [g.experiment, *_labels(g, varied), *_checks(g)]) for g in judged]
     figures = [
         (roc_figure(page.roc, colors, page.limits), "Failures caught against good registrations refused"),
         (
@@ -142,7 +142,7 @@ def _flags(group: Group) -> bool:
 
 
 def _varied(groups: Sequence[Group]) -> list[str]:
-    """Which of the labels tell these groups apart; the method always."""
+    """Which of the labels differ between these groups; the method always."""
     return [
         name for name in _LABELS if name == "method" or len({getattr(group, name) for group in groups}) > 1
     ]

@@ -50,7 +50,7 @@ class Bin(Protocol):
 
 
 class SelfCheck(Protocol):
-    """Whether a method knew its failures; None where it does not say."""
+    """Detection of a method's own failures; None where it does not judge itself."""
 
     @property
     def failures_flagged(self) -> Share | None: ...
@@ -174,7 +174,7 @@ class RocCurve:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Reliability:
-    """Whether a stated success probability comes true.
+    """Stated success probability against the share of successes.
 
     Attributes:
         method: whose.
