@@ -8,7 +8,7 @@
     ├── OutputError              a result could not be written
     ├── NoOverlapError           two things that must share space or time do not
     ├── NotConvergedError        an estimate did not converge; its evidence is kept
-    └── QualityGateError         an estimate settled but must not be used; its evidence is kept
+    └── QualityGateError         an estimate converged but must not be used; its evidence is kept
 
 Expected numerical outcomes inside a method are `Stop` values, not exceptions.
 """
