@@ -88,6 +88,15 @@ def test_every_changed_byte_is_seen(tmp_path: Path) -> None:
             read_model(tmp_path / "x.npz")
 
 
+def test_content_that_is_not_what_its_header_was_made_for(tmp_path: Path) -> None:
+    """The file is whole, but its header carries the digest of another model."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dvf_ig.io.model._digest", lambda header, arrays: "0" * 64)
+        write_model(model(), tmp_path / "m.npz")
+    with pytest.raises(UnreadableFileError, match="changed"):
+        read_model(tmp_path / "m.npz")
+
+
 def test_bad_files(tmp_path: Path) -> None:
     path = tmp_path / "m.npz"
     with pytest.raises(UnreadableFileError, match="does not exist"):

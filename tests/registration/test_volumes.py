@@ -36,6 +36,7 @@ from dvf_ig.registration import (
     target_from_labels,
 )
 from dvf_ig.registration.lc2.slices import joined, within
+from dvf_ig.registration.volumes import SEARCH
 
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
 POSE = Rigid.from_rotation_vector([-0.6, 0.2, 1.1], [40.0, -70.0, 15.0], "tracker", "probe")
@@ -246,13 +247,13 @@ def toy_surface() -> BoundaryTarget:
     return target_from_labels(VolumeSeries(mr.grid, labels, mr.timing), np.zeros(1))
 
 
-def registered(seed: int, surface: BoundaryTarget) -> RegistrationResult:
-    """Two views of the toy heart from a start 15 mm away."""
+def registered(seed: int, surface: BoundaryTarget | None, *, away_mm: float = 15.0) -> RegistrationResult:
+    """Two views of the toy heart from a start `away_mm` off."""
     xi = np.random.default_rng(seed).normal(size=6)
     return register_volumes(
         [toy_volume((0.5, 0.2, -0.4), seed), toy_volume((-0.6, 0.9, 0.3), seed + 100)],
         channels_from_mr(toy_mr(), smoothing_mm=VOLUME_SMOOTHING_MM),
-        PoseChart(toy_pose(), CENTER_MM).pose(15.0 * xi / np.linalg.norm(xi)),
+        PoseChart(toy_pose(), CENTER_MM).pose(away_mm * xi / np.linalg.norm(xi)),
         CENTER_MM,
         rng=np.random.default_rng(0),
         clock=perf_counter,
@@ -260,9 +261,10 @@ def registered(seed: int, surface: BoundaryTarget) -> RegistrationResult:
     )
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_volumes_and_a_surface_recover_a_15_mm_displacement(seed: int) -> None:
-    result = registered(seed, toy_surface())
+@pytest.mark.parametrize(("seed", "away_mm"), [(1, 15.0), (2, 15.0), (3, 15.0), (1, 25.0), (2, 25.0)])
+def test_volumes_and_a_surface_recover_a_displacement(seed: int, away_mm: float) -> None:
+    """From 25 mm a search that begins at the given start alone does not arrive."""
+    result = registered(seed, toy_surface(), away_mm=away_mm)
     targets = Points("mr", CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3)))
     # labels of 2 mm voxels place their surface to 0.12 voxels, 0.24 mm; speckle of 0.3 on 1.5 mm voxels,
     # averaged over the boundary's 3 mm Gaussian and over LC2's patches, adds a third of that
@@ -283,3 +285,17 @@ def test_the_pose_goes_a_share_of_the_way_to_the_boundary() -> None:
     # a boundary fit reproduces to 0.05 mm, LC2's optimum on fine slices from another start to its tolerance
     np.testing.assert_allclose(moved, RegistrationOptions().boundary_share * shift, atol=0.05)
     assert pulled.evidence.boundary_mm == pytest.approx(1.5, abs=0.3)
+
+
+def test_the_covariance_is_mixed_by_the_same_share(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At share 0 it is that of LC2, whose optimum is the same without a surface; between, it is linear."""
+    surface = toy_surface()
+
+    def covariance_at(share: float) -> np.ndarray:
+        monkeypatch.setattr("dvf_ig.registration.volumes.SEARCH", replace(SEARCH, boundary_share=share))
+        return registered(1, surface, away_mm=3.0).covariance
+
+    lc2_alone, share = registered(1, None, away_mm=3.0).covariance, 0.35
+    none, some, all_of_it = (covariance_at(s) for s in (0.0, share, 1.0))
+    np.testing.assert_allclose(np.diag(none), np.diag(lc2_alone), rtol=0.05)
+    np.testing.assert_allclose(some, (1.0 - share) * none + share * all_of_it, rtol=1e-9)

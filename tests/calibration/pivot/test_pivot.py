@@ -114,6 +114,14 @@ def test_a_tip_that_slips_is_refused() -> None:
         calibrate_pivot(stream, rng=np.random.default_rng(0))
 
 
+def test_a_residual_above_the_gate_is_refused_with_its_size() -> None:
+    loose = pivoting(cone(200, 40), noise_mm=0.4)
+    found = calibrate_pivot(loose, rng=np.random.default_rng(0), options=PivotOptions(max_rms_mm=1.0))
+    assert found.rms_3d_mm == pytest.approx(0.4 * np.sqrt(3), rel=0.1)
+    with pytest.raises(QualityGateError, match=r"is 0\.\d\d mm RMS, needed at most 0\.5 mm"):
+        calibrate_pivot(loose, rng=np.random.default_rng(0), options=PivotOptions(max_rms_mm=0.5))
+
+
 def test_real_clean_set(data_dir: Path) -> None:
     poses = read_poses(data_dir / "lsqrrecipes" / "pivotCalibrationData.txt")
     found = calibrate_pivot(poses, rng=np.random.default_rng(0))

@@ -1,12 +1,14 @@
 """LC2: the kernel against its NumPy reference, and what the score must not depend on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numba import config
 from scipy import ndimage
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import Rigid
+from dvf_ig.core import Rigid, VolumeSeries
 from dvf_ig.kernels.lc2 import RIDGE, sample_channels
 from dvf_ig.registration import Lc2, ModelChannels, SliceSet, SliceThreads, channels_from_mr
 from dvf_ig.registration.pose_chart import PoseChart
@@ -135,3 +137,27 @@ def test_overlap_falls_to_nothing_far_away() -> None:
     slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
     away = Rigid("mr", "tracker", toy_pose().rotation, toy_pose().translation_mm + 500.0)
     assert _metric(slices).score(away).overlap == 0.0
+
+
+def test_each_slice_is_compared_with_the_volume_of_its_own_phase() -> None:
+    """A heart that lies 8 mm lower in its second phase: swapped phases must fit clearly worse."""
+    still = toy_mr()
+    moved = np.roll(still.values[0], 4, axis=2)
+    beating = VolumeSeries(still.grid, np.stack([still.values[0], moved]), still.timing)
+    lower = VolumeSeries(still.grid, np.stack([moved, moved]), still.timing)
+    early, late = (
+        toy_slices(mr, toy_pose(), np.random.default_rng(7), pitch_mm=4.0, speckle=0.0)
+        for mr in (beating, lower)
+    )
+    first, second = still.timing.fractions
+    images = np.concatenate([early.images[:6], late.images[6:]])
+    phases = np.repeat([first, second], 6)
+    model = channels_from_mr(beating, smoothing_mm=2.0)
+    own, swapped = (
+        Lc2(replace(early, images=images, model_phase=p), model, patch_mm=20.0, pitch_mm=4.0)
+        .score(toy_pose())
+        .similarity
+        for p in (phases, phases[::-1])
+    )
+    assert own > 0.95, "nothing but interpolation is in the way"
+    assert swapped < own - 0.2
