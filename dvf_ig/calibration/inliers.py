@@ -113,4 +113,5 @@ def fit_inliers(
         if np.array_equal(again, inliers):
             return Consensus(model, inliers, limits)
         inliers = again
-    return Consensus(fit(inliers, model), inliers, limits)
+    last = fit(inliers, model) if inliers.sum() >= MIN_INLIERS else None
+    return Consensus(last, inliers, limits)

@@ -60,15 +60,20 @@ def check_shape(array: AnyArray, name: str, shape: tuple[int | None, ...]) -> No
 def read_only_arrays(cls: type[T]) -> type[T]:
     """Class decorator of a frozen dataclass: the arrays that an instance holds cannot be written to.
 
-    A writable array given at construction is copied once, so that its owner cannot change the value either; a
-    read-only one is shared. The same holds for arrays in a tuple or a dict, and after unpickling. It stands
-    above `@dataclass`.
+    An array that anybody could still write to is copied once at construction; others are shared. The same
+    holds for arrays within tuples and dicts, and after unpickling. It stands above `@dataclass`.
     """
     names = [f.name for f in fields(cls)]  # type: ignore[arg-type]
-    for method in ("__init__", "__setstate__"):
-        if hasattr(cls, method):
-            setattr(cls, method, _then_protect(getattr(cls, method), names))
+    restore = getattr(cls, "__setstate__", _restored)
+    for method, given in (("__init__", cls.__init__), ("__setstate__", restore)):
+        setattr(cls, method, _then_protect(given, names))
     return cls
+
+
+def _restored(self: object, state: dict[str, Any]) -> None:
+    """Unpickling of a class without slots."""
+    for name, value in state.items():
+        object.__setattr__(self, name, value)
 
 
 def _then_protect(method: Callable[..., None], names: list[str]) -> Callable[..., None]:
@@ -85,13 +90,29 @@ def _then_protect(method: Callable[..., None], names: list[str]) -> Callable[...
 
 
 def _protected(value: Any) -> Any:
-    if isinstance(value, np.ndarray) and value.flags.writeable:
+    """The value itself where nothing in it can be written to, else one that owns its arrays."""
+    if isinstance(value, np.ndarray):
+        if not _writable(value):
+            return value
         copy = value.copy(order="K")
         copy.setflags(write=False)
         return copy
-    if isinstance(value, tuple) and any(isinstance(v, np.ndarray) for v in value):
+    if isinstance(value, tuple):
         kept = [_protected(v) for v in value]
+        if all(k is v for k, v in zip(kept, value, strict=True)):
+            return value
         return type(value)(*kept) if hasattr(value, "_fields") else tuple(kept)
-    if isinstance(value, dict) and any(isinstance(v, np.ndarray) for v in value.values()):
-        return {k: _protected(v) for k, v in value.items()}
+    if isinstance(value, dict):
+        items = {k: _protected(v) for k, v in value.items()}
+        return value if all(items[k] is v for k, v in value.items()) else items
     return value
+
+
+def _writable(array: AnyArray) -> bool:
+    """Whether the array, or one that it is a view of, can be written to."""
+    seen: object = array
+    while isinstance(seen, np.ndarray):
+        if seen.flags.writeable:
+            return True
+        seen = seen.base
+    return False

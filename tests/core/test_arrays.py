@@ -27,6 +27,13 @@ class Value:
     named: dict[str, FloatArray] = dataclasses.field(default_factory=dict)
 
 
+@read_only_arrays
+@dataclasses.dataclass(frozen=True, eq=False)
+class Nested:
+    pairs: tuple[tuple[float, FloatArray], ...]
+    named: dict[str, tuple[FloatArray, ...]]
+
+
 def test_arrays_are_copied_once_and_cannot_be_written() -> None:
     given = np.zeros(3)
     value = Value(given, (given,), {"a": given})
@@ -36,6 +43,23 @@ def test_arrays_are_copied_once_and_cannot_be_written() -> None:
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 2.0
     assert dataclasses.replace(value, named={}).one is value.one
+
+
+def test_views_of_writable_arrays_and_nested_ones_are_owned_too() -> None:
+    given = np.zeros(4)
+    view = given[1:3]
+    view.setflags(write=False)
+    value = Value(view, named={"a": given})
+    nested = Nested(((0.5, given),), {"pairs": (given, given)})
+    given[:] = 1.0
+    assert value.one.tolist() == [0.0, 0.0]
+    assert nested.pairs[0][1].tolist() == [0.0] * 4
+    assert nested.named["pairs"][1].tolist() == [0.0] * 4
+
+
+def test_values_without_slots_are_protected_after_unpickling() -> None:
+    back = pickle.loads(pickle.dumps(Nested(((0.5, np.zeros(2)),), {})))
+    assert not back.pairs[0][1].flags.writeable
 
 
 def test_layout_is_kept_so_that_sums_keep_their_order() -> None:

@@ -111,13 +111,20 @@ def levenberg_marquardt(
                 break
             damping = max(10 * damping, 1e-4)
         else:
-            converged = True  # to rounding, no step lowers the cost
+            converged = _at_minimum(jacobian, residuals)
             break
         state, residuals, cost, damping = trial, moved, lowered, damping / 10
         if np.linalg.norm(step) < CONVERGED_STEP:
             converged = True
             break
     return MapFit(state.parameters, state.phantom, cost, converged)
+
+
+def _at_minimum(jacobian: FloatArray, residuals: FloatArray) -> bool:
+    """Whether the residuals are orthogonal to all that the parameters could change, to rounding."""
+    step = np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
+    explained = jacobian @ step
+    return bool(explained @ explained <= 1e-9 * (residuals @ residuals) + 1e-20)
 
 
 def _damped_step(jacobian: FloatArray, residuals: FloatArray, damping: float) -> FloatArray:

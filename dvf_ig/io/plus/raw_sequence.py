@@ -105,12 +105,8 @@ def _read_metaimage(path: Path, data: bytes, wanted: bool) -> RawSequence:
     sizes = _integers(path, "DimSize", fields.get("DimSize"))
     columns, rows, frames = _layout(path, sizes, fields.get("Kinds", "").split())
     expected = columns * rows * frames
-    if expected == 0:
-        _require_plausible(path, frames, len(data))
-        return RawSequence(fields, header.frame_fields, 0, 0, frames, b"")
-    if not wanted:
-        _require_plausible(path, frames, len(data))
-        return RawSequence(fields, header.frame_fields, columns, rows, frames, b"")
+    if expected == 0 or not wanted:
+        return _without_pixels(path, header, (columns, rows, frames), len(data))
     _require_uint8(path, fields.get("ElementType"), fields.get("ElementNumberOfChannels", "1"))
     if fields.get("BinaryData", "True").lower() != "true":
         raise UnreadableFileError(f"{path}: the pixels are stored as text; save the sequence as binary data")
@@ -121,6 +117,15 @@ def _read_metaimage(path: Path, data: bytes, wanted: bool) -> RawSequence:
         pixels = payload[:expected]
     _require_size(path, len(pixels), expected)
     return RawSequence(fields, header.frame_fields, columns, rows, frames, pixels)
+
+
+def _without_pixels(path: Path, header: _Header, shape: tuple[int, int, int], size: int) -> RawSequence:
+    """A sequence of poses alone, or whose pixels are not wanted."""
+    columns, rows, frames = shape
+    _require_plausible(path, frames, size)
+    if 0 in shape:
+        columns = rows = 0
+    return RawSequence(header.fields, header.frame_fields, columns, rows, frames, b"")
 
 
 def _read_nrrd(path: Path, data: bytes, wanted: bool) -> RawSequence:
@@ -138,12 +143,8 @@ def _read_nrrd(path: Path, data: bytes, wanted: bool) -> RawSequence:
     sizes = _integers(path, "sizes", fields.get("sizes"))
     columns, rows, frames = _layout(path, sizes, fields.get("kinds", "").split())
     expected = columns * rows * frames
-    if expected == 0:
-        _require_plausible(path, frames, len(data))
-        return RawSequence(fields, header.frame_fields, 0, 0, frames, b"")
-    if not wanted:
-        _require_plausible(path, frames, len(data))
-        return RawSequence(fields, header.frame_fields, columns, rows, frames, b"")
+    if expected == 0 or not wanted:
+        return _without_pixels(path, header, (columns, rows, frames), len(data))
     _require_uint8(path, fields.get("type"), "1")
     payload = _payload(path, data, start, fields.get("data file", fields.get("datafile", "LOCAL")))
     encoding = fields.get("encoding", "raw").lower()

@@ -78,8 +78,7 @@ def target_from_model(model: DvfModel) -> BoundaryTarget:
     knots = np.empty((3, 4))
     knots[:, :3] = np.eye(3) / model.knot_spacing_mm
     knots[:, 3] = -model.origin_mm / model.knot_spacing_mm
-    # kernels are compiled for writable arrays; a copy of float32 coefficients costs milliseconds
-    return BoundaryTarget(model.frame, model.coefficients.copy(), knots, model.timing.fractions, 1.0)
+    return BoundaryTarget(model.frame, model.coefficients, knots, model.timing.fractions, 1.0)
 
 
 def signed_distance_mm(inside: BoolArray, spacing_mm: FloatArray) -> NDArray[np.float32]:

@@ -60,11 +60,12 @@ class Experiment:
 def settings_of(experiment: Experiment, options: CaptureOptions | None = None) -> Settings:
     """JSON settings of a study; the same settings give the same trials."""
     chosen = options or CaptureOptions()
+    with_baseline = chosen.baseline and experiment.letter == CAPTURE.letter
     return {
         "arm": experiment.letter,
         "conditions": [c for motion in MOTIONS for c in experiment.conditions(motion, chosen)],
         "starts_mm": experiment.starts_mm(chosen),
-        "baseline_starts_mm": [[mm, mm] for mm in BASELINE_MM] if chosen.baseline else [],
+        "baseline_starts_mm": [[mm, mm] for mm in BASELINE_MM] if with_baseline else [],
     }
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from toy_sphere import sphere
 
 from data_synth.heart.clock import HeartClock
 from data_synth.operator.contact import MovingSurface, tool_truth
@@ -17,38 +18,13 @@ from dvf_ig.core import FloatArray, IntArray, InvalidInputError, Points
 ACCESS = np.array([0.6, -0.7, 0.2]) / np.linalg.norm([0.6, -0.7, 0.2])
 
 
-def icosphere(splits: int) -> tuple[FloatArray, IntArray]:
-    """Unit sphere: (v, 3) vertices and (20·4^splits, 3) outward triangles."""
-    g = (1 + 5**0.5) / 2
-    corners: list[tuple[float, float, float]] = [
-        (-1, g, 0),
-        (1, g, 0),
-        (-1, -g, 0),
-        (1, -g, 0),
-        (0, -1, g),
-        (0, 1, g),
-    ]
-    corners += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
-    faces = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2)]
-    faces += [(10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5)]
-    faces += [(2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)]
-    v, f = np.array(corners, dtype=np.float64), np.array(faces)
-    for _ in range(splits):
-        edges = np.sort(np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]), axis=1)
-        unique, index = np.unique(edges, axis=0, return_inverse=True)
-        a, b, c = (len(v) + index.ravel()).reshape(3, -1)
-        v = np.concatenate([v, 0.5 * (v[unique[:, 0]] + v[unique[:, 1]])])
-        f = np.concatenate([np.c_[f[:, 0], a, c], np.c_[f[:, 1], b, a], np.c_[f[:, 2], c, b], np.c_[a, b, c]])
-    return v / np.linalg.norm(v, axis=1)[:, None], f
-
-
 class BeatingBall:
     """A ball of 50 mm whose surface draws back by up to `travel_mm`, more on one side than on the other."""
 
     center_mm = np.array([40.0, -25.0, 60.0])
 
     def __init__(self, travel_mm: float = 5.0, splits: int = 4, *, even: bool = False) -> None:
-        self.unit, self.surface_triangles = icosphere(splits)
+        self.unit, self.surface_triangles = sphere(1.0, splits)
         self.share = np.ones(len(self.unit)) if even else 0.3 + 0.35 * (self.unit[:, 2] + 1)
         self.travel_mm = travel_mm
 
