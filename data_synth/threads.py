@@ -4,6 +4,7 @@ Work is split the same way whatever the number of threads, and NumPy and the ker
 the result never depends on how many there are.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -25,5 +26,4 @@ def in_order(
 
 def for_each(work: Callable[[Item], object], items: Iterable[Item], threads: int = THREADS) -> None:
     """Do `work` on every item; returns when all is done, and raises what the first failure raised."""
-    for _ in in_order(work, items, threads):
-        pass
+    deque(in_order(work, items, threads), maxlen=0)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.probe import SectorProbe
@@ -11,6 +10,7 @@ from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, Points, Rigid, 
 
 from .tank import (
     TankRecording,
+    looking_down,
     noisy_features,
     probe_from_plane,
     still_poses,
@@ -102,8 +102,5 @@ def _view(probe: SectorProbe, spec: CrossWireSpec, rng: np.random.Generator) -> 
     )
     # stay inside the sector
     seen_at[0] = np.clip(seen_at[0], *(seen_at[1] * np.tan(0.9 * probe.half_angle_rad) * np.array([-1, 1])))
-    down = Rotation.from_matrix(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
-    turn = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi))
-    tilt = Rotation.from_euler("xz", np.deg2rad(spec.tilt_deg) * rng.uniform(-1, 1, 2))
-    rotation = (turn * down * tilt).as_matrix()
+    rotation = looking_down(rng, spec.tilt_deg)
     return Rigid("tank", "plane", rotation, -rotation @ seen_at)

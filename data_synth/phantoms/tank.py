@@ -11,6 +11,9 @@ from data_synth.signals.tracker import TrackerSpec, tracked
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.core import Fan, FloatArray, ImageMap, PoseStream, Rigid, TrackedSequence, read_only_arrays
 
+DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""tank_from_plane of a probe held upright: the depth axis points down."""
+
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +43,13 @@ def tank_in_tracker(rng: np.random.Generator) -> Rigid:
     """tracker_from_tank: somewhere before the tracker, any way round."""
     turn = Rotation.random(rng=rng).as_matrix()
     return Rigid("tracker", "tank", turn, rng.uniform((-200.0, -200.0, -900.0), (200.0, 200.0, -500.0)))
+
+
+def looking_down(rng: np.random.Generator, tilt_deg: float) -> FloatArray:
+    """(3, 3) rotation of tank_from_plane: turned freely about the vertical, tilted by up to `tilt_deg`."""
+    turn = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi))
+    tilt = Rotation.from_euler("xz", np.deg2rad(tilt_deg) * rng.uniform(-1, 1, 2))
+    return np.asarray((turn * Rotation.from_matrix(DOWN) * tilt).as_matrix())
 
 
 def still_poses(

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.probe import SectorProbe
@@ -11,6 +10,7 @@ from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, Rigid, read_onl
 
 from .tank import (
     TankRecording,
+    looking_down,
     noisy_features,
     probe_from_plane,
     still_poses,
@@ -93,10 +93,7 @@ def wall_recording(
 
 def _view(spec: WallSpec, rng: np.random.Generator) -> Rigid:
     """tank_from_plane: looking down on the floor."""
-    down = Rotation.from_matrix(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
-    turn = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi))
-    tilt = Rotation.from_euler("xz", np.deg2rad(spec.tilt_deg) * rng.uniform(-1, 1, 2))
-    rotation = (turn * down * tilt).as_matrix()
+    rotation = looking_down(rng, spec.tilt_deg)
     height = rng.uniform(*spec.depth_mm) * -rotation[2, 1]
     return Rigid("tank", "plane", rotation, np.array([*rng.uniform(-30, 30, 2), height]))
 

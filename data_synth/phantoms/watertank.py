@@ -11,7 +11,7 @@ from data_synth.signals.tracker import PosePath, TrackerSpec, sampling_times, tr
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.core import Fan, FloatArray, ImageMap, LatencyRecording, Rigid, Trace, TrackedSequence
 
-from .tank import tank_in_tracker
+from .tank import DOWN, tank_in_tracker
 from .tank_image import wall_echoes, water_images
 
 
@@ -115,7 +115,6 @@ def _bobbing(spec: WaterTankSpec, rng: np.random.Generator) -> PosePath:
     change = smooth_noise(2, 0.05, 0.25, rng)
     sway = smooth_noise(6, 0.1, 0.6, rng)
     shake = tremor(rng)
-    down = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
     def path(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         t = np.asarray(t_s, dtype=np.float64)
@@ -125,6 +124,6 @@ def _bobbing(spec: WaterTankSpec, rng: np.random.Generator) -> PosePath:
         apex = np.column_stack([np.zeros(len(t)), np.zeros(len(t)), spec.depth_mm + lift]) + shake(t)
         apex += unwanted[:, :3] * (spec.sway_mm / np.sqrt(3)) * np.array([1.0, 1.0, 0.2])
         rocking = Rotation.from_rotvec(unwanted[:, 3:] * (np.deg2rad(spec.sway_deg) / np.sqrt(3)))
-        return (rocking * Rotation.from_matrix(down)).as_matrix(), apex
+        return (rocking * Rotation.from_matrix(DOWN)).as_matrix(), apex
 
     return path

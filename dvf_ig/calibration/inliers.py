@@ -102,16 +102,19 @@ def fit_inliers(
         start: (n,) first inliers.
         rule: which residuals are those of inliers.
     """
+
+    def fitted(inliers: BoolArray, last: M | None) -> M | None:
+        return fit(inliers, last) if inliers.sum() >= MIN_INLIERS else None
+
     model: M | None = None
     inliers = start
     limits: tuple[float, ...] = ()
     for _ in range(MAX_ROUNDS):
-        model = fit(inliers, model) if inliers.sum() >= MIN_INLIERS else None
+        model = fitted(inliers, model)
         if model is None:
             return Consensus(None, inliers, limits)
         again, limits = rule.select(lengths(model), inliers)
         if np.array_equal(again, inliers):
             return Consensus(model, inliers, limits)
         inliers = again
-    last = fit(inliers, model) if inliers.sum() >= MIN_INLIERS else None
-    return Consensus(last, inliers, limits)
+    return Consensus(fitted(inliers, model), inliers, limits)

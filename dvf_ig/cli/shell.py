@@ -66,6 +66,23 @@ def limit_threads(threads: int) -> None:
         os.environ[name] = str(threads)
 
 
+def cores_or(asked: int | None) -> int:
+    """Threads or processes to use: what was asked for, or one for each core."""
+    return asked or os.cpu_count() or 1
+
+
+def whole_numbers(text: str, option: str, example: str) -> tuple[int, ...]:
+    """The numbers of a list such as 1,2,5.
+
+    Raises:
+        typer.BadParameter: something else.
+    """
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError as exc:
+        raise typer.BadParameter(f"{option} is '{text}'; needed whole numbers such as {example}") from exc
+
+
 def emit(result: Mapping[str, Any], rows: Sequence[tuple[str, ...]], *, as_json: bool) -> None:
     """Print a result: one JSON object, or its rows as aligned columns."""
     if as_json:

@@ -32,13 +32,11 @@ class PhaseErrors:
             interpolated at the nearest surface point), at points within 2 mm of the surface.
         facet_normal_deg: (k,) angle between ∇d and the gradient of the exact distance to the triangles, at
             the same points; the normal of flat facets jumps by some degrees at each edge.
-        normal_points_mm: (k, 3) the points at which normals are compared.
     """
 
     surface_mm: FloatArray
     normal_deg: FloatArray
     facet_normal_deg: FloatArray
-    normal_points_mm: FloatArray
 
 
 @read_only_arrays
@@ -126,7 +124,7 @@ def field_errors(
     chosen = slice(0, max(1, round(NORMAL_POINTS_SHARE * len(on_surface))))
     offset_mm = rng.uniform(-NORMAL_BAND_MM, NORMAL_BAND_MM, size=len(on_surface[chosen]))
     near = on_surface[chosen] + offset_mm[:, None] * facet_normals(mesh)[triangle[chosen]]
-    return PhaseErrors(field.off_surface_mm(on_surface), *_normal_errors(field, mesh, near), near)
+    return PhaseErrors(field.off_surface_mm(on_surface), *_normal_errors(field, mesh, near))
 
 
 def random_surface_points(mesh: Mesh, count: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:

@@ -34,6 +34,7 @@ STRIP_S = 12.0
 
 def report_html(replay: Replay, result: dict[str, Any]) -> str:
     """`report.html` for one replay and its result."""
+    true_phase = None if replay.scenario.truth is None else true_phases(replay)[0]
     return replay_html(
         ReplayPage(
             scenario=result["scenario"],
@@ -45,8 +46,8 @@ def report_html(replay: Replay, result: dict[str, Any]) -> str:
             ],
             overlays=_overlays(replay),
             beats=_beats(replay),
-            ticks=_ticks(replay),
-            ecg=_ecg_strip(replay),
+            ticks=_ticks(replay, true_phase),
+            ecg=_ecg_strip(replay, true_phase),
         )
     )
 
@@ -60,11 +61,19 @@ def _overlays(replay: Replay) -> list[PlaneOverlay]:
         return []
     used, first, pose = attempt.frames.used, attempt.frames.first, attempt.result.target_from_source
     chosen = used[np.linspace(0, len(used) - 1, 6).astype(int)[1:5]].tolist()
-    return [_overlay(replay, attempt.frames, pose, images[first + frame], frame) for frame in chosen]
+    evaluator = Evaluator(replay.heart.model, Sigmoid(), blend="distance")
+    return [
+        _overlay(replay, evaluator, attempt.frames, pose, images[first + frame], frame) for frame in chosen
+    ]
 
 
 def _overlay(
-    replay: Replay, frames: GatedFrames, pose: Rigid, image: NDArray[np.uint8], frame: int
+    replay: Replay,
+    evaluator: Evaluator,
+    frames: GatedFrames,
+    pose: Rigid,
+    image: NDArray[np.uint8],
+    frame: int,
 ) -> PlaneOverlay:
     rows, columns = image.shape
     row, column = np.mgrid[:rows:PIXEL_STEP, :columns:PIXEL_STEP].astype(np.float64)
@@ -79,14 +88,11 @@ def _overlay(
         row_px=row,
         column_px=column,
         model_grey=_model_grey(replay, pose, tracker, phase).reshape(row.shape),
-        start_distance_mm=_distance_mm(replay, replay.start, tracker, phase).reshape(row.shape),
-        distance_mm=_distance_mm(replay, pose, tracker, phase).reshape(row.shape),
+        start_distance_mm=evaluator.force_through(replay.start, tracker, phase).distance_mm.reshape(
+            row.shape
+        ),
+        distance_mm=evaluator.force_through(pose, tracker, phase).distance_mm.reshape(row.shape),
     )
-
-
-def _distance_mm(replay: Replay, pose: Rigid, tracker_mm: FloatArray, phase: float) -> FloatArray:
-    evaluator = Evaluator(replay.heart.model, Sigmoid(), blend="distance")
-    return evaluator.force_through(pose, tracker_mm, phase).distance_mm
 
 
 def _model_grey(replay: Replay, pose: Rigid, tracker_mm: FloatArray, phase: float) -> FloatArray:
@@ -120,13 +126,13 @@ def _beats(replay: Replay) -> BeatTrace | None:
     )
 
 
-def _ticks(replay: Replay) -> TickTrace:
+def _ticks(replay: Replay, true_phase: FloatArray | None) -> TickTrace:
     track = replay.phase_tracking.track
     distance = force = error = None
-    if replay.scenario.truth is not None:
+    if true_phase is not None:
         distance, true_force = true_contact(replay)
         force = np.linalg.norm(true_force, axis=1)
-        error = 100 * ((track.phi - true_phases(replay)[0] + 0.5) % 1.0 - 0.5)
+        error = 100 * ((track.phi - true_phase + 0.5) % 1.0 - 0.5)
     return TickTrace(
         t_s=track.t_s,
         valid=replay.valid,
@@ -139,7 +145,7 @@ def _ticks(replay: Replay) -> TickTrace:
     )
 
 
-def _ecg_strip(replay: Replay) -> EcgStrip:
+def _ecg_strip(replay: Replay, true_phase: FloatArray | None) -> EcgStrip:
     """STRIP_S seconds in the middle of the recording."""
     ecg, track = replay.scenario.ecg, replay.phase_tracking.track
     middle = float(track.t_s[len(track.t_s) // 2])
@@ -156,5 +162,5 @@ def _ecg_strip(replay: Replay) -> EcgStrip:
         t_s=track.t_s[ticks],
         phase=track.phi[ticks],
         phase_valid=track.state[ticks] == int(PhaseState.LOCKED),
-        true_phase=None if replay.scenario.truth is None else true_phases(replay)[0][ticks],
+        true_phase=None if true_phase is None else true_phase[ticks],
     )

@@ -60,6 +60,12 @@ class MapUncertainty:
         return np.asarray(self.coverage_factor * np.sqrt(np.diag(self.covariance)))
 
     @property
+    def all_half_widths(self) -> FloatArray:
+        """(8,) `half_width`, the pixel's height as its width where pixels are square."""
+        width = self.half_width
+        return np.append(width, width[-1]) if self.parameters.isotropic else width
+
+    @property
     def rotation_deg(self) -> FloatArray:
         """(3,) 95 % half-widths about the lateral, axial and elevation axes."""
         return np.degrees(self.half_width[:3])
@@ -77,7 +83,7 @@ class MapUncertainty:
     @property
     def scale_mm_per_px(self) -> FloatArray:
         """(2, 2) 95 % interval of the pixel's width and height."""
-        factor = np.broadcast_to(self.half_width[6:], (2,))
+        factor = self.all_half_widths[6:]
         return self.parameters.estimate.scale_mm_per_px[:, None] * np.exp(np.stack([-factor, factor], axis=1))
 
     def about(self, center_px: FloatArray) -> "MapUncertainty":
@@ -97,10 +103,7 @@ class MapUncertainty:
 
     def covers(self, truth: ImageMap) -> FloatArray:
         """(8,) deviation of `truth` from the estimate over the 95 % half-width; within ±1 where covered."""
-        width = self.half_width
-        if self.parameters.isotropic:
-            width = np.append(width, width[-1])
-        return np.asarray(self.parameters.step_to(truth) / width)
+        return np.asarray(self.parameters.step_to(truth) / self.all_half_widths)
 
 
 def time_blocks(frames: int) -> list[IndexArray]:

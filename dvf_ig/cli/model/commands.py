@@ -1,18 +1,27 @@
 """`dvf-ig model build|check`: from pre-operative surfaces, labels or images to the fixture's model file."""
 
-import os
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, warn, wrote
+from dvf_ig.cli.shell import (
+    JsonFlag,
+    SeedOption,
+    ThreadsOption,
+    command,
+    cores_or,
+    emit,
+    warn,
+    whole_numbers,
+    wrote,
+)
 from dvf_ig.core import DvfModel
 
 from . import options as given
 from .output import model_payload, model_rows, phase_rows
-from .request import BuildRequest, label_values
+from .request import BuildRequest
 from .sources import model_of
 
 if TYPE_CHECKING:
@@ -54,8 +63,8 @@ def build(
             image=image,
             seeds=seeds,
             surface=surface,
-            organ=label_values(organ, "--organ"),
-            cavity=label_values(cavity, "--cavity"),
+            organ=_labels(organ, "--organ"),
+            cavity=_labels(cavity, "--cavity"),
             ed_phase=ed_phase,
             method=motion,
             timing=timing,
@@ -63,9 +72,13 @@ def build(
             knot_mm=knot_mm,
             accuracy_mm=accuracy_mm,
             margin_mm=margin_mm,
-            threads=threads or os.cpu_count() or 1,
+            threads=cores_or(threads),
         )
         _build(request, seed, as_json=as_json)
+
+
+def _labels(text: str | None, option: str) -> tuple[int, ...]:
+    return whole_numbers(text, option, "1,2,5") if text else ()
 
 
 def _build(request: BuildRequest, seed: int, *, as_json: bool) -> None:

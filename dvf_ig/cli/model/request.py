@@ -93,17 +93,3 @@ class BuildRequest:
         from dvf_ig.preop import MotionOptions
 
         return MotionOptions(method="demons" if self.method == "demons" else "bspline", threads=self.threads)
-
-
-def label_values(text: str | None, option: str) -> tuple[int, ...]:
-    """Label values from a list such as 1,2,5; empty where the option is not given.
-
-    Raises:
-        typer.BadParameter: not a list of whole numbers.
-    """
-    if not text:
-        return ()
-    try:
-        return tuple(int(part) for part in text.split(","))
-    except ValueError as exc:
-        raise typer.BadParameter(f"{option} is '{text}'; needed whole numbers such as 1,2,5") from exc

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, emit, progress, wrote
+from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, cores_or, emit, progress, whole_numbers, wrote
 
-from .options import FirstSeedOption, SeedsOption, worker_count
+from .options import FirstSeedOption, SeedsOption
 
 if TYPE_CHECKING:
     from dvf_ig.study.blending.blend_errors import BlendError, BlendStudy
@@ -34,7 +34,7 @@ def blending(
         from dvf_ig.report.study.blending import blending_png
         from dvf_ig.study.blending.blend_errors import blending_errors
 
-        counts = _counts(phases)
+        counts = list(whole_numbers(phases, "--phases", COUNTS))
         presets: tuple[MotionPreset, ...] = ("paper5mm", "physiological")
         studies = []
         with output_folder(out):
@@ -45,7 +45,7 @@ def blending(
                             motion,
                             counts,
                             knot_spacing_mm=knot_mm,
-                            threads=worker_count(threads),
+                            threads=cores_or(threads),
                             seeds=range(seed, seed + seeds),
                             progress=report,
                         )
@@ -61,13 +61,6 @@ def blending(
         emit(summary, _rows(studies), as_json=as_json)
         wrote(out / "summary.json")
         wrote(out / "blending.png")
-
-
-def _counts(text: str) -> list[int]:
-    try:
-        return [int(part) for part in text.split(",")]
-    except ValueError as exc:
-        raise typer.BadParameter(f"--phases is '{text}'; needed whole numbers such as {COUNTS}") from exc
 
 
 def _rows(studies: "list[BlendStudy]") -> list[tuple[str, ...]]:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, progress, warn, wrote
+from dvf_ig.cli.shell import JsonFlag, command, cores_or, emit, progress, warn, wrote
 
-from .options import FirstSeedOption, FolderOption, SchedulerOption, SeedsOption, WorkersOption, worker_count
+from .options import FirstSeedOption, FolderOption, SchedulerOption, SeedsOption, WorkersOption
 
 if TYPE_CHECKING:
     from dvf_ig.study.calibration.intervals import IntervalCoverage
@@ -49,7 +49,7 @@ def calibration(
                 study,
                 range(seed, seed + seeds),
                 out,
-                workers=worker_count(workers),
+                workers=cores_or(workers),
                 scheduler=scheduler,
                 progress=report,
             )

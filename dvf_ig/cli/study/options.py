@@ -34,10 +34,3 @@ class TrialsCommand(TyperCommand):
             if name in RENAMED:
                 raise typer.BadParameter(f"{name} is now called {RENAMED[name]}", ctx=ctx)
         return super().parse_args(ctx, args)
-
-
-def worker_count(workers: int | None) -> int:
-    """Processes to use: what was asked for, or one for each core."""
-    import os
-
-    return workers or os.cpu_count() or 1

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, progress, warn, wrote
+from dvf_ig.cli.shell import JsonFlag, command, cores_or, emit, progress, warn, wrote
 from dvf_ig.study.registration.experiments import CAPTURE, EXPERIMENTS, CaptureOptions, Experiment
 
 from .options import (
@@ -17,7 +17,6 @@ from .options import (
     SeedsOption,
     TrialsCommand,
     WorkersOption,
-    worker_count,
 )
 
 if TYPE_CHECKING:
@@ -102,7 +101,7 @@ def _study(
                 Study("registration", settings, registration_trial),
                 trial_numbers(settings, seed, seeds),
                 out,
-                workers=worker_count(workers),
+                workers=cores_or(workers),
                 group_size=trials_per_heart(settings),
                 scheduler=scheduler,
                 progress=report,

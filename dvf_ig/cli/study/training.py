@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, progress, warn, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, progress, warn, whole_numbers, wrote
 
 from .options import FirstSeedOption, FolderOption, SeedsOption
 
@@ -28,7 +28,11 @@ def training(
         from dvf_ig.study.training.comparison import curves_of, summarise_training, training_trial
         from dvf_ig.study.trials import Study, run_trials
 
-        settings = {"degrees": _degrees(degrees), "pitch_mm": PITCH_MM, "max_iterations": MAX_ITERATIONS}
+        settings = {
+            "degrees": list(whole_numbers(degrees, "--degrees", DEGREES)),
+            "pitch_mm": PITCH_MM,
+            "max_iterations": MAX_ITERATIONS,
+        }
         with output_folder(out), progress("training") as report:
             # one process: trials side by side would disturb each other's times
             lines = run_trials(
@@ -47,13 +51,6 @@ def training(
         emit(summary, _rows(rows), as_json=as_json)
         for name in ("study.json", "trials.jsonl", "summary.json", *(["training.png"] if drawn else [])):
             wrote(out / name)
-
-
-def _degrees(text: str) -> list[int]:
-    try:
-        return [int(part) for part in text.split(",")]
-    except ValueError as exc:
-        raise typer.BadParameter(f"--degrees is '{text}'; needed whole numbers such as {DEGREES}") from exc
 
 
 def _rows(rows: list[dict[str, Any]]) -> list[tuple[str, ...]]:

@@ -78,10 +78,8 @@ def calibration_trial(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
     uncertainty, extra = _MAPS[kind](truth, probe, rng, settings)
     middle = np.array(probe.apex_px) + np.array([0.0, 0.5 * (probe.fan.start_px + probe.fan.stop_px)])
     uncertainty = uncertainty.about(middle)
-    parameters = uncertainty.parameters
-    error = -parameters.step_to(truth.probe_from_image) * _MAP_UNITS
-    half = uncertainty.half_width[[*range(parameters.count), *[-1] * (8 - parameters.count)]]
-    return {**_line(_MAP_NAMES, error, half * _MAP_UNITS), **extra}
+    error = -uncertainty.parameters.step_to(truth.probe_from_image) * _MAP_UNITS
+    return {**_line(_MAP_NAMES, error, uncertainty.all_half_widths * _MAP_UNITS), **extra}
 
 
 def interval_coverage(lines: Sequence[Mapping[str, Any]]) -> list[IntervalCoverage]:

@@ -47,6 +47,7 @@ class Experiment:
         seeds: image pairs where nothing else is asked for.
         conditions: motion and options to what each image pair goes through.
         starts_mm: options to the [least, most] start error of each registration under a condition.
+        baseline_mm: start errors from which the baseline registers where it is asked for.
     """
 
     letter: str
@@ -55,17 +56,18 @@ class Experiment:
     seeds: int
     conditions: Callable[[str, CaptureOptions], Iterator[Condition]]
     starts_mm: Callable[[CaptureOptions], list[list[float]]]
+    baseline_mm: tuple[float, ...] = ()
 
 
 def settings_of(experiment: Experiment, options: CaptureOptions | None = None) -> Settings:
     """JSON settings of a study; the same settings give the same trials."""
     chosen = options or CaptureOptions()
-    with_baseline = chosen.baseline and experiment.letter == CAPTURE.letter
+    baseline_mm = experiment.baseline_mm if chosen.baseline else ()
     return {
         "arm": experiment.letter,
         "conditions": [c for motion in MOTIONS for c in experiment.conditions(motion, chosen)],
         "starts_mm": experiment.starts_mm(chosen),
-        "baseline_starts_mm": [[mm, mm] for mm in BASELINE_MM] if with_baseline else [],
+        "baseline_starts_mm": [[mm, mm] for mm in baseline_mm],
     }
 
 
@@ -153,6 +155,7 @@ CAPTURE = Experiment(
     10,
     _image_qualities,
     _binned_starts,
+    baseline_mm=BASELINE_MM,
 )
 GATING_ERROR = Experiment(
     "D",

@@ -23,6 +23,7 @@ from dvf_ig.study.registration.experiments import (
     FAILURES,
     FAR_MM,
     MOTIONS,
+    PLANES,
     SAME_IMAGE,
     CaptureOptions,
     Experiment,
@@ -92,6 +93,7 @@ def test_every_pair_condition_and_start_is_one_trial(
 def test_baselines_start_after_ours_and_need_a_volume(asked: list[tuple[int, str]]) -> None:
     settings = settings_of(CAPTURE, CaptureOptions(per_bin=1, to_mm=4.0, baseline=True))
     assert settings_of(CAPTURE)["baseline_starts_mm"] == []
+    assert settings_of(PLANES, CaptureOptions(baseline=True))["baseline_starts_mm"] == []
     assert trials_per_heart(settings) == 4
     ours = [registration_trial(settings, number)["method"] for number in range(2)]
     assert ours == ["dvf_ig"] * 2
