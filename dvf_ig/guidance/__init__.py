@@ -20,6 +20,14 @@ from .feed_forward import FeedForward as FeedForward
 from .free_zone import FreeZone as FreeZone
 from .free_zone import gaussian_for_free_zone as gaussian_for_free_zone
 from .free_zone import tightest_gaussian as tightest_gaussian
+from .hazards import HAZARD_RULES as HAZARD_RULES
+from .hazards import Hazard as Hazard
+from .hazards import HazardRule as HazardRule
+from .hazards import Latch as Latch
+from .hazards import Response as Response
+from .hazards import hazard_of as hazard_of
+from .hazards import hazards_that_latch as hazards_that_latch
+from .hazards import hazards_with as hazards_with
 from .laws import Confinement as Confinement
 from .laws import Gaussian as Gaussian
 from .laws import Law as Law
@@ -30,5 +38,11 @@ from .simulated_device import DEVICES as DEVICES
 from .simulated_device import DeviceState as DeviceState
 from .simulated_device import SimulatedDevice as SimulatedDevice
 from .status import Status as Status
+from .supervision_summary import SupervisionSummary as SupervisionSummary
+from .supervision_summary import summarise_supervision as summarise_supervision
+from .supervisor import Rearm as Rearm
+from .supervisor import SupervisedForce as SupervisedForce
+from .supervisor import Supervisor as Supervisor
+from .supervisor import SupervisorState as SupervisorState
 from .targets import PathFixture as PathFixture
 from .targets import PathTarget as PathTarget

@@ -1,0 +1,155 @@
+"""Hazards of pose, phase, tracking and time: what each does to the force (docs/theory/safety.md)."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import STRICT, Enum, IntFlag
+from types import MappingProxyType
+
+from .status import Status
+
+
+class Hazard(IntFlag, boundary=STRICT):
+    """What makes the force unsafe or doubtful; several may be active at once. `HAZARD_RULES` is the table."""
+
+    NONE = 0
+    STALE_TOOL = 1 << 0
+    TOOL_LOST = 1 << 1
+    TOOL_FROZEN = 1 << 2
+    LATENCY_JUMP = 1 << 3
+    CLOCK_BACKWARDS = 1 << 4
+    REORDERED_STAMPS = 1 << 5
+    CLOCK_SKEW = 1 << 6
+    NO_PHASE = 1 << 7
+    NO_POSE = 1 << 8
+    POSE_UNCONFIRMED = 1 << 9
+    POSE_CONTRADICTED = 1 << 10
+    POSE_MOVING = 1 << 11
+    OUT_OF_VOLUME = 1 << 12
+    NOT_FINITE = 1 << 13
+    FORCE_CLAMPED = 1 << 14
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What a user reads, one sentence for each active hazard."""
+        return tuple(HAZARD_RULES[hazard].sentence for hazard in self)
+
+
+class Response(Enum):
+    """What a hazard does to the force at once; each value is the sentence a user reads."""
+
+    WARN = "the force is given in full, with a warning"
+    SLOW = "the force changes by at most 6 N/s"
+    FADE = "the force fades within 250 ms"
+    FAST_FADE = "the force fades within 20 ms"
+
+
+class Latch(Enum):
+    """When a hazard keeps the force at zero until an operator re-arms."""
+
+    NEVER = "never"
+    AFTER_1_S = "after 1 s"
+    AT_ONCE = "at once"
+
+
+@dataclass(frozen=True, slots=True)
+class HazardRule:
+    """One row of the table.
+
+    Attributes:
+        response: to the force.
+        latch: when the force stays at zero after the hazard has gone.
+        sentence: what a user reads.
+    """
+
+    response: Response
+    latch: Latch
+    sentence: str
+
+
+HAZARD_RULES: Mapping[Hazard, HazardRule] = MappingProxyType(
+    {
+        Hazard.STALE_TOOL: HazardRule(
+            Response.FADE, Latch.AFTER_1_S, "the tool's newest pose is older than 2.5 frames or 50 ms"
+        ),
+        Hazard.TOOL_LOST: HazardRule(Response.FADE, Latch.AFTER_1_S, "the tracker does not see the tool"),
+        Hazard.TOOL_FROZEN: HazardRule(
+            Response.FADE, Latch.AFTER_1_S, "the tool's pose has not changed by a bit for 5 frames or more"
+        ),
+        Hazard.LATENCY_JUMP: HazardRule(
+            Response.FADE, Latch.NEVER, "tool poses arrive so late that the tool may be 0.3 mm further on"
+        ),
+        Hazard.CLOCK_BACKWARDS: HazardRule(
+            Response.FADE, Latch.AFTER_1_S, "a source's clock went back; its samples are refused"
+        ),
+        Hazard.REORDERED_STAMPS: HazardRule(
+            Response.WARN, Latch.NEVER, "more than 10 % of a source's samples come twice or out of order"
+        ),
+        Hazard.CLOCK_SKEW: HazardRule(
+            Response.WARN, Latch.NEVER, "a source's clock runs away from the local one; the local one is used"
+        ),
+        Hazard.NO_PHASE: HazardRule(
+            Response.FADE, Latch.NEVER, "the cardiac phase is not locked: the ECG is off or irregular"
+        ),
+        Hazard.NO_POSE: HazardRule(Response.FADE, Latch.NEVER, "the patient is not registered"),
+        Hazard.POSE_UNCONFIRMED: HazardRule(
+            Response.FADE, Latch.NEVER, "no ultrasound has confirmed the pose for too long; scan the heart"
+        ),
+        Hazard.POSE_CONTRADICTED: HazardRule(
+            Response.FADE, Latch.NEVER, "ultrasound contradicts the pose; scan the heart to register again"
+        ),
+        Hazard.POSE_MOVING: HazardRule(
+            Response.SLOW, Latch.NEVER, "a registration update is under way; the force follows slowly"
+        ),
+        Hazard.OUT_OF_VOLUME: HazardRule(
+            Response.FADE, Latch.NEVER, "unprotected: the tool is outside the box of the model"
+        ),
+        Hazard.NOT_FINITE: HazardRule(
+            Response.FAST_FADE, Latch.AT_ONCE, "a pose, a distance or the force was not a finite number"
+        ),
+        Hazard.FORCE_CLAMPED: HazardRule(
+            Response.FADE, Latch.AT_ONCE, "the force jumped: ten of its steps within 1 s had to be cut"
+        ),
+    }
+)
+"""Where docs/theory/safety.md is silent:
+
+- The supervisor sees one composed force, so a hazard that asks for guidance alone to fade (latency, phase)
+  fades all of it.
+- Pose and phase never latch: what ends them is evidence of its own (a registration that passes its checks,
+  beats that confirm it, a locked rhythm), and the force comes back at 6 N/s. Loss of the tool latches after
+  1 s because nothing but the tracker says that it is the same tool, unchanged, that has come back.
+- A clock that went back counts as a lost tool: until the source runs forward again nothing is known.
+- Jumps of force fade in 250 ms, not 20: the numbers are finite, and a hand is behind the device.
+"""
+
+
+def hazards_with(response: Response) -> Hazard:
+    """All hazards that have this response."""
+    return _union(hazard for hazard, rule in HAZARD_RULES.items() if rule.response is response)
+
+
+def hazards_that_latch(latch: Latch) -> Hazard:
+    """All hazards that latch then."""
+    return _union(hazard for hazard, rule in HAZARD_RULES.items() if rule.latch is latch)
+
+
+def _union(hazards: Iterable[Hazard]) -> Hazard:
+    together = Hazard.NONE
+    for hazard in hazards:
+        together |= hazard
+    return together
+
+
+def hazard_of(status: Status) -> Hazard:
+    """The hazard that a force's status stands for; NONE for OK."""
+    return _OF_STATUS[status]
+
+
+_OF_STATUS = {
+    Status.OK: Hazard.NONE,
+    Status.OUT_OF_VOLUME: Hazard.OUT_OF_VOLUME,
+    Status.NO_PHASE: Hazard.NO_PHASE,
+    Status.NO_POSE: Hazard.NO_POSE,
+    Status.STALE_TOOL: Hazard.STALE_TOOL,
+    Status.FAULT: Hazard.NOT_FINITE,
+}
