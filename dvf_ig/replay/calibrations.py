@@ -1,4 +1,4 @@
-"""The three calibrations of a scenario: tool tip, image, latency."""
+"""The three calibrations of a scenario, each from its recording: tool tip, image, latency."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,8 +1,8 @@
-"""The replay on one screen: from raw recordings to a force a millisecond, in time order, never looking ahead.
+"""The replay on one screen: a recording's events through a session, a state every millisecond.
 
     pre-op   build the distance model and the registration channels           Sections III, VI
     before   calibrate tool tip, probe image and latency                      calibration
-    live     R peaks → phase, T_d → gate → register, update → pose and phase → force  Sections VI, VII
+    live     push every event in order of time, ask for the state             session, Sections VI, VII
 
 The ground truth is not read here; `score` does that with what this returns.
 """
@@ -13,79 +13,95 @@ from time import perf_counter
 
 import numpy as np
 
-from dvf_ig.cardiac import PhaseTracking, track_phase
-from dvf_ig.core import BoolArray, DvfModel, FloatArray, Rigid, Scenario, Stop, read_only_arrays
-from dvf_ig.guidance import ForceSamples
-from dvf_ig.registration import RegistrationResult, SliceThreads
+from dvf_ig.cardiac import RetimeMode, stream_recording
+from dvf_ig.core import DvfModel, Rigid, Scenario, Stop
+from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
+from dvf_ig.registration import RegistrationResult
+from dvf_ig.session import (
+    Attempt,
+    Beside,
+    CalibrationsInUse,
+    Heart,
+    Session,
+    SessionHistory,
+    SessionSetup,
+    UltrasoundRecording,
+    build_heart,
+    gate_recording,
+    landmark_disagreement_mm,
+    register_frames,
+)
 
-from .beat_evaluation import BEAT_COMPUTE_S
 from .calibrations import Calibrations, calibrate
-from .forces import force_samples
-from .frame_registration import landmark_pose, register_frames, start_pose
-from .gated_frames import UltrasoundRecording, gate_recording, retimed
-from .heart import Heart, build_heart
-from .pose_history import Attempt, PoseHistory
-from .pose_tracker import Timing, track_pose
+from .events import ECG_CHUNK, events_of
+from .operator import SimulatedOperator
 from .preconditions import require_heart_beats, require_tracked_poses, tick_times
-from .recorded_ultrasound import RecordedUltrasound
-from .registration_monitor import RegistrationMonitor, landmark_disagreement_mm
-from .schedule import pose_schedule, suspended_at
-from .tool_tip import TipTrack, predict_tip
+from .start import landmark_pose, landmark_prior, start_pose
+from .ticks import TickRecorder, Ticks
 
 Clock = Callable[[], float]
 """Seconds of computing time, from any origin."""
 Progress = Callable[[float], None]
 """Told the fraction that is done."""
+REPORT_EVERY = 500
+"""Ticks between two reports of progress."""
 
 
-@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
-    """Everything a replay estimated. Arrays have one row a tick.
+    """Everything a replay estimated.
 
     Attributes:
+        setup: patient, calibrations and fixtures of the session.
+        calibrations: with their evidence.
         start: coarse mr_from_tracker that registration started from.
-        history: registrations, evaluated beats and what they did to the pose.
-        poses: (time from which it was in use, mr_from_tracker), with the bounded motion between updates.
-        tip: predicted tool tip.
-        model_phase: (n,) retimed phase; valid where `phase_tracking.track.valid`.
-        samples: force in frame "tracker", distance, gradient and status.
-        valid: (n,) ticks with tracked tool, locked phase, a usable pose and the tool inside the model's box.
+        history: R peaks, registrations, evaluated beats and what they did to the pose.
+        ticks: what the session said every millisecond.
         seconds: computing time of the whole.
     """
 
     scenario: Scenario
-    heart: Heart
+    setup: SessionSetup
     calibrations: Calibrations
-    phase_tracking: PhaseTracking
     start: Rigid
-    history: PoseHistory
-    poses: tuple[tuple[float, Rigid], ...]
-    tip: TipTrack
-    model_phase: FloatArray
-    samples: ForceSamples
-    valid: BoolArray
+    history: SessionHistory
+    ticks: Ticks
     seconds: float
 
     @property
+    def heart(self) -> Heart:
+        return self.setup.heart
+
+    @property
     def attempts(self) -> tuple[Attempt, ...]:
-        return self.history.attempts
+        return tuple(self.history.attempts)
+
+    @property
+    def poses(self) -> tuple[tuple[float, Rigid], ...]:
+        """(time from which it was in use, mr_from_tracker), without suspensions."""
+        return tuple((u.from_s, u.pose) for u in self.history.updates if u.pose is not None)
 
 
 def run_replay(
     scenario: Scenario,
     *,
     model: DvfModel | None = None,
+    fixtures: FixtureSet = FORBIDDEN_SURFACE,
+    retiming: RetimeMode = "two-segment",
     seed: int = 0,
     progress: Progress | None = None,
     clock: Clock = perf_counter,
+    ecg_chunk: int = ECG_CHUNK,
 ) -> Replay:
     """Replay a scenario from raw streams to force.
 
     Args:
         model: this patient's fixture model, where it was built before; else it is built here.
+        fixtures: that act on the tool.
+        retiming: how the beat is mapped to the model's cycle.
         seed: of the random choices in calibration and registration.
         clock: times the computing; no estimate depends on it.
+        ecg_chunk: ECG samples that are pushed at once; no estimate depends on it.
     Raises:
         InvalidInputError: a recording cannot be used (no heart beats, no tracked pose, …).
         QualityGateError: a calibration refused its recording.
@@ -97,49 +113,41 @@ def run_replay(
     calibrations = calibrate(scenario, seed)
     report_progress(0.05)
     t_s = tick_times(scenario)
-    phase_tracking = track_phase(scenario.ecg, t_s)
-    require_heart_beats(phase_tracking, scenario)
     heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.05 + 0.35 * f))
-    recording = _recording(scenario, heart, phase_tracking, calibrations)
-    monitor = RegistrationMonitor(heart.center_mm, landmark_pose(scenario))
-    timing = Timing(_first_event_s(scenario, calibrations), float(t_s[-1]), BEAT_COMPUTE_S)
-    with SliceThreads() as threads:
-        ultrasound = RecordedUltrasound(recording, seed, clock, threads)
-        history = track_pose(
-            ultrasound, phase_tracking.peaks, monitor, start, timing, lambda f: report_progress(0.4 + 0.5 * f)
-        )
-    poses = pose_schedule(history.updates, heart.center_mm)
-    track = phase_tracking.track
-    model_phase = retimed(heart.model, track.phi, track.rr_s)
-    tip = predict_tip(scenario.tool, calibrations.pivot.tip.xyz_mm[0], t_s)
-    suspended = suspended_at(history.updates, t_s)
-    samples, valid = force_samples(heart, poses, suspended, tip, model_phase, track.valid)
-    report_progress(1.0)
-    return Replay(
-        scenario=scenario,
-        heart=heart,
-        calibrations=calibrations,
-        phase_tracking=phase_tracking,
-        start=start,
-        history=history,
-        poses=poses,
-        tip=tip,
-        model_phase=model_phase,
-        samples=samples,
-        valid=valid,
-        seconds=clock() - began,
+    setup = SessionSetup(
+        heart,
+        in_use(calibrations),
+        scenario.ecg.rate_hz,
+        start=scenario.start,
+        fan=scenario.fan,
+        fixtures=fixtures,
+        retiming=retiming,
+        seed=seed,
     )
+    history, recorder, operator = SessionHistory(), TickRecorder(t_s), SimulatedOperator()
+    events = events_of(scenario, ecg_chunk=ecg_chunk)
+    upcoming = next(events)
+    with Beside(waits=True) as executor, Session(setup, executor=executor, clock=clock, history=history) as session:
+        for i, now_s in enumerate(t_s.tolist()):
+            while upcoming[0] <= now_s:
+                session.push(upcoming[1])
+                upcoming = next(events, (np.inf, upcoming[1]))
+            state = session.state(now_s)
+            recorder.add(i, state)
+            action = operator.action(state)
+            if action is not None:
+                session.push(action)
+            if i % REPORT_EVERY == 0:
+                report_progress(0.4 + 0.6 * i / len(t_s))
+    require_heart_beats(history.peaks, scenario)
+    return Replay(scenario, setup, calibrations, start, history, recorder.finish(), clock() - began)
 
 
-def _recording(
-    scenario: Scenario, heart: Heart, phase_tracking: PhaseTracking, calibrations: Calibrations
-) -> UltrasoundRecording:
-    lag_s, probe_from_image = calibrations.latency.lag_s, calibrations.probe.probe_from_image
-    return UltrasoundRecording(scenario, heart, phase_tracking.peaks, lag_s, probe_from_image)
-
-
-def _first_event_s(scenario: Scenario, calibrations: Calibrations) -> float:
-    return float(scenario.ultrasound.t_s[0]) + calibrations.latency.lag_s
+def in_use(calibrations: Calibrations) -> CalibrationsInUse:
+    """What a session works with, of calibrations with their evidence."""
+    return CalibrationsInUse(
+        calibrations.pivot.tip, calibrations.probe.probe_from_image, calibrations.latency.lag_s
+    )
 
 
 def register_scenario(
@@ -162,16 +170,19 @@ def register_scenario(
     pose = start if start is not None else start_pose(scenario)
     require_tracked_poses(scenario)
     calibrations = calibrate(scenario, seed)
-    phase_tracking = track_phase(scenario.ecg, tick_times(scenario))
-    require_heart_beats(phase_tracking, scenario)
+    peaks, _ = stream_recording(scenario.ecg)
+    require_heart_beats(peaks, scenario)
     heart = build_heart(scenario.preop, progress=lambda f: report_progress(0.6 * f))
-    recording = _recording(scenario, heart, phase_tracking, calibrations)
+    recording = UltrasoundRecording(
+        scenario.ultrasound, 0, scenario.fan, heart, peaks, in_use(calibrations), "two-segment"
+    )
     result = register_frames(
         recording,
         gate_recording(recording, from_s=-np.inf, until_s=np.inf),
         pose,
         seed=seed,
         clock=clock,
+        prior=landmark_prior(scenario),
         progress=lambda f: report_progress(0.6 + 0.4 * f),
     )
     off_mm = landmark_disagreement_mm(result.target_from_source, landmark_pose(scenario), heart.center_mm)

@@ -1,24 +1,27 @@
 """What a recording must hold before it can be replayed: common time, tracked poses and heart beats."""
 
+from collections.abc import Sized
+
 import numpy as np
 
-from dvf_ig.cardiac import MIN_BEATS, PhaseTracking
+from dvf_ig.cardiac import MIN_BEATS
 from dvf_ig.core import FloatArray, InvalidInputError, NoOverlapError, Scenario
 
 RATE_HZ = 1000.0
 
 
 def tick_times(scenario: Scenario) -> FloatArray:
-    """Every millisecond in which ECG and tool were both recorded.
+    """Every millisecond from when ECG and tool are both recorded until the ECG, or tool and probe, end.
 
     Raises:
-        NoOverlapError: that is less than a second.
+        NoOverlapError: ECG and tool share less than a second.
     """
-    ecg_s = scenario.ecg.t_s
-    begin = max(float(ecg_s[0]), float(scenario.tool.t_s[0]))
-    end = min(float(ecg_s[-1]), float(scenario.tool.t_s[-1]))
+    ecg_s, tool_s = scenario.ecg.t_s, scenario.tool.t_s
+    begin = max(float(ecg_s[0]), float(tool_s[0]))
+    tracked_until = max(float(tool_s[-1]), float(scenario.ultrasound.t_s[-1]))
+    end = min(float(ecg_s[-1]), tracked_until)
     count = int((end - begin) * RATE_HZ)
-    if count < RATE_HZ:
+    if min(end, float(tool_s[-1])) - begin < 1.0:
         raise NoOverlapError(
             f"ECG ({ecg_s[0]:.1f} to {ecg_s[-1]:.1f} s) and tool ({scenario.tool.t_s[0]:.1f} to "
             f"{scenario.tool.t_s[-1]:.1f} s) share less than a second; they must be on one clock"
@@ -37,11 +40,11 @@ def require_tracked_poses(scenario: Scenario) -> None:
             )
 
 
-def require_heart_beats(phase_tracking: PhaseTracking, scenario: Scenario) -> None:
+def require_heart_beats(peaks: Sized, scenario: Scenario) -> None:
     """Raise InvalidInputError where the ECG shows too few R peaks."""
-    if len(phase_tracking.peaks) < MIN_BEATS:
+    if len(peaks) < MIN_BEATS:
         ecg = scenario.ecg
         raise InvalidInputError(
-            f"the ECG has {len(phase_tracking.peaks)} R peaks in {len(ecg) / ecg.rate_hz:.0f} s on lead(s) "
+            f"the ECG has {len(peaks)} R peaks in {len(ecg) / ecg.rate_hz:.0f} s on lead(s) "
             f"{', '.join(ecg.leads)}, needed at least {MIN_BEATS}; check the electrodes and the lead"
         )

@@ -6,11 +6,12 @@ at the one pitch of BEAT_PITCH_MM, and may be compared with more than one pose.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid
-from dvf_ig.registration import BeatMeasurement, Lc2, SliceThreads, measure_beat
+from dvf_ig.registration import BeatMeasurement, FrameRejection, Lc2, SliceThreads, measure_beat
 
 from .frame_registration import DENSITY_WIDTH_MM
 from .gated_frames import UltrasoundRecording, gate_recording, slices_of, ultrasound_mask
@@ -93,21 +94,55 @@ class BeatSlices:
         )
 
 
-def beat_slices(
-    recording: UltrasoundRecording, last: int, clock: Callable[[], float], threads: SliceThreads
-) -> BeatSlices | None:
-    """Slices of the beat that R peak number `last` ended; None where it is irregular or has few frames."""
-    began, end = clock(), recording.peaks[last]
-    begin_s = recording.peaks[last - 1].t_s
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparedBeat:
+    """What a finished beat told.
+
+    Attributes:
+        slices: None where the beat cannot be compared with the model.
+        evaluation: of the pose it was compared with; None without one, or where they hardly overlap.
+        irregular: the beat came early or late, so that its phase is not known.
+    """
+
+    slices: "ComparableBeat | None"
+    evaluation: BeatEvaluation | None
+    irregular: bool
+
+
+class ComparableBeat(Protocol):
+    """The ultrasound of one beat, see `BeatSlices`."""
+
+    @property
+    def begin_s(self) -> float: ...
+
+    @property
+    def end_s(self) -> float: ...
+
+    def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
+        """Compare the beat with a pose; None where they hardly overlap."""
+        ...
+
+
+def compare_beat(
+    recording: UltrasoundRecording,
+    pose: Rigid | None,
+    clock: Callable[[], float],
+    threads: SliceThreads,
+    *,
+    in_use: bool,
+) -> ComparedBeat:
+    """The beat that the last R peak ended, compared with a pose unless that is None."""
+    began, (begin, end) = clock(), recording.peaks[-2:]
     frames = gate_recording(
-        replace(recording, peaks=recording.peaks[max(0, last + 1 - GATING_PEAKS) : last + 1]),
-        from_s=begin_s,
+        replace(recording, peaks=recording.peaks[-GATING_PEAKS:]),
+        from_s=begin.t_s,
         until_s=end.t_s,
         known_s=end.detected_at_s,
         window=BEAT_WINDOW,
     )
     if len(frames.used) < MIN_SLICES:
-        return None
+        irregular = frames.gated.rejected[FrameRejection.IRREGULAR_BEAT] > 0
+        return ComparedBeat(None, None, irregular)
     slices = slices_of(recording, frames, ultrasound_mask(recording, frames), pitch_mm=BEAT_PITCH_MM)
     metric = Lc2(
         slices,
@@ -117,8 +152,8 @@ def beat_slices(
         density_width_mm=DENSITY_WIDTH_MM,
         threads=threads,
     )
-    return BeatSlices(
-        begin_s=begin_s,
+    beat = BeatSlices(
+        begin_s=begin.t_s,
         end_s=end.t_s,
         detected_s=end.detected_at_s,
         frames=len(slices),
@@ -127,3 +162,6 @@ def beat_slices(
         seconds=clock() - began,
         clock=clock,
     )
+    if pose is None:
+        return ComparedBeat(beat, None, False)
+    return ComparedBeat(beat, beat.evaluate_beat(pose, recording.heart.center_mm, in_use=in_use), False)

@@ -1,11 +1,11 @@
-"""Registration of gated ultrasound frames to the model, and the pose that it starts from."""
+"""Registration of gated ultrasound frames to the model."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, InvalidInputError, NoOverlapError, Rigid, Scenario
+from dvf_ig.core import BoolArray, NoOverlapError, Rigid
 from dvf_ig.registration import (
     Boundary,
     LandmarkPrior,
@@ -14,10 +14,8 @@ from dvf_ig.registration import (
     RegistrationOptions,
     RegistrationResult,
     boundary_points,
-    prior_from_landmarks,
     register_rigid,
     root_amplitude,
-    start_from_landmarks,
 )
 
 from .gated_frames import GatedFrames, UltrasoundRecording, slices_of, ultrasound_mask
@@ -37,10 +35,15 @@ def register_frames(
     seed: int,
     clock: Callable[[], float],
     warm: bool = False,
+    prior: LandmarkPrior | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
-    """Register gated frames to the model from `start`; `warm` relies on it and skips displaced starts.
+    """Register gated frames to the model.
 
+    Args:
+        start: pose to begin at; `warm` relies on it and skips displaced starts.
+        seed: of the displaced starts.
+        prior: touched landmarks that the pose must also agree with.
     Raises:
         InvalidInputError: the recording has no images.
         NoOverlapError: too few frames passed the gate; says why.
@@ -53,9 +56,7 @@ def register_frames(
         for pitch, channels in ((COARSE_PITCH_MM, heart.coarse), (FINE_PITCH_MM, heart.fine))
     )
     return register_rigid(
-        RegistrationData(
-            coarse, fine, heart.center_mm, _boundary(recording, frames, mask), _prior(recording.scenario)
-        ),
+        RegistrationData(coarse, fine, heart.center_mm, _boundary(recording, frames, mask), prior),
         start,
         rng=np.random.default_rng(seed),
         clock=clock,
@@ -75,34 +76,3 @@ def _boundary(recording: UltrasoundRecording, frames: GatedFrames, mask: BoolArr
         return None
     linear = replace(recording, heart=replace(heart, brightness=root_amplitude))
     return Boundary(boundary_points(slices_of(linear, frames, mask, pitch_mm=FINE_PITCH_MM)), heart.surface)
-
-
-def start_pose(scenario: Scenario) -> Rigid:
-    """The operator's coarse pose, else the landmark fit.
-
-    Raises:
-        InvalidInputError: the scenario holds neither.
-    """
-    if scenario.start is not None:
-        return scenario.start
-    touched = landmark_pose(scenario)
-    if touched is not None:
-        return touched
-    raise InvalidInputError(
-        "the scenario has neither a start pose nor landmarks; add start.tfm, or landmarks_mr.mrk.json and "
-        "landmarks_tracker.mrk.json"
-    )
-
-
-def landmark_pose(scenario: Scenario) -> Rigid | None:
-    """The landmark fit, where landmarks were touched."""
-    if scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
-        return None
-    return start_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker).mr_from_tracker
-
-
-def _prior(scenario: Scenario) -> LandmarkPrior | None:
-    """Landmarks take part where the start came from them; a start pose takes their place."""
-    if scenario.start is not None or scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
-        return None
-    return prior_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker)

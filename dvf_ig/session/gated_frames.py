@@ -5,15 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.cardiac import RPeak, beat_phase, retime
+from dvf_ig.cardiac import RetimeMode, RPeak, beat_phase, retime
 from dvf_ig.core import (
     BoolArray,
     DvfModel,
+    Fan,
     FloatArray,
-    ImageMap,
     IntArray,
     InvalidInputError,
-    Scenario,
+    TrackedSequence,
     read_only_arrays,
 )
 from dvf_ig.registration import (
@@ -27,6 +27,7 @@ from dvf_ig.registration import (
     subsample,
 )
 
+from .calibrations import CalibrationsInUse
 from .heart import Heart
 
 MAX_FRAMES = 48
@@ -36,20 +37,25 @@ MIN_FRAMES = 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UltrasoundRecording:
-    """Recorded ultrasound, and what places it in space and in the cardiac cycle.
+    """Tracked ultrasound, and what places it in space and in the cardiac cycle.
 
     Attributes:
+        ultrasound: frames with tracker_from_probe.
+        first_number: running number of its first frame since the stream began.
+        fan: the insonified sector, where the scanner's geometry is known.
         heart: the model and channels that it is compared with.
         peaks: R peaks in time order.
-        lag_s: t_tracker(event) = t_video + lag_s.
-        probe_from_image: image calibration.
+        calibrations: latency and image calibration.
+        retiming: how the beat is mapped to the model's cycle.
     """
 
-    scenario: Scenario
+    ultrasound: TrackedSequence
+    first_number: int
+    fan: Fan | None
     heart: Heart
     peaks: tuple[RPeak, ...]
-    lag_s: float
-    probe_from_image: ImageMap
+    calibrations: CalibrationsInUse
+    retiming: RetimeMode
 
     @property
     def images(self) -> NDArray[np.uint8]:
@@ -58,9 +64,9 @@ class UltrasoundRecording:
         Raises:
             InvalidInputError: the recording has no images.
         """
-        if self.scenario.ultrasound.images is None:
+        if self.ultrasound.images is None:
             raise InvalidInputError("the ultrasound recording has no images; registration needs them")
-        return self.scenario.ultrasound.images
+        return self.ultrasound.images
 
 
 @read_only_arrays
@@ -71,7 +77,7 @@ class GatedFrames:
     Indices count from `first`, the first of the n frames in the time that was gated.
 
     Attributes:
-        first: index of that frame in the recording.
+        first: index of that frame in the recording; `first_number` its running number since the stream began.
         gated: which of the n frames were kept, and why others were not.
         used: (k,) the kept frames that are compared.
         event_s: (n,) event times on the tracker clock.
@@ -80,6 +86,7 @@ class GatedFrames:
     """
 
     first: int
+    first_number: int
     gated: Gated
     used: IntArray
     event_s: FloatArray
@@ -116,15 +123,15 @@ def gate_recording(
         known_s: R peaks that had been detected by then place them; `until_s` unless given.
         window: see `registration.gate_frames`.
     """
-    ultrasound, model = recording.scenario.ultrasound, recording.heart.model
-    event_s = ultrasound.t_s + recording.lag_s
+    ultrasound = recording.ultrasound
+    event_s = ultrasound.t_s + recording.calibrations.lag_s
     first, last = (int(i) for i in np.searchsorted(event_s, [from_s, until_s]))
     here = slice(first, last)
     rotations, translations, tracked = ultrasound.stream("tracker", "probe").at_many(event_s[here])
     by_s = until_s if known_s is None else known_s
     known = np.array([p.t_s for p in recording.peaks if p.detected_at_s <= by_s])
     beat = beat_phase(known, event_s[here])
-    model_phase = retimed(model, beat.phi, beat.rr_s)
+    model_phase = retimed(recording.heart.model, beat.phi, beat.rr_s, recording.retiming)
     gated = gate_frames(
         model_phase,
         recording.heart.fine.fractions,
@@ -134,13 +141,14 @@ def gate_recording(
         window=window,
     )
     used = gated.index[subsample(len(gated.index), MAX_FRAMES)]
-    return GatedFrames(first, gated, used, event_s[here], model_phase, rotations, translations)
+    number = recording.first_number + first
+    return GatedFrames(first, number, gated, used, event_s[here], model_phase, rotations, translations)
 
 
-def retimed(model: DvfModel, phi: FloatArray, rr_s: FloatArray) -> FloatArray:
+def retimed(model: DvfModel, phi: FloatArray, rr_s: FloatArray, mode: RetimeMode) -> FloatArray:
     """(n,) place in the model's cycle; moments without a known RR are placed as at the model's own rate."""
     known = np.where(np.isfinite(rr_s), rr_s, model.timing.rr_s)
-    return retime(phi, known, model.timing.rr_s, model.es_fraction, mode="two-segment")
+    return retime(phi, known, model.timing.rr_s, model.es_fraction, mode=mode)
 
 
 def ultrasound_mask(recording: UltrasoundRecording, frames: GatedFrames) -> BoolArray:
@@ -149,7 +157,7 @@ def ultrasound_mask(recording: UltrasoundRecording, frames: GatedFrames) -> Bool
     Raises:
         InvalidInputError: the recording has no images.
     """
-    images, fan = recording.images, recording.scenario.fan
+    images, fan = recording.images, recording.fan
     if fan is not None:
         return fan.mask(*images.shape[1:])
     return fan_mask_from_images(images[frames.first + frames.used])
@@ -170,7 +178,7 @@ def slices_of(
     return prepare_slices(
         tracked,
         mask,
-        recording.probe_from_image,
+        recording.calibrations.probe_from_image,
         pitch_mm=pitch_mm,
         brightness=recording.heart.brightness,
     )

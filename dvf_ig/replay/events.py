@@ -1,0 +1,62 @@
+"""A recorded intervention as the events that a session is pushed, in order of time."""
+
+from collections.abc import Iterator
+from heapq import merge
+from operator import itemgetter
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, PoseStream, Scenario
+from dvf_ig.session import EcgSamples, Event, Landmark, ToolPose, TrackedFrame
+
+ECG_CHUNK = 50
+"""ECG samples that are pushed at once; nothing depends on it."""
+
+Timed = tuple[float, Event]
+"""When an event is pushed, not after its first sample's stamp, and the event."""
+
+
+def events_of(scenario: Scenario, *, ecg_chunk: int = ECG_CHUNK) -> Iterator[Timed]:
+    """Everything that was recorded live, in order of time; nothing of the truth."""
+    streams = (_landmarks(scenario), _ecg(scenario, ecg_chunk), _frames(scenario), _tool(scenario.tool))
+    return merge(*streams, key=itemgetter(0))
+
+
+def _ecg(scenario: Scenario, chunk: int) -> Iterator[Timed]:
+    ecg = scenario.ecg
+    for first in range(0, len(ecg), chunk):
+        start_s = ecg.start_s + first / ecg.rate_hz
+        yield start_s, EcgSamples(start_s, ecg.samples[first : first + chunk])
+
+
+def _frames(scenario: Scenario) -> Iterator[Timed]:
+    ultrasound = scenario.ultrasound
+    poses = ultrasound.stream("tracker", "probe")
+    for i, t_s in enumerate(ultrasound.t_s.tolist()):
+        shown = ultrasound.images is not None and ultrasound.image_valid[i]
+        image = ultrasound.images[i] if shown and ultrasound.images is not None else None
+        yield t_s, TrackedFrame(t_s, image, _matrix(poses, i))
+
+
+def _tool(tool: PoseStream) -> Iterator[Timed]:
+    for i, t_s in enumerate(tool.t_s.tolist()):
+        yield t_s, ToolPose(t_s, _matrix(tool, i))
+
+
+def _landmarks(scenario: Scenario) -> Iterator[Timed]:
+    """Landmarks were touched before the recording began."""
+    mr, tracker = scenario.landmarks_mr, scenario.landmarks_tracker
+    if mr is None or tracker is None:
+        return
+    names, marked, touched = mr.paired_with(tracker)
+    begin_s = min(scenario.ecg.start_s, float(scenario.tool.t_s[0]), float(scenario.ultrasound.t_s[0]))
+    for name, mr_mm, tracker_mm in zip(names, marked.xyz_mm, touched.xyz_mm, strict=True):
+        yield begin_s, Landmark(begin_s, name, mr_mm, tracker_mm)
+
+
+def _matrix(stream: PoseStream, i: int) -> FloatArray | None:
+    if not stream.valid[i]:
+        return None
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = stream.rotations[i], stream.translations_mm[i]
+    return matrix

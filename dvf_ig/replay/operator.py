@@ -1,0 +1,29 @@
+"""The operator of a replay: re-arms the supervisor some time after what latched it has gone."""
+
+from dataclasses import dataclass
+
+from dvf_ig.guidance import Response, SupervisorState, hazards_with
+from dvf_ig.session import GuidanceState, Rearm
+
+REARM_AFTER_S = 1.0
+"""A recording holds no operator. This one waits so long after the hazards have gone, and between wishes."""
+_WITHHOLDING = hazards_with(Response.FADE) | hazards_with(Response.FAST_FADE)
+
+
+@dataclass(slots=True)
+class SimulatedOperator:
+    """Watches the state and asks for force again."""
+
+    _clear_since_s: float | None = None
+
+    def action(self, state: GuidanceState) -> Rearm | None:
+        """What the operator does now."""
+        if state.supervisor is not SupervisorState.LATCHED or state.supervised.hazards & _WITHHOLDING:
+            self._clear_since_s = None
+            return None
+        if self._clear_since_s is None:
+            self._clear_since_s = state.now_s
+        if state.now_s - self._clear_since_s < REARM_AFTER_S:
+            return None
+        self._clear_since_s = state.now_s
+        return Rearm(state.now_s)

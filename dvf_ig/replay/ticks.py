@@ -1,0 +1,100 @@
+"""What a session said at every tick of a replay, as arrays over time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import BoolArray, FloatArray, IntArray, PhaseTrack, read_only_arrays
+from dvf_ig.guidance import PoseAndPhase, Status
+from dvf_ig.session import GuidanceState
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class Ticks:
+    """One row a tick; vectors in frame "tracker".
+
+    Attributes:
+        phase: phase with its state; its times are those of the ticks.
+        model_phase: (n,) place in the model's cycle; NaN where the phase is not locked.
+        mr_from_tracker: (n, 3, 4) the pose through which the force came; NaN where there was none.
+        pose_age_s: (n,) time since a beat confirmed the pose; infinite before the first.
+        tip_tracker_mm: (n, 3) predicted tip; NaN where the tool is not known.
+        force_n: (n, 3) sent by the supervisor; wanted_n: of the fixtures.
+        distance_mm: (n,) signed distance of the primary fixture; NaN unless the status is OK.
+        status: (n,) `Status` of the fixtures.
+        supervisor: (n,) `SupervisorState`; hazards: (n,) bits of `Hazard`.
+    """
+
+    phase: PhaseTrack
+    model_phase: FloatArray
+    mr_from_tracker: FloatArray
+    pose_age_s: FloatArray
+    tip_tracker_mm: FloatArray
+    force_n: FloatArray
+    wanted_n: FloatArray
+    distance_mm: FloatArray
+    status: IntArray
+    supervisor: IntArray
+    hazards: IntArray
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    @property
+    def t_s(self) -> FloatArray:
+        """(n,)"""
+        return self.phase.t_s
+
+    @property
+    def valid(self) -> BoolArray:
+        """(n,) ticks with tracked tool, locked phase, a usable pose and the tool inside the model's box."""
+        return np.asarray(self.status == int(Status.OK))
+
+
+class TickRecorder:
+    """Collects states, one for each of (n,) tick times."""
+
+    def __init__(self, t_s: FloatArray) -> None:
+        n = len(t_s)
+        self._t_s = t_s
+        self._tip, self._force, self._wanted = np.full((n, 3), np.nan), np.zeros((n, 3)), np.zeros((n, 3))
+        self._model_phase, self._distance, self._age = np.empty(n), np.empty(n), np.empty(n)
+        self._codes = np.empty((n, 3), dtype=np.int64)
+        self._transforms: list[tuple[int, PoseAndPhase]] = []
+
+    def add(self, i: int, state: GuidanceState) -> None:
+        """The state at tick i."""
+        if not self._transforms or self._transforms[-1][1] is not state.transform:
+            self._transforms.append((i, state.transform))
+        if not state.tool.hazard:
+            self._tip[i] = state.tool.tip_tracker_mm
+        self._force[i], self._wanted[i] = state.force_n, state.wanted_n
+        self._model_phase[i], self._distance[i] = state.model_phase, state.distance_mm
+        self._age[i] = state.pose_age_s
+        self._codes[i] = state.status, state.supervisor, state.supervised.hazards
+
+    def finish(self) -> Ticks:
+        """All ticks; phase and pose are read from the transforms that held."""
+        phase, poses = np.empty((4, len(self._t_s))), np.full((len(self._t_s), 3, 4), np.nan)
+        ends = [*(first for first, _ in self._transforms[1:]), len(self._t_s)]
+        for (first, transform), end in zip(self._transforms, ends, strict=True):
+            here = slice(first, end)
+            read = transform.phase.at_many(self._t_s[here])
+            phase[:, here] = read.phi, read.sigma_phi, read.rr_s, read.state
+            if transform.pose is not None:
+                used = self._t_s[here] < transform.pose_until_s
+                poses[here][used] = transform.pose.matrices(self._t_s[here][used])
+        return Ticks(
+            phase=PhaseTrack(self._t_s, phase[0], phase[1], phase[2], phase[3].astype(np.int64)),
+            model_phase=self._model_phase,
+            mr_from_tracker=poses,
+            pose_age_s=self._age,
+            tip_tracker_mm=self._tip,
+            force_n=self._force,
+            wanted_n=self._wanted,
+            distance_mm=self._distance,
+            status=self._codes[:, 0],
+            supervisor=self._codes[:, 1],
+            hazards=self._codes[:, 2],
+        )

@@ -1,0 +1,31 @@
+"""The push-driven engine: events in, pose and phase and a supervised force out; no file, network or clock."""
+
+from .beat_evaluation import BeatEvaluation as BeatEvaluation
+from .calibrations import CalibrationsInUse as CalibrationsInUse
+from .events import EcgSamples as EcgSamples
+from .events import Event as Event
+from .events import Landmark as Landmark
+from .events import Rearm as Rearm
+from .events import ToolPose as ToolPose
+from .events import TrackedFrame as TrackedFrame
+from .executor import Beside as Beside
+from .executor import Executor as Executor
+from .executor import InCaller as InCaller
+from .executor import Job as Job
+from .frame_registration import register_frames as register_frames
+from .gated_frames import GatedFrames as GatedFrames
+from .gated_frames import UltrasoundRecording as UltrasoundRecording
+from .gated_frames import gate_recording as gate_recording
+from .heart import Heart as Heart
+from .heart import build_heart as build_heart
+from .heart import label_map as label_map
+from .history import Attempt as Attempt
+from .history import PoseUpdate as PoseUpdate
+from .history import SessionHistory as SessionHistory
+from .refusal import Refusal as Refusal
+from .refusal import Refused as Refused
+from .registration_monitor import RegistrationMonitor as RegistrationMonitor
+from .registration_monitor import landmark_disagreement_mm as landmark_disagreement_mm
+from .session import Session as Session
+from .setup import SessionSetup as SessionSetup
+from .state import GuidanceState as GuidanceState

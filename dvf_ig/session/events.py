@@ -1,0 +1,120 @@
+"""What a session is told: samples, frames, poses and an operator's actions, each stamped by its source.
+
+Stamps of every kind are seconds on one clock, that of the tracker and of the ECG. A frame's stamp is the
+moment at which it was recorded, with its pose; what its image shows happened `lag_s` later on that clock
+(negative: earlier), which the session accounts for.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
+from dvf_ig.core.arrays import check_shape, frozen_floats
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class EcgSamples:
+    """Consecutive samples of the ECG.
+
+    Attributes:
+        start_s: time of the first.
+        samples: (n, leads) in any unit; NaN where samples are missing.
+    """
+
+    start_s: float
+    samples: FloatArray
+
+    def __post_init__(self) -> None:
+        _require_finite(self.start_s, "ECG samples")
+        samples = frozen_floats(self.samples, "ECG samples", (None, None), finite=False)
+        object.__setattr__(self, "samples", samples)
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedFrame:
+    """One ultrasound frame with the pose recorded with it.
+
+    Attributes:
+        t_s: when it was recorded.
+        image: (rows, columns) uint8; None where the frame has none, or the recorder marked it invalid.
+        tracker_from_probe: (4, 4); None where the tracker did not report OK.
+    """
+
+    t_s: float
+    image: NDArray[np.uint8] | None
+    tracker_from_probe: FloatArray | None
+
+    def __post_init__(self) -> None:
+        _require_finite(self.t_s, "a tracked frame")
+        if self.image is not None and (self.image.ndim != 2 or self.image.dtype != np.uint8):
+            raise InvalidInputError(
+                f"the image of a tracked frame has shape {self.image.shape} and type {self.image.dtype}; "
+                "needed (rows, columns) of uint8"
+            )
+        _check_pose(self.tracker_from_probe, "tracker_from_probe")
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolPose:
+    """One pose of the tool.
+
+    Attributes:
+        t_s: when it was tracked.
+        tracker_from_tool: (4, 4); None where the tracker did not report OK.
+    """
+
+    t_s: float
+    tracker_from_tool: FloatArray | None
+
+    def __post_init__(self) -> None:
+        _require_finite(self.t_s, "a tool pose")
+        _check_pose(self.tracker_from_tool, "tracker_from_tool")
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmark:
+    """One anatomical point, marked on the model and touched on the patient.
+
+    Attributes:
+        t_s: when it was touched.
+        mr_mm, tracker_mm: (3,) in frames "mr" and "tracker".
+    """
+
+    t_s: float
+    name: str
+    mr_mm: FloatArray
+    tracker_mm: FloatArray
+
+    def __post_init__(self) -> None:
+        _require_finite(self.t_s, "a landmark")
+        for field in ("mr_mm", "tracker_mm"):
+            object.__setattr__(self, field, frozen_floats(getattr(self, field), f"landmark {field}", (3,)))
+
+
+@dataclass(frozen=True, slots=True)
+class Rearm:
+    """The operator asks for force again after the supervisor latched; see `guidance.supervisor`."""
+
+    t_s: float
+
+    def __post_init__(self) -> None:
+        _require_finite(self.t_s, "a re-arm")
+
+
+Event = EcgSamples | TrackedFrame | ToolPose | Landmark | Rearm
+
+
+def _require_finite(t_s: float, what: str) -> None:
+    if not np.isfinite(t_s):
+        raise InvalidInputError(f"{what} is stamped {t_s} s; needed a finite time")
+
+
+def _check_pose(matrix: FloatArray | None, name: str) -> None:
+    if matrix is not None:
+        check_shape(matrix, name, (4, 4))

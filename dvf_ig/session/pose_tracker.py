@@ -1,0 +1,311 @@
+"""The heart's pose from moment to moment: registrations now and then, and every beat in between.
+
+    first      a registration from the start pose, repeated until the beats that follow agree with one
+    in use     each beat is compared with the pose and updates it; a registration now and then besides
+    suspended  no force; a registration from frames after the disturbance, and the beats that confirm it
+
+Everything happens in time order. Frames are gathered a moment after a registration was asked for or a beat
+ended, when all of them have arrived; a registration takes effect COMPUTE_S after it was asked for, a beat
+BEAT_COMPUTE_S after its R peak was detected, or as soon afterwards as the executor has done.
+"""
+
+from collections import deque
+from dataclasses import dataclass, replace
+from math import inf
+
+from dvf_ig.cardiac import RPeak
+from dvf_ig.core import PoseMotion, Rigid
+from dvf_ig.registration import PoseEstimate
+
+from .beat_evaluation import BEAT_COMPUTE_S, BeatEvaluation, ComparableBeat, ComparedBeat
+from .confirmation import Confirmation
+from .events import Landmark
+from .executor import Job
+from .history import Attempt, SessionHistory, PoseUpdate
+from .refusal import Refusal, Refused
+from .registration_monitor import CONSISTENT_LOG_RATIO, RegistrationMonitor
+from .touched_landmarks import TouchedLandmarks
+from .ultrasound_source import RegistrationAnswer, RegistrationRequest, UltrasoundSource
+
+FIRST_ATTEMPT_S = 8.0
+RETRY_S = 4.0
+REFRESH_S = 12.0
+RECOVER_S = 3.0
+"""A suspended pose is registered anew when frames of this long after the disturbance are at hand."""
+MEMORY_S = 12.0
+"""How far back a registration looks: one refresh, so that a patient who moved is seen unmixed by the next."""
+COMPUTE_S = 3.0
+"""A registration takes effect this long after its last frame: a fixed allowance for computing it."""
+LATEST_S = 12.0
+"""A result that comes this late is dropped: the frames it is made of are too old."""
+GATHER_S = 0.35
+"""Frames are gathered this long after a registration was asked for: the longest latency and gap of poses."""
+BEAT_GATHER_S = 0.05
+"""The same for a beat, whose R peak was detected some 0.12 s after its last frame."""
+POLL_S = 0.01
+"""Work that is not done when it is due is asked for again after this."""
+REMEMBERED_BEATS = 6
+REMEMBERED_PEAKS = 100
+
+
+@dataclass(slots=True)
+class _Registration:
+    """A registration that was asked for; the job is None until its frames are gathered."""
+
+    asked_s: float
+    request: RegistrationRequest
+    next_s: float
+    job: Job[RegistrationAnswer] | None = None
+    cancelled: bool = False
+
+
+@dataclass(slots=True)
+class _Beat:
+    """A beat that has ended; the job is None until its frames are gathered."""
+
+    peaks: tuple[RPeak, ...]
+    next_s: float
+    tested: PoseEstimate | None = None
+    job: Job[ComparedBeat] | None = None
+
+
+class PoseTracker:
+    """The pose in use, and what is to happen to it next; see the module docstring.
+
+    Args:
+        source: the ultrasound that has arrived.
+        monitor: what the pose is compared with.
+        start: coarse pose that the first registrations begin at; None takes that of touched landmarks.
+        history: is told what happens.
+    """
+
+    def __init__(
+        self,
+        source: UltrasoundSource,
+        monitor: RegistrationMonitor,
+        start: Rigid | None,
+        history: SessionHistory,
+    ) -> None:
+        self.monitor = monitor
+        self.history = history
+        self.motion: PoseMotion | None = None
+        """The pose in use over time; None while no pose may be used."""
+        self.confirmation: Confirmation | None = None
+        self._source, self._start = source, start
+        self._landmarks = TouchedLandmarks()
+        self._frames_from_s = inf
+        """Earlier frames show another pose."""
+        self._next_start_s = inf
+        self._registrations: list[_Registration] = []
+        self._beats: deque[_Beat] = deque()
+        self._peaks: deque[RPeak] = deque(maxlen=REMEMBERED_PEAKS)
+        self._recent: list[ComparableBeat] = []
+        self._beat_pose: Rigid | None = None
+        """The best pose of the last beat, from when one suspended the pose in use until a registration."""
+        self._pending_asked_s = inf
+
+    @property
+    def next_s(self) -> float:
+        """When something is to be done next; infinite where nothing is."""
+        return min(
+            self._next_start_s,
+            min((r.next_s for r in self._registrations), default=inf),
+            self._beats[0].next_s if self._beats else inf,
+        )
+
+    def begin(self, event_s: float) -> None:
+        """The first frame was recorded; its image shows what happened at `event_s`."""
+        self._frames_from_s, self._next_start_s = event_s, event_s + FIRST_ATTEMPT_S
+
+    def add_peak(self, peak: RPeak) -> None:
+        """An R peak was detected, and a beat ended with it."""
+        self._peaks.append(peak)
+        if len(self._peaks) > 1:
+            self._beats.append(_Beat(tuple(self._peaks), peak.detected_at_s + BEAT_GATHER_S))
+
+    def add_landmark(self, landmark: Landmark) -> None:
+        """A landmark was touched."""
+        self._landmarks.add(landmark)
+        self.monitor = replace(self.monitor, landmarks=self._landmarks.fit)
+
+    def step(self) -> None:
+        """Do what is to be done at `next_s`."""
+        now_s = self.next_s
+        due = [r for r in self._registrations if r.next_s == now_s]
+        done = next((r for r in due if r.job is not None), None)
+        if done is not None and done.job is not None:
+            self._take_answer(done, done.job, now_s)
+        elif self._next_start_s == now_s:
+            self._ask_registration(now_s)
+        elif due:
+            due[0].job = self._source.register(due[0].request, now_s)
+            due[0].next_s = max(now_s, due[0].asked_s + COMPUTE_S)
+        else:
+            self._step_beat(self._beats[0], now_s)
+
+    # ------------------------------------------------------------------ registrations
+
+    def _ask_registration(self, now_s: float) -> None:
+        self._next_start_s = inf
+        start = self._registration_start()
+        if start is None:
+            self._next_start_s = now_s + RETRY_S
+            return
+        pose, warm = start
+        since_s = max(self._frames_from_s, now_s - MEMORY_S)
+        prior = None if self._start is not None else self._landmarks.prior
+        request = RegistrationRequest(since_s, now_s, pose, warm, prior, tuple(self._peaks))
+        self._registrations.append(_Registration(now_s, request, now_s + GATHER_S))
+
+    def _registration_start(self) -> tuple[Rigid, bool] | None:
+        """Where a registration begins, and whether that is relied on; None where nothing is known.
+
+        Right after a suspension it is the last beat's best pose; once such a start has failed, displaced
+        copies of the last pose are tried besides.
+        """
+        tested = self.monitor.under_test
+        if tested is None:
+            start = self._start or self._landmarks.fit
+            return None if start is None else (start, False)
+        if self.monitor.in_use:
+            return tested.pose, True
+        if self._beat_pose is not None:
+            pose, self._beat_pose = self._beat_pose, None
+            return pose, True
+        return tested.pose, False
+
+    def _take_answer(self, asked: _Registration, job: Job[RegistrationAnswer], now_s: float) -> None:
+        if not job.done() and now_s < asked.asked_s + LATEST_S:
+            asked.next_s = now_s + POLL_S
+            return
+        self._registrations.remove(asked)
+        if not job.done():
+            attempt = Attempt(asked.asked_s, now_s, None, None, "not finished in time")
+        else:
+            answer = job.result()
+            attempt = Attempt(asked.asked_s, now_s, answer.frames, answer.result, answer.failure)
+        self.history.attempts.append(attempt)
+        if asked.cancelled:
+            self.history.set_refused(asked.asked_s, Refused(Refusal.SUSPENDED_MEANWHILE))
+            return
+        self._next_start_s = asked.asked_s + RETRY_S
+        if attempt.usable:
+            self._take_pose(attempt, now_s)
+
+    def _take_pose(self, attempt: Attempt, now_s: float) -> None:
+        """A registration whose own evidence allows its use meets the monitor."""
+        result, frames = attempt.result, attempt.frames
+        if result is None or frames is None:
+            return
+        middle_s = float(frames.event_s[frames.used].mean())
+        beats = sum(middle_s < p.t_s < now_s for p in self._peaks)
+        found = PoseEstimate.from_registration(result.target_from_source, result.covariance, result.center_mm)
+        before = self.monitor
+        self.monitor, refused = before.after_registration(found, beats)
+        self.history.set_refused(attempt.asked_s, refused)
+        self._record_update(before, now_s)
+        if self.monitor.pending is found:
+            if before.in_use:
+                self._landmarks.forget()
+            self._pending_asked_s = attempt.asked_s
+            self._next_start_s = now_s + REFRESH_S
+            for beat in [b for b in self._recent if b.begin_s >= attempt.asked_s]:
+                if self.monitor.in_use or self.monitor.pending is found:
+                    self._compare(beat, now_s)
+        elif self.monitor.in_use:
+            self._next_start_s = attempt.asked_s + self._refresh_s(attempt.asked_s)
+
+    def _refresh_s(self, asked_s: float) -> float:
+        """A registration from little is repeated when there is twice as much."""
+        return min(REFRESH_S, max(RETRY_S, asked_s - max(self._frames_from_s, asked_s - MEMORY_S)))
+
+    # ------------------------------------------------------------------ beats
+
+    def _step_beat(self, beat: _Beat, now_s: float) -> None:
+        if beat.job is None:
+            beat.tested = self.monitor.under_test
+            pose = None if beat.tested is None else beat.tested.pose
+            beat.job = self._source.beat(beat.peaks, now_s, pose, in_use=self.monitor.in_use is not None)
+            beat.next_s = max(now_s, beat.peaks[-1].detected_at_s + BEAT_COMPUTE_S)
+        elif not beat.job.done():
+            beat.next_s = now_s + POLL_S
+        else:
+            self._beats.popleft()
+            self._take_beat(beat.job.result(), beat.tested, now_s)
+
+    def _take_beat(self, done: ComparedBeat, compared_with: PoseEstimate | None, now_s: float) -> None:
+        """A beat's evaluation; anew where another pose is under test by now."""
+        confirmed_before = self.confirmation
+        if done.slices is not None:
+            self._recent = [*self._recent[1 - REMEMBERED_BEATS :], done.slices]
+            same = compared_with is self.monitor.under_test
+            self._compare(done.slices, now_s, done.evaluation if same else None, evaluated=same)
+        if self.confirmation is confirmed_before and self.confirmation is not None and not done.irregular:
+            self.confirmation = self.confirmation.missed()
+
+    def _compare(
+        self,
+        beat: ComparableBeat,
+        now_s: float,
+        evaluation: BeatEvaluation | None = None,
+        *,
+        evaluated: bool = False,
+    ) -> None:
+        """Compare a beat with the pose under test, and draw the consequences."""
+        before = self.monitor
+        tested = before.under_test
+        if tested is None:
+            return
+        in_use = before.in_use is not None
+        if not evaluated:
+            evaluation = beat.evaluate_beat(tested.pose, before.center_mm, in_use=in_use)
+        if evaluation is None:
+            return
+        evaluation = replace(evaluation, in_use=in_use)
+        self.history.beats.append(evaluation)
+        self.monitor = before.after_beat(evaluation.measurement)
+        self._record_update(before, now_s)
+        if self.monitor.in_use and evaluation.measurement.log_likelihood_ratio <= CONSISTENT_LOG_RATIO:
+            self.confirmation = Confirmation(now_s)
+        if before.in_use and not self.monitor.in_use:
+            self._suspend(beat.end_s, evaluation.measurement.best, now_s)
+        elif before.pending is None and self._beat_pose is not None:
+            self._beat_pose = evaluation.measurement.best
+        elif before.pending and self.monitor.in_use:
+            self._confirm(now_s)
+        elif before.pending and self.monitor.pending is None:
+            self._drop_pending(evaluation.measurement.moved_mm, now_s)
+
+    def _suspend(self, end_s: float, beat_pose: Rigid, now_s: float) -> None:
+        """Register anew from frames after the beat that contradicted the pose in use."""
+        for asked in self._registrations:
+            asked.cancelled = True
+        self._landmarks.forget()
+        self._frames_from_s, self._beat_pose = end_s, beat_pose
+        self._next_start_s = max(now_s, end_s + RECOVER_S)
+
+    def _confirm(self, now_s: float) -> None:
+        self.history.set_refused(self._pending_asked_s, None)
+        asked_s = self._pending_asked_s
+        self._next_start_s = max(now_s, asked_s + self._refresh_s(asked_s))
+
+    def _drop_pending(self, off_mm: float, now_s: float) -> None:
+        self.history.set_refused(self._pending_asked_s, Refused(Refusal.BEAT_DISAGREES, off_mm))
+        self._next_start_s = max(now_s, self._pending_asked_s + RETRY_S)
+
+    def _record_update(self, before: RegistrationMonitor, now_s: float) -> None:
+        was, now = before.in_use, self.monitor.in_use
+        if now is not was:
+            self.history.updates.append(PoseUpdate(now_s, now.pose if now else None))
+            self._move(now, now_s)
+
+    def _move(self, now: PoseEstimate | None, now_s: float) -> None:
+        """The first pose is in use at once, for no force depends on one before; a later one is moved to."""
+        if now is None:
+            self.motion = None
+        elif self.motion is None:
+            self.motion = PoseMotion.still(now.pose)
+            self.confirmation = Confirmation(now_s)
+        else:
+            held = self.motion.at(now_s)
+            self.motion = PoseMotion.towards(held, now.pose, now_s, self.monitor.center_mm)

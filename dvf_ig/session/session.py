@@ -1,0 +1,182 @@
+"""One engine for the operating room and the replay: events in, pose and phase and a supervised force out.
+
+    ECG      R peaks ─► phase φ, its σ and state ─► T_d, retiming          heart_clock
+    frames   gate ─► register, compare every beat ─► pose and its age      pose_tracker, ultrasound_source
+    tool     newest pose ─► predicted tip                                  tool_tracker
+    force    pose and phase ─► fixtures ─► supervisor                      guidance
+
+A session is pushed events and asked for its state at moments in order. It knows no file, no network and no
+wall clock. An event counts from its stamp on: a state depends on nothing that is stamped later, so the same
+events give the same bits however they are cut into pieces or interleaved, as long as each is there when a
+state at or after its stamp is asked for; one that comes later counts from then on.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from math import inf, nan
+from types import TracebackType
+
+import numpy as np
+
+from dvf_ig.cardiac import RPeak, retiming_curve
+from dvf_ig.core import InvalidInputError, PhaseState, PoseMotion
+from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, Status, Supervisor
+from dvf_ig.registration import SliceThreads
+
+from .events import EcgSamples, Event, Landmark, Rearm, ToolPose, TrackedFrame
+from .executor import Executor, InCaller
+from .frame_buffer import FrameBuffer
+from .heart_clock import HeartClock
+from .history import SessionHistory
+from .pose_tracker import PoseTracker
+from .registration_monitor import RegistrationMonitor
+from .setup import SessionSetup
+from .state import GuidanceState
+from .tool_tracker import ToolTracker
+from .ultrasound_source import ArrivedUltrasound
+
+REMEMBERED = 200
+"""Registrations, beats and updates that a session remembers unless it is given a history of its own."""
+
+
+def _no_clock() -> float:
+    return 0.0
+
+
+class Session:
+    """Takes events and answers with the state of guidance; a context manager that owns its threads.
+
+    Args:
+        setup: patient, calibrations and fixtures.
+        executor: who does the long work; by default the caller does, when its result is due.
+        clock: seconds of computing time from any origin, for the record; no estimate depends on it.
+        history: is told of every registration, beat and update; by default the last REMEMBERED are kept.
+    """
+
+    def __init__(
+        self,
+        setup: SessionSetup,
+        *,
+        executor: Executor | None = None,
+        clock: Callable[[], float] = _no_clock,
+        history: SessionHistory | None = None,
+    ) -> None:
+        self.setup = setup
+        self.history = history if history is not None else SessionHistory(REMEMBERED)
+        self._threads = SliceThreads()
+        self._frames = FrameBuffer()
+        source = ArrivedUltrasound(
+            self._frames,
+            setup.heart,
+            setup.calibrations,
+            setup.fan,
+            setup.retiming,
+            setup.seed,
+            clock,
+            self._threads,
+            executor if executor is not None else InCaller(),
+        )
+        monitor = RegistrationMonitor(setup.heart.center_mm, None)
+        self._pose = PoseTracker(source, monitor, setup.start, self.history)
+        self._clock = HeartClock(setup.ecg_rate_hz)
+        self._tool = ToolTracker(setup.calibrations.tip)
+        self._fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
+        self._supervisor = Supervisor(setup.device)
+        self._actions: deque[Landmark | Rearm] = deque()
+        self._first_frame_s = inf
+        self._now_s = -inf
+
+    def __enter__(self) -> "Session":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._threads.__exit__(kind, error, trace)
+
+    def push(self, event: Event) -> None:
+        """Take an event; those of one kind in the order in which they came.
+
+        Raises:
+            InvalidInputError: it does not fit those before: another number of leads, another image size, or
+                ECG samples that go back in time.
+        """
+        if isinstance(event, EcgSamples):
+            self._clock.push(event)
+        elif isinstance(event, ToolPose):
+            self._tool.push(event)
+        elif isinstance(event, TrackedFrame):
+            first = not self._frames.any
+            if self._frames.push(event) and first:
+                self._pose.begin(event.t_s + self.setup.calibrations.lag_s)
+        else:
+            self._actions.append(event)
+
+    def state(self, now_s: float) -> GuidanceState:
+        """What is known at `now_s`, and the force to send then; the supervisor takes a step.
+
+        Raises:
+            InvalidInputError: `now_s` lies before an earlier one or is not finite.
+        """
+        if not (now_s >= self._now_s and now_s < inf):
+            raise InvalidInputError(
+                f"the state at {now_s:g} s was asked for after that at {self._now_s:g} s; ask in order of time"
+            )
+        self._now_s = now_s
+        self._advance(now_s)
+        self._update_transform(now_s)
+        tool = self._tool.at(now_s)
+        hazards = self._hazards(now_s, tool.hazard)
+        model_phase, status = self._evaluate(now_s, tool, hazards)
+        wanted_n = self._out[FORCE]
+        supervised = self._supervisor.step(now_s, wanted_n, hazards | hazard_of(status))
+        confirmation = self._pose.confirmation
+        return GuidanceState(
+            now_s=now_s,
+            transform=self._transform,
+            estimate=self._pose.monitor.estimate,
+            pose_age_s=inf if confirmation is None else now_s - confirmation.confirmed_s,
+            registration=self.history.attempts[-1] if self.history.attempts else None,
+            model_phase=model_phase,
+            tool=tool,
+            calibrations=self.setup.calibrations,
+            status=status,
+            wanted_n=wanted_n,
+            distance_mm=float(self._out[DISTANCE]),
+            gradient=self._out[GRADIENT],
+            conflict=bool(self._out[CONFLICT]),
+            supervised=supervised,
+        )
+
+    def _advance(self, now_s: float) -> None:
+        """Everything that happens until now, in order of time; what is known at a moment counts in it."""
+        while True:
+            action_s = self._actions[0].t_s if self._actions else inf
+            input_s = min(self._clock.next_s, action_s)
+            if min(input_s, self._pose.next_s) > now_s:
+                return
+            if input_s > self._pose.next_s:
+                self._pose.step()
+            elif action_s == input_s:
+                self._act(self._actions.popleft())
+            else:
+                self._take_peak()
+
+    def _act(self, action: Landmark | Rearm) -> None:
+        if isinstance(action, Landmark):
+            self._pose.add_landmark(action)
+        else:
+            self._supervisor.rearm(max(action.t_s, self._stepped_s))
+
+    def _take_peak(self) -> None:
+        peak = self._clock.step()
+        if peak is not None:
+            self.history.peaks.append(peak)
+            self._pose.add_peak(peak)
+
+    def _update_transform(self, now_s: float) -> None:
+        """A new value where the pose, its confirmation or the phase's forecast has changed."""
+        phase, pose, confirmation = self._clock.forecast(now_s), self._pose.motion, self._pose.confirmation

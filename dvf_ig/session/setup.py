@@ -1,0 +1,37 @@
+"""What a session is given before its first event."""
+
+from dataclasses import dataclass
+
+from dvf_ig.cardiac import RetimeMode
+from dvf_ig.core import Fan, Rigid
+from dvf_ig.guidance import COMMON_DEVICE, FORBIDDEN_SURFACE, DeviceLimits, FixtureSet
+
+from .calibrations import CalibrationsInUse
+from .heart import Heart
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionSetup:
+    """Patient, calibrations and fixtures of one intervention.
+
+    Attributes:
+        heart: the fixture model and what ultrasound is registered to.
+        calibrations: tool tip, image and latency.
+        ecg_rate_hz: sampling rate of the ECG.
+        start: coarse mr_from_tracker; None takes that of touched landmarks.
+        fan: the insonified sector, where the scanner's geometry is known.
+        fixtures: that act on the tool.
+        device: what the haptic device can render.
+        retiming: how the beat is mapped to the model's cycle.
+        seed: of a registration's random choices.
+    """
+
+    heart: Heart
+    calibrations: CalibrationsInUse
+    ecg_rate_hz: float
+    start: Rigid | None = None
+    fan: Fan | None = None
+    fixtures: FixtureSet = FORBIDDEN_SURFACE
+    device: DeviceLimits = COMMON_DEVICE
+    retiming: RetimeMode = "two-segment"
+    seed: int = 0

@@ -1,0 +1,70 @@
+"""What a session knows at one moment, and the force that follows from it."""
+
+from dataclasses import dataclass
+
+from dvf_ig.core import FloatArray, PhaseReading, read_only_arrays
+from dvf_ig.guidance import PoseAndPhase, Status, SupervisedForce, SupervisorState
+from dvf_ig.registration import PoseEstimate
+
+from .calibrations import CalibrationsInUse
+from .history import Attempt
+from .tool_tracker import ToolReading
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class GuidanceState:
+    """The state of guidance at `now_s`.
+
+    Attributes:
+        transform: (p_tracker, t) ↦ (p_mr, φ), from now on until something new is known.
+        estimate: the pose in use with its covariance, or the last one while it is withheld; None before any.
+        pose_age_s: time since a heart beat confirmed the pose; infinite before the first.
+        registration: the last one that ended, with its evidence; None before the first.
+        model_phase: place in the model's cycle; NaN where the phase is not locked.
+        tool: the tool's tip, or why it is not known.
+        calibrations: that are in use.
+        status: of the fixtures; anything but OK goes with no wanted force.
+        wanted_n: (3,) force of the fixtures, frame "tracker".
+        distance_mm: signed distance of the primary fixture, positive inside; NaN unless OK.
+        gradient: (3,) of that distance, frame "tracker"; NaN unless OK.
+        conflict: fixtures oppose each other.
+        supervised: the force to send, and the supervisor's state with what it found.
+    """
+
+    now_s: float
+    transform: PoseAndPhase
+    estimate: PoseEstimate | None
+    pose_age_s: float
+    registration: Attempt | None
+    model_phase: float
+    tool: ToolReading
+    calibrations: CalibrationsInUse
+    status: Status
+    wanted_n: FloatArray
+    distance_mm: float
+    gradient: FloatArray
+    conflict: bool
+    supervised: SupervisedForce
+
+    @property
+    def phase(self) -> PhaseReading:
+        """Phase of the beat, its standard deviation, predicted RR and state."""
+        return self.transform.phase.at(self.now_s)
+
+    @property
+    def force_n(self) -> FloatArray:
+        """(3,) N, frame "tracker": the force to send."""
+        return self.supervised.force_n
+
+    @property
+    def supervisor(self) -> SupervisorState:
+        return self.supervised.state
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the force is not given in full, a sentence each; none where it is."""
+        found = self.supervised.sentences
+        if self.registration is not None and not self.registration.usable:
+            found += (f"last registration: {self.registration.reason}",)
+        return found

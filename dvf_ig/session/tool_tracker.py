@@ -1,0 +1,135 @@
+"""The tool tip at any moment, predicted from the poses that the tracker had delivered by then."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, Points, read_only_arrays
+from dvf_ig.guidance import Hazard
+
+from .events import ToolPose
+from .frame_buffer import is_rigid
+from .stamp_order import StampOrder
+
+MAX_AGE_S = 0.050
+MAX_AGE_FRAMES = 2.5
+VELOCITY_SPAN_S = 0.030
+"""Velocity is the tip's displacement over about this long: three frames at 100 Hz."""
+FROZEN_POSES = 5
+"""So many bit-identical poses in a row are one old pose, whatever their status says."""
+RATE_POSES = 32
+"""The tracker's rate is the median over so many poses."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolReading:
+    """The tool at one moment.
+
+    Attributes:
+        hazard: why the tip is not known; NONE where it is.
+        tip_tracker_mm: (3,) predicted tip; 0 unless known.
+        rotation: (3, 3) of tracker_from_tool, the newest; identity unless known.
+        age_s: time since the newest pose that was tracked; infinite before the first.
+    """
+
+    hazard: Hazard
+    tip_tracker_mm: FloatArray
+    rotation: FloatArray
+    age_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sample:
+    t_s: float
+    tip_mm: FloatArray
+    rotation: FloatArray
+    hazard: Hazard
+
+
+class ToolTracker:
+    """Takes the tool's poses and predicts the tip by constant velocity (docs/theory/safety.md).
+
+    Args:
+        tip: tool tip, one point in frame "tool".
+    """
+
+    def __init__(self, tip: Points) -> None:
+        self.order = StampOrder()
+        self._tip_mm = tip.xyz_mm[0]
+        self._waiting: deque[ToolPose] = deque()
+        self._samples: deque[_Sample] = deque(maxlen=RATE_POSES)
+        self._last_matrix: FloatArray | None = None
+        self._repeats = 0
+        self._tracked_s = float("-inf")
+        self._velocity = np.zeros(3)
+        self._limit_s = MAX_AGE_S
+
+    def push(self, pose: ToolPose) -> None:
+        """Take one pose; one that is not later than all before is dropped."""
+        if self.order.accepts(pose.t_s):
+            self._waiting.append(pose)
+
+    def at(self, now_s: float) -> ToolReading:
+        """The tool as known at `now_s`, from the poses stamped until then; times in order."""
+        while self._waiting and self._waiting[0].t_s <= now_s:
+            self._take(self._waiting.popleft())
+        hazard = self._hazard(now_s)
+        age_s = now_s - self._tracked_s
+        if hazard:
+            return ToolReading(hazard, _ZERO, _IDENTITY, age_s)
+        newest = self._samples[-1]
+        return ToolReading(hazard, newest.tip_mm + self._velocity * age_s, newest.rotation, age_s)
+
+    def _hazard(self, now_s: float) -> Hazard:
+        if not self._samples:
+            return Hazard.TOOL_LOST
+        newest = self._samples[-1]
+        if now_s - newest.t_s > self._limit_s:
+            return Hazard.CLOCK_BACKWARDS if self.order.restarted else Hazard.STALE_TOOL
+        return newest.hazard
+
+    def _take(self, pose: ToolPose) -> None:
+        matrix, hazard = pose.tracker_from_tool, Hazard.NONE
+        if matrix is None:
+            hazard = Hazard.TOOL_LOST
+        elif not np.isfinite(matrix).all():
+            hazard = Hazard.NOT_FINITE
+        elif not is_rigid(matrix):
+            hazard = Hazard.TOOL_LOST
+        elif self._repeated(matrix):
+            hazard = Hazard.TOOL_FROZEN
+        if matrix is None or hazard not in (Hazard.NONE, Hazard.TOOL_FROZEN):
+            self._samples.append(_Sample(pose.t_s, _ZERO, _IDENTITY, hazard))
+            return
+        rotation = matrix[:3, :3]
+        self._samples.append(_Sample(pose.t_s, rotation @ self._tip_mm + matrix[:3, 3], rotation, hazard))
+        if not hazard:
+            self._tracked_s = pose.t_s
+        self._update_motion()
+
+    def _repeated(self, matrix: FloatArray) -> bool:
+        """Whether the pose has been the same, bit by bit, for FROZEN_POSES."""
+        same = self._last_matrix is not None and np.array_equal(matrix, self._last_matrix)
+        self._repeats = self._repeats + 1 if same else 1
+        self._last_matrix = matrix
+        return self._repeats >= FROZEN_POSES
+
+    def _update_motion(self) -> None:
+        """Velocity as backward difference over VELOCITY_SPAN_S; zero where the span holds an invalid pose."""
+        times = np.array([sample.t_s for sample in self._samples])
+        self._velocity = np.zeros(3)
+        if len(times) < 2:
+            return
+        rate_hz = 1.0 / float(np.median(np.diff(times)))
+        self._limit_s = min(MAX_AGE_S, MAX_AGE_FRAMES / rate_hz)
+        steps = max(1, round(VELOCITY_SPAN_S * rate_hz))
+        span = list(self._samples)[-1 - steps :]
+        span_s = span[-1].t_s - span[0].t_s
+        clean = not any(sample.hazard for sample in span)
+        if len(span) == steps + 1 and clean and span_s <= 2 * VELOCITY_SPAN_S:
+            self._velocity = (span[-1].tip_mm - span[0].tip_mm) / span_s
+
+
+_ZERO, _IDENTITY = np.zeros(3), np.eye(3)
