@@ -12,7 +12,6 @@ from .lead_off import LeadChange as LeadChange
 from .lead_off import LeadOffDetector as LeadOffDetector
 from .phase_clock import PhaseClock as PhaseClock
 from .phase_clock import PhaseClockOptions as PhaseClockOptions
-from .phase_clock import PhaseReading as PhaseReading
 from .phase_tracking import PhaseTracking as PhaseTracking
 from .phase_tracking import phase_from_peaks as phase_from_peaks
 from .phase_tracking import stream_recording as stream_recording
@@ -21,6 +20,7 @@ from .retime import SYSTOLE_SLOPE_S_PER_BPM as SYSTOLE_SLOPE_S_PER_BPM
 from .retime import RetimeMode as RetimeMode
 from .retime import frame_period_s as frame_period_s
 from .retime import retime as retime
+from .retime import retiming_curve as retiming_curve
 from .retime import systole_share as systole_share
 from .rhythm import RhythmOptions as RhythmOptions
 from .rpeak import RPeak as RPeak

@@ -1,12 +1,10 @@
-"""Cardiac phase estimator: phase, its uncertainty and state at any time, from the R peaks so far."""
+"""Cardiac phase estimator: from the R peaks so far to phase, its uncertainty and state from now on."""
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
-import numpy as np
-
-from dvf_ig.core import InvalidInputError, PhaseState
+from dvf_ig.core import InvalidInputError, PhaseForecast, PhaseReading, PhaseState
 
 from .rhythm import Rhythm, RhythmOptions
 from .rpeak import RPeak
@@ -53,39 +51,32 @@ class PhaseClockOptions:
     catch_up: float = 3.0
 
 
-class PhaseReading(NamedTuple):
-    """Phase in [0, 1), its standard deviation, predicted length of the current beat, state."""
-
-    phi: float
-    sigma_phi: float
-    rr_s: float
-    state: PhaseState
-
-
 class PhaseClock:
-    """Takes R peaks with `add` when they are detected and gives phase with `at`, both in order of time.
+    """Takes R peaks with `add` when they are detected; between them phase is a function of time.
 
     LOCKED only where the forecast of the current beat is confident and such forecasts have recently been
     right; never in a beat that came early. Unwrapped phase (beats + phi) never decreases: it waits for a late
     R and catches up with an early one at a bounded rate. While no R comes it continues past 1 and wraps. The
-    predicted RR is updated once a beat.
+    predicted RR is updated once a beat. A beat that is overdue changes the state at exactly its deadline,
+    whenever the clock is asked, so what it says of a time does not depend on the times asked before.
     """
 
     def __init__(self, options: PhaseClockOptions | None = None) -> None:
         self._options = options or PhaseClockOptions()
         self._rhythm = Rhythm(self._options.rhythm)
         self._state = PhaseState.INIT
-        self._last_r_s = float("nan")
-        self._rr_s = float("nan")
+        self._last_r_s = math.nan
+        self._rr_s = math.nan
         self._beats = 0
         self._consistent = 0  # intervals in a row that agreed with their prediction, since LOST
         self._missed = 0.0  # share of recent confident forecasts that were wrong
         self._latencies: deque[float] = deque(maxlen=9)
         self._latency_s = 0.15
-        self._phase = 0.0
-        self._cycle_offset = 0.0  # whole cycles between the number of beats and unwrapped phase
-        self._last_query_s = -np.inf
+        self._cycles = 0.0  # of the target at the last R, on the count of the forecast's phase
+        self._overdue = False  # no R for too long since the last one
         self._continuous = True  # no interruption of the ECG since the last R
+        self._forecast = PhaseForecast.unknown()
+        self._now_s = -math.inf
 
     @property
     def state(self) -> PhaseState:
@@ -106,15 +97,9 @@ class PhaseClock:
         if self._beats and peak.t_s - self._last_r_s < SAME_BEAT_S:
             # the detector found the true complex just after a false one: only R is moved
             self._last_r_s = peak.t_s
-            return
-        self._latencies.append(peak.detected_at_s - peak.t_s)
-        self._latency_s = sorted(self._latencies)[len(self._latencies) // 2]
-        interval_s = peak.t_s - self._last_r_s
-        self._last_r_s = peak.t_s
-        self._beats += 1
-        if self._beats > 1 and self._continuous:
-            self._assess(interval_s, peak.quality)
-        self._continuous = True
+        else:
+            self._add_beat(peak)
+        self._update_forecast(self._now_s)
 
     def signal_changed(self, t_s: float, on: bool) -> None:
         """The ECG was lost (flat, railed or missing for 200 ms) or has returned."""
@@ -122,67 +107,99 @@ class PhaseClock:
         if not on:
             self._continuous = False
             self._set_lost()
+            self._update_forecast(self._now_s)
 
-    def at(self, t_s: float) -> PhaseReading:
-        """Phase at `t_s` as known now.
+    def forecast(self, now_s: float) -> PhaseForecast:
+        """Phase from now on, as known now.
 
         Raises:
-            InvalidInputError: `t_s` lies before an earlier query.
+            InvalidInputError: `now_s` lies before an event or an earlier query.
         """
-        if t_s < self._last_query_s:
+        if now_s < self._now_s:
             raise InvalidInputError(
-                f"phase at {t_s:.4f} s was requested after {self._last_query_s:.4f} s; needed times in order"
+                f"phase at {now_s:.4f} s was requested after {self._now_s:.4f} s; needed times in order"
             )
-        self._advance(t_s)
-        return PhaseReading(float(self._phase % 1.0), self._sigma(t_s), self._rr_s, self._state)
+        self._advance(now_s)
+        return self._forecast
+
+    def at(self, now_s: float) -> PhaseReading:
+        """Phase now: `forecast(now_s).at(now_s)`."""
+        return self.forecast(now_s).at(now_s)
 
     # ------------------------------------------------------------------ phase
 
-    def _target(self, t_s: float) -> float:
-        """Unwrapped phase from the R peaks known now: whole beats plus time over predicted RR."""
-        if not self._rr_s > 0:
-            return self._beats - 1.0 if self._beats else 0.0
-        return self._beats - 1.0 + (t_s - self._last_r_s) / self._rr_s
-
     def _advance(self, t_s: float) -> None:
-        """Advance phase to `t_s`: towards the target, never backwards, at most at the catch-up rate."""
-        if t_s <= self._last_query_s:
-            return
-        self._check_overdue(t_s)
-        gap = self._target(t_s) + self._cycle_offset - self._phase
-        if self._state != PhaseState.LOCKED:
+        """Apply the deadlines that have passed by `t_s`, each at its time."""
+        while t_s > self._forecast.until_s:
+            deadline_s = self._forecast.until_s
+            self._expire()
+            self._update_forecast(deadline_s)
+        self._now_s = max(t_s, self._now_s)
+
+    def _update_forecast(self, t_s: float) -> None:
+        """Phase goes on from where it is at `t_s`, towards the target that is known now."""
+        reached = float(self._forecast.unwrapped(t_s))
+        whole = math.floor(reached)
+        phi = reached - whole
+        self._cycles -= whole
+        if self._state != PhaseState.LOCKED and self._rr_s > 0:
             # only the position in the cycle matters now: advance to it, or wait where that is shorter
-            whole = float(np.floor(gap + 0.5))
-            self._cycle_offset -= whole
-            gap -= whole
-        if gap > 0 and self._rr_s > 0:
-            largest = self._options.catch_up * (t_s - self._last_query_s) / self._rr_s
-            self._phase += min(gap, largest)
-        self._last_query_s = t_s
+            gap = self._cycles + (t_s - self._last_r_s) / self._rr_s - phi
+            self._cycles -= math.floor(gap + 0.5)
+        until_s, after = self._deadline()
+        self._forecast = PhaseForecast(
+            since_s=t_s,
+            until_s=max(until_s, t_s),
+            state=self._state,
+            state_after=after,
+            phi=phi,
+            r_s=self._last_r_s,
+            cycles=self._cycles,
+            rr_s=self._rr_s,
+            spread=self._rhythm.forecast.spread,
+            catch_up=self._options.catch_up,
+            r_timing_s=R_TIMING_S,
+        )
 
-    def _check_overdue(self, t_s: float) -> None:
-        """React to an expected early beat that has not come, and to no R at all for too long."""
-        if not (self._beats and self._rr_s > 0):
-            return
-        forecast, elapsed_s = self._rhythm.forecast, t_s - self._last_r_s - self._latency_s
-        if forecast.early and self._rr_s < forecast.normal_s:
-            if elapsed_s > (1.0 + 2.0 * forecast.spread) * self._rr_s:
-                self._rr_s = forecast.normal_s
-                if self._state == PhaseState.LOCKED:
-                    self._state = PhaseState.SUSPECT
-        elif elapsed_s > self._options.lost_share * forecast.longest_s:
+    def _early_expected(self) -> bool:
+        forecast = self._rhythm.forecast
+        return forecast.early and self._rr_s < forecast.normal_s
+
+    def _deadline(self) -> tuple[float, PhaseState]:
+        """When the next beat is overdue, unless it comes first, and the state from then on."""
+        if self._overdue or not (self._beats and self._rr_s > 0):
+            return math.inf, PhaseState.LOST
+        forecast, known_s = self._rhythm.forecast, self._last_r_s + self._latency_s
+        if self._early_expected():
+            after = PhaseState.SUSPECT if self._state == PhaseState.LOCKED else self._state
+            return known_s + (1.0 + 2.0 * forecast.spread) * self._rr_s, after
+        after = self._state if self._state == PhaseState.INIT else PhaseState.LOST
+        return known_s + self._options.lost_share * forecast.longest_s, after
+
+    def _expire(self) -> None:
+        """An expected early beat has not come, or no R at all for too long."""
+        if not self._early_expected():
+            self._overdue = True
             self._set_lost()
-
-    def _sigma(self, t_s: float) -> float:
-        """Standard deviation: RR prediction error growing over the beat, R timing, lag behind the target."""
-        if not self._rr_s > 0:
-            return float("nan")
-        share = max(0.0, t_s - self._last_r_s) / self._rr_s
-        timing = R_TIMING_S / self._rr_s
-        lag = self._target(t_s) + self._cycle_offset - self._phase
-        return float(np.sqrt((self._rhythm.forecast.spread * share) ** 2 + timing**2 + lag**2))
+            return
+        self._rr_s = self._rhythm.forecast.normal_s
+        if self._state == PhaseState.LOCKED:
+            self._state = PhaseState.SUSPECT
 
     # ------------------------------------------------------------------ state
+
+    def _add_beat(self, peak: RPeak) -> None:
+        """A new beat begins."""
+        self._latencies.append(peak.detected_at_s - peak.t_s)
+        self._latency_s = sorted(self._latencies)[len(self._latencies) // 2]
+        interval_s = peak.t_s - self._last_r_s
+        self._last_r_s = peak.t_s
+        self._beats += 1
+        self._cycles += 1.0
+        self._overdue = False
+        if self._beats > 1 and self._continuous:
+            self._assess(interval_s, peak.quality)
+        self._continuous = True
 
     def _assess(self, interval_s: float, quality: float) -> None:
         """Update prediction and state with a finished interval."""

@@ -72,14 +72,24 @@ def phase_from_peaks(
     events.sort(key=lambda event: (event[0], event[1]))
     clock = PhaseClock(options)
     out = np.empty((len(times), 4))
-    upcoming = 0
-    for i, now in enumerate(times.tolist()):
-        while upcoming < len(events) and events[upcoming][0] <= now:
-            event = events[upcoming][2]
-            upcoming += 1
-            if isinstance(event, RPeak):
-                clock.add(event)
-            else:
-                clock.signal_changed(event.t_s, event.on)
-        out[i] = clock.at(now)
+    first = 0
+    for at_s, _, event in events:
+        last = int(np.searchsorted(times, at_s, side="left"))
+        _fill(clock, times[first:last], out[first:last])
+        first = last
+        if isinstance(event, RPeak):
+            clock.add(event)
+        else:
+            clock.signal_changed(event.t_s, event.on)
+    _fill(clock, times[first:], out[first:])
     return PhaseTrack(times, out[:, 0], out[:, 1], out[:, 2], out[:, 3].astype(np.int64))
+
+
+def _fill(clock: PhaseClock, t_s: FloatArray, out: FloatArray) -> None:
+    """Rows (φ, σ_φ, RR, state) at times between two events, each from the forecast that holds there."""
+    first = 0
+    while first < len(t_s):
+        forecast = clock.forecast(float(t_s[first]))
+        last = int(np.searchsorted(t_s, forecast.until_s, side="right"))
+        out[first:last] = np.column_stack(forecast.at_many(t_s[first:last])[:4])
+        first = last

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import CubicPieces, FloatArray, InvalidInputError, RetimingCurve
 
 RetimeMode = Literal["uniform", "two-segment"]
 
@@ -43,6 +43,35 @@ def retime(
         InvalidInputError: unknown mode, or an RR interval or end-systole out of range.
     Source: Ren 2008, Section VII (uniform); Weissler 1968 for the slope; docs/theory/cardiac.md.
     """
+    _check(timing_rr_s, es_fraction, mode)
+    phase, rr = np.broadcast_arrays(
+        np.asarray(phi, dtype=np.float64) % 1.0, np.asarray(rr_s, dtype=np.float64)
+    )
+    _check_rr(rr)
+    if mode == "uniform":
+        return np.array(phase)
+    systole = systole_share(rr, timing_rr_s, es_fraction, slope_s_per_bpm=slope_s_per_bpm)
+    return _joined(systole, es_fraction).at(phase)
+
+
+def retiming_curve(
+    rr_s: float,
+    timing_rr_s: float,
+    es_fraction: float,
+    mode: RetimeMode = "uniform",
+    *,
+    slope_s_per_bpm: float = SYSTOLE_SLOPE_S_PER_BPM,
+) -> RetimingCurve:
+    """`retime` of one beat as a function of phase; arguments and errors are those of `retime`."""
+    _check(timing_rr_s, es_fraction, mode)
+    _check_rr(np.asarray(rr_s))
+    if mode == "uniform":
+        return RetimingCurve.uniform()
+    systole = systole_share(rr_s, timing_rr_s, es_fraction, slope_s_per_bpm=slope_s_per_bpm)
+    return RetimingCurve(*(float(number) for number in _joined(systole, es_fraction)))
+
+
+def _check(timing_rr_s: float, es_fraction: float, mode: RetimeMode) -> None:
     if mode not in ("uniform", "two-segment"):
         raise InvalidInputError(f"retiming '{mode}' is unknown; choose uniform or two-segment")
     if not timing_rr_s > 0 or not 0.05 < es_fraction < 0.95:
@@ -50,15 +79,11 @@ def retime(
             f"the model was acquired at RR {timing_rr_s:g} s with end-systole at {es_fraction:g} of the "
             "cycle; needed RR above 0 and end-systole within 0.05 to 0.95"
         )
-    phase, rr = np.broadcast_arrays(
-        np.asarray(phi, dtype=np.float64) % 1.0, np.asarray(rr_s, dtype=np.float64)
-    )
-    if not (rr > 0).all():
+
+
+def _check_rr(rr_s: FloatArray) -> None:
+    if not (rr_s > 0).all():
         raise InvalidInputError("retiming needs an RR interval above 0 s; use phase only where it is valid")
-    if mode == "uniform":
-        return np.array(phase)
-    systole = systole_share(rr, timing_rr_s, es_fraction, slope_s_per_bpm=slope_s_per_bpm)
-    return _joined(phase, systole, es_fraction)
 
 
 def systole_share(
@@ -88,7 +113,7 @@ def frame_period_s(rr_s: float, frames: int) -> float:
     return rr_s / frames
 
 
-def _joined(phase: FloatArray, systole: FloatArray, es_fraction: float) -> FloatArray:
+def _joined(systole: FloatArray, es_fraction: float) -> CubicPieces:
     """Monotone cubic through (0, 0), (systole, es), (1, 1), continued periodically on both sides.
 
     With three knots a period PCHIP's slopes have a closed form, so that every beat may have its own systole.
@@ -96,15 +121,7 @@ def _joined(phase: FloatArray, systole: FloatArray, es_fraction: float) -> Float
     rise, rest = es_fraction / systole, (1.0 - es_fraction) / (1.0 - systole)
     at_breakpoint = _pchip_slope(systole, 1.0 - systole, rise, rest)
     at_r = _pchip_slope(1.0 - systole, systole, rest, rise)
-    early = phase <= systole
-    width = np.where(early, systole, 1.0 - systole)
-    u = np.where(early, phase, phase - systole) / width
-    bottom = np.where(early, 0.0, es_fraction)
-    height = np.where(early, es_fraction, 1.0 - es_fraction)
-    first = np.where(early, at_r, at_breakpoint) * width
-    last = np.where(early, at_breakpoint, at_r) * width
-    cubic = bottom + height * u * u * (3 - 2 * u) + first * u * (1 - u) ** 2 - last * u * u * (1 - u)
-    return np.asarray(np.clip(cubic, 0.0, np.nextafter(1.0, 0.0)))
+    return CubicPieces(systole, es_fraction, at_r, at_breakpoint)
 
 
 def _pchip_slope(before: FloatArray, after: FloatArray, rise: FloatArray, fall: FloatArray) -> FloatArray:

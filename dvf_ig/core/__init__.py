@@ -6,6 +6,8 @@ from .arrays import FloatArray as FloatArray
 from .arrays import IntArray as IntArray
 from .arrays import read_only_arrays as read_only_arrays
 from .cycle import CycleTiming as CycleTiming
+from .displacement import HEART_RADIUS_MM as HEART_RADIUS_MM
+from .displacement import mean_displacement_mm as mean_displacement_mm
 from .error_summary import ErrorSummary as ErrorSummary
 from .error_summary import summarise_errors as summarise_errors
 from .errors import DvfIgError as DvfIgError
@@ -29,9 +31,16 @@ from .phantom import Wire as Wire
 from .phantom import WireSearch as WireSearch
 from .phase import PhaseState as PhaseState
 from .phase import PhaseTrack as PhaseTrack
+from .phase_forecast import PhaseForecast as PhaseForecast
+from .phase_forecast import PhaseReading as PhaseReading
+from .phase_forecast import PhaseReadings as PhaseReadings
 from .points import Landmarks as Landmarks
 from .points import Points as Points
 from .points import Seeds as Seeds
+from .pose_motion import UPDATE_MM_PER_S as UPDATE_MM_PER_S
+from .pose_motion import PoseMotion as PoseMotion
+from .retiming_curve import CubicPieces as CubicPieces
+from .retiming_curve import RetimingCurve as RetimingCurve
 from .rigid import Rigid as Rigid
 from .scenario import LatencyRecording as LatencyRecording
 from .scenario import Preop as Preop

@@ -1,5 +1,8 @@
 """ECG-gated rigid US/MR registration: from gated, tracked slices to `mr_from_tracker` with its evidence."""
 
+from dvf_ig.core import HEART_RADIUS_MM as HEART_RADIUS_MM
+from dvf_ig.core import mean_displacement_mm as mean_displacement_mm
+
 from .accuracy import pose_difference as pose_difference
 from .accuracy import target_errors_mm as target_errors_mm
 from .boundary.fit import EPICARDIUM_FIT as EPICARDIUM_FIT
@@ -44,9 +47,7 @@ from .lc2.slices import slices_of_volume as slices_of_volume
 from .lc2.slices import subsample as subsample
 from .lc2.threads import SliceThreads as SliceThreads
 from .pair import register_pair as register_pair
-from .pose_chart import HEART_RADIUS_MM as HEART_RADIUS_MM
 from .pose_chart import PoseChart as PoseChart
-from .pose_chart import mean_displacement_mm as mean_displacement_mm
 from .result import RegistrationResult as RegistrationResult
 from .rigid import register_rigid as register_rigid
 from .start import LandmarkPrior as LandmarkPrior

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dvf_ig.core import Rigid, Stop
+from dvf_ig.core import Rigid, Stop, mean_displacement_mm
 from dvf_ig.registration.evidence.checks import (
     Evidence,
     phase_disagreement_mm,
@@ -16,7 +16,7 @@ from dvf_ig.registration.lc2.threads import SliceThreads
 
 from .data import RegistrationData, RegistrationOptions
 from .fuse import Fused
-from .pose_chart import DISTINCT_MM, PoseChart, mean_displacement_mm
+from .pose_chart import DISTINCT_MM, PoseChart
 from .refine import Refined
 
 

@@ -10,13 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, NoOverlapError, Rigid, Volume
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, NoOverlapError, Rigid, Volume
 from dvf_ig.registration.lc2.channels import channels_from_still
 
 from .data import Level, RegistrationData, RegistrationOptions
 from .pair_check import apply_pair_check, pair_statistic
 from .pair_images import FanVolume, anatomy_around, extent_mm, fan_volume, share_inside, usable_voxels
-from .pose_chart import HEART_RADIUS_MM
 from .result import RegistrationResult
 from .rigid import register_rigid
 

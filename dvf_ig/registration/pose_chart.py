@@ -10,10 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, mean_displacement_mm, read_only_arrays
 
-HEART_RADIUS_MM = 40.0
-"""Turns rad into mm, so that rotation and translation steps move the heart equally."""
 DISTINCT_MM = 4.0
 """Poses nearer to each other than this, mean over the heart, count as one."""
 
@@ -39,13 +37,6 @@ class PoseChart:
         step = pose @ self.base.inverse()
         turn = HEART_RADIUS_MM * Rotation.from_matrix(step.rotation).as_rotvec()
         return np.concatenate([turn, step.apply_array(self.center_mm) - self.center_mm])
-
-
-def mean_displacement_mm(first: Rigid, second: Rigid, center_mm: FloatArray) -> float:
-    """Mean distance in mm between two poses over six points at the heart's radius (target frame)."""
-    corners = np.vstack([np.eye(3), -np.eye(3)]) * HEART_RADIUS_MM + center_mm
-    source = first.inverse().apply_array(corners)
-    return float(np.linalg.norm(second.apply_array(source) - corners, axis=1).mean())
 
 
 def distinct(poses: Sequence[Rigid], center_mm: FloatArray) -> list[int]:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dvf_ig.core import Rigid
+from dvf_ig.core import Rigid, mean_displacement_mm
 from dvf_ig.registration.evidence.checks import success_probability
 from dvf_ig.registration.lc2.threads import SliceThreads
 
@@ -19,7 +19,6 @@ from .candidates import find_candidates
 from .data import RegistrationData, RegistrationOptions
 from .fuse import fuse
 from .judge import gather_evidence, second_best, stop_of
-from .pose_chart import mean_displacement_mm
 from .refine import refine
 from .result import RegistrationResult
 

@@ -4,10 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, Landmarks, Points, Rigid, read_only_arrays
+from dvf_ig.core import (
+    HEART_RADIUS_MM,
+    FloatArray,
+    InvalidInputError,
+    Landmarks,
+    Points,
+    Rigid,
+    read_only_arrays,
+)
 from dvf_ig.core.paired import fit_paired_points
-
-from .pose_chart import HEART_RADIUS_MM
 
 MIN_FOR_PRIOR = 5
 LEAST_SIGMA_MM = 0.5

@@ -77,6 +77,35 @@ def test_prefix_of_the_peaks_gives_the_same_phase(rr_s: list[float], share: floa
     assert np.array_equal(whole.state, prefix.state)
 
 
+@settings(max_examples=25)
+@given(
+    st.lists(st.floats(0.35, 2.5), min_size=8, max_size=25),
+    st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30),
+)
+def test_what_the_clock_says_does_not_depend_on_what_was_asked_before(
+    rr_s: list[float], shares: list[float]
+) -> None:
+    peaks, end = known(rr_s), sum(rr_s) + 4.0
+    few = np.unique(np.array(shares) * end)
+    often = np.union1d(np.arange(0.0, end, 0.001), few)
+    one, many = phase_from_peaks(peaks, (), few), phase_from_peaks(peaks, (), often)
+    at = np.searchsorted(often, few)
+    for name in ("phi", "sigma_phi", "rr_s", "state"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(many, name)[at])
+
+
+def test_a_deadline_has_its_exact_time() -> None:
+    clock = PhaseClock()
+    for peak in known([0.8] * 12):
+        clock.add(peak)
+    forecast = clock.forecast(9.8)
+    assert forecast.state is PhaseState.LOCKED
+    assert forecast.until_s == pytest.approx(12 * 0.8 + 1.35 * 0.8 + LATENCY_S)
+    late = clock.forecast(30.0)
+    assert (late.since_s, late.state) == (forecast.until_s, PhaseState.LOST)
+    assert forecast.at(30.0).state is PhaseState.LOST, "an old forecast is not valid for longer"
+
+
 def test_late_r_holds_and_wraps_before() -> None:
     found = track([0.8] * 12 + [0.9] + [0.8] * 4)
     start = 12 * 0.8

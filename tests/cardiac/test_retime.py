@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
 
-from dvf_ig.cardiac import frame_period_s, retime, systole_share
+from dvf_ig.cardiac import frame_period_s, retime, retiming_curve, systole_share
 from dvf_ig.core import InvalidInputError
 
 PHI = np.linspace(0.0, 0.999, 500)
@@ -49,6 +49,13 @@ def test_end_systole_at_90_bpm_from_a_cine_at_60() -> None:
     assert 0.420 * rr == pytest.approx(0.280)
 
 
+@given(st.floats(0.4, 1.5), st.floats(0.5, 1.4), st.floats(0.25, 0.5))
+def test_the_curve_of_a_beat_is_its_retiming(rr_s: float, own_s: float, es: float) -> None:
+    curve = retiming_curve(rr_s, own_s, es, "two-segment")
+    np.testing.assert_array_equal(curve.at(PHI), retime(PHI, rr_s, own_s, es, "two-segment"))
+    np.testing.assert_allclose(retiming_curve(rr_s, own_s, es).at(PHI), PHI, atol=1e-15)
+
+
 def test_vectorised_over_rr() -> None:
     rr = np.array([0.6, 0.8, 1.0])
     found = retime(np.full(3, 0.5), rr, 0.9, 0.36, "two-segment")
@@ -63,5 +70,9 @@ def test_refusals() -> None:
         retime(0.5, float("nan"), 0.8, 0.3)
     with pytest.raises(InvalidInputError, match="end-systole"):
         retime(0.5, 0.8, 0.8, 0.0)
+    with pytest.raises(InvalidInputError, match="above 0"):
+        retiming_curve(float("nan"), 0.8, 0.3)
+    with pytest.raises(InvalidInputError, match="choose uniform"):
+        retiming_curve(0.8, 0.8, 0.3, "magic")
     with pytest.raises(InvalidInputError, match="at least 1 frame"):
         frame_period_s(0.8, 0)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import FloatArray, Rigid, read_only_arrays, require_same_frame
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, read_only_arrays, require_same_frame
 from dvf_ig.core.rigid import nearest_rotation
 from dvf_ig.kernels.boundary import (
     RIGHT,
@@ -28,7 +28,6 @@ from dvf_ig.kernels.boundary import (
     boundary_step_sums,
 )
 from dvf_ig.registration.pose_chart import (
-    HEART_RADIUS_MM,
     PoseChart,
     covariance_from_mm,
     distinct,

@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration.lc2.channels import ModelChannels
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 from dvf_ig.registration.lc2.slices import SliceSet
 from dvf_ig.registration.lc2.threads import SliceThreads
-from dvf_ig.registration.pose_chart import HEART_RADIUS_MM
 
 HALF_OPTIMISER = OptimiserOptions(steps=10, cap_mm=4.0, tolerance_mm=0.1)
 LEAST_SHARE = 0.1

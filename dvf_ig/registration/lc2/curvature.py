@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, Rigid, read_only_arrays
-from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm, mean_displacement_mm
+from dvf_ig.core import BoolArray, FloatArray, Rigid, mean_displacement_mm, read_only_arrays
+from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm
 
 from .lc2 import Lc2
 from .optimise import PosePrior

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays, require_same_frame
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, IntArray, Rigid, read_only_arrays, require_same_frame
 from dvf_ig.kernels.lc2 import (
     SLICE_OVERLAP,
     SLICE_SCORE,
@@ -26,7 +26,6 @@ from dvf_ig.kernels.lc2_step import (
     StepScratch,
     lc2_normal_slices,
 )
-from dvf_ig.registration.pose_chart import HEART_RADIUS_MM
 
 from .channels import ModelChannels
 from .density_weights import inverse_density_weights, patch_centers_mm

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+from dvf_ig.core import FloatArray, Rigid, mean_displacement_mm, read_only_arrays
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
-from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm, mean_displacement_mm
+from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm
 
 PRIOR_SIGMA_MM = 6.0
 """Standard deviation per coordinate of the prior about the pose in use: bounds what a beat cannot observe."""

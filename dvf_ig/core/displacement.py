@@ -1,0 +1,16 @@
+"""How far apart two poses move the heart."""
+
+import numpy as np
+
+from .arrays import FloatArray
+from .rigid import Rigid
+
+HEART_RADIUS_MM = 40.0
+"""Turns rad into mm, so that rotation and translation steps move the heart equally."""
+
+
+def mean_displacement_mm(first: Rigid, second: Rigid, center_mm: FloatArray) -> float:
+    """Mean distance in mm between two poses over six points at the heart's radius (target frame)."""
+    corners = np.vstack([np.eye(3), -np.eye(3)]) * HEART_RADIUS_MM + center_mm
+    source = first.inverse().apply_array(corners)
+    return float(np.linalg.norm(second.apply_array(source) - corners, axis=1).mean())

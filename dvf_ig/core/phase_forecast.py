@@ -1,0 +1,130 @@
+"""Forecast of cardiac phase: phase, its uncertainty and its state from a moment on, as known at that moment.
+
+Between two events of the ECG unwrapped phase (whole beats plus phase) is a closed form of time. With the last
+R peak at R, the predicted length RR of its beat, and φ₀ the phase at `since_s` = t₀,
+
+    target   T(t) = cycles + (t − R)/RR
+    phase    Φ(t) = max(φ₀, min(T(t), φ₀ + catch_up (t − t₀)/RR)),   φ = Φ mod 1
+    σ_φ²     = (spread (t − R)/RR)² + (r_timing_s/RR)² + (T − Φ)²
+
+so phase waits for a late R peak, catches up with an early one at a bounded rate, and never decreases.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from .arrays import FloatArray, IntArray
+from .errors import InvalidInputError
+from .phase import PhaseState
+
+
+class PhaseReading(NamedTuple):
+    """Phase in [0, 1), its standard deviation, predicted length of the current beat, state, dφ/dt."""
+
+    phi: float
+    sigma_phi: float
+    rr_s: float
+    state: PhaseState
+    rate_hz: float
+
+
+class PhaseReadings(NamedTuple):
+    """`PhaseReading` at n times, each an (n,) array."""
+
+    phi: FloatArray
+    sigma_phi: FloatArray
+    rr_s: FloatArray
+    state: IntArray
+    rate_hz: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseForecast:
+    """Phase from a moment on, unless an event of the ECG comes first: a pure function of time.
+
+    Before `since_s` it says nothing: phase and σ_φ are NaN and the state is INIT. After `until_s` the state
+    is `state_after`, which is never LOCKED.
+
+    Attributes:
+        since_s: the event from which on it holds.
+        until_s: last moment of `state`: then an expected beat is overdue.
+        state, state_after: until then, and from then on.
+        phi: at `since_s`, in [0, 1).
+        r_s: the last R peak; NaN before the first.
+        cycles: whole cycles of the target at that R peak, on the count in which `phi` lies in [0, 1).
+        rr_s: predicted length of the current beat; NaN before the first interval.
+        spread: standard deviation of that length, relative to it.
+        catch_up: largest rate of phase, as a multiple of the predicted heart rate.
+        r_timing_s: standard deviation of the time of an R peak.
+    """
+
+    since_s: float
+    until_s: float
+    state: PhaseState
+    state_after: PhaseState
+    phi: float
+    r_s: float
+    cycles: float
+    rr_s: float
+    spread: float
+    catch_up: float
+    r_timing_s: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.phi < 1.0 or not self.until_s >= self.since_s:
+            raise InvalidInputError(
+                f"a forecast of phase {self.phi:g} from {self.since_s:g} s to {self.until_s:g} s; needed a "
+                "phase in [0, 1) and an end that is not before the beginning"
+            )
+        if self.state_after == PhaseState.LOCKED:
+            raise InvalidInputError("a forecast is never LOCKED after its end")
+        if self.state == PhaseState.LOCKED and not self.rr_s > 0:
+            raise InvalidInputError(f"a forecast is LOCKED with RR {self.rr_s:g} s; needed above 0")
+
+    @classmethod
+    def unknown(cls) -> "PhaseForecast":
+        """Before the first R peak."""
+        nan, init = math.nan, PhaseState.INIT
+        return cls(-math.inf, math.inf, init, init, 0.0, nan, 0.0, nan, nan, 1.0, 0.0)
+
+    def at(self, t_s: float) -> PhaseReading:
+        """Phase at one time."""
+        found = self.at_many(np.array([t_s]))
+        phi, sigma, rr, state, rate = (column[0].item() for column in found)
+        return PhaseReading(phi, sigma, rr, PhaseState(state), rate)
+
+    def at_many(self, t_s: FloatArray) -> PhaseReadings:
+        """Phase at (n,) times, in any order."""
+        t = np.asarray(t_s, dtype=np.float64)
+        with np.errstate(invalid="ignore"):
+            target, caught = self._target(t), self._caught_up(t)
+            unwrapped = self.unwrapped(t)
+            share = np.maximum(0.0, t - self.r_s) / self.rr_s
+            lag = target - unwrapped
+            variance = (self.spread * share) ** 2 + (self.r_timing_s / self.rr_s) ** 2 + lag**2
+            rate = np.where(caught < target, self.catch_up, np.where(target > self.phi, 1.0, 0.0))
+            phi = unwrapped - np.floor(unwrapped)
+            known = t >= self.since_s
+        state = np.where(t <= self.until_s, int(self.state), int(self.state_after))
+        return PhaseReadings(
+            np.where(known, phi, np.nan),
+            np.where(known, np.sqrt(variance), np.nan),
+            np.full(t.shape, self.rr_s),
+            np.where(known, state, int(PhaseState.INIT)),
+            np.where(known & (self.rr_s > 0), rate / self.rr_s, 0.0),
+        )
+
+    def unwrapped(self, t_s: FloatArray) -> FloatArray:
+        """(...) Φ on the count in which it is `phi` at `since_s`; times not before that."""
+        if not self.rr_s > 0:
+            return np.full(np.shape(t_s), self.phi)
+        return np.maximum(self.phi, np.minimum(self._target(t_s), self._caught_up(t_s)))
+
+    def _target(self, t_s: FloatArray) -> FloatArray:
+        return self.cycles + (t_s - self.r_s) / self.rr_s
+
+    def _caught_up(self, t_s: FloatArray) -> FloatArray:
+        return self.phi + self.catch_up * (t_s - self.since_s) / self.rr_s

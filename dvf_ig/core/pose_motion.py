@@ -1,0 +1,137 @@
+"""A pose as a function of time: from one to the next at a bounded speed, constant before and after.
+
+Between `start_s` and `end_s`, with w = (t − start_s)/(end_s − start_s) and c = `center_mm`, a point that the
+first pose puts at p₀ is at
+
+    p(t) = R(w θ)(p₀ − c) + c + w s,        dp/dt = (θ × (p − c − w s) + s)/(end_s − start_s)
+
+so that the heart turns about its centre at a steady rate and its centre moves at a steady speed.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .arrays import FloatArray, check_shape, frozen_floats, read_only_arrays
+from .displacement import mean_displacement_mm
+from .errors import InvalidInputError
+from .frames import require_same_frame
+from .rigid import Rigid
+
+UPDATE_MM_PER_S = 10.0
+"""Fastest motion of the model by a new pose, mean over the heart (docs/theory/safety.md)."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseMotion:
+    """Motion from one pose to another; made by `still` and `towards`.
+
+    Attributes:
+        start, end: target_from_source, before and after.
+        start_s, end_s: when it moves; both −inf for a pose that stays.
+        center_mm: (3,) about which it turns, target frame.
+        turn_rad: (3,) rotation vector θ from start to end, target frame.
+        shift_mm: (3,) s, displacement of the centre from start to end, target frame.
+    """
+
+    start: Rigid
+    end: Rigid
+    start_s: float
+    end_s: float
+    center_mm: FloatArray
+    turn_rad: FloatArray
+    shift_mm: FloatArray
+
+    def __post_init__(self) -> None:
+        require_same_frame(self.start.target, self.end.target, "target of a pose's motion")
+        require_same_frame(self.start.source, self.end.source, "source of a pose's motion")
+        if not self.start_s <= self.end_s:
+            raise InvalidInputError(
+                f"a pose moves from {self.start_s:g} s to {self.end_s:g} s; needed times in order"
+            )
+        for name in ("center_mm", "turn_rad", "shift_mm"):
+            object.__setattr__(self, name, frozen_floats(getattr(self, name), name, (3,)))
+
+    @classmethod
+    def still(cls, pose: Rigid) -> "PoseMotion":
+        """A pose that stays."""
+        return cls(pose, pose, -math.inf, -math.inf, np.zeros(3), np.zeros(3), np.zeros(3))
+
+    @classmethod
+    def towards(
+        cls,
+        now: Rigid,
+        target: Rigid,
+        start_s: float,
+        center_mm: FloatArray,
+        speed_mm_s: float = UPDATE_MM_PER_S,
+    ) -> "PoseMotion":
+        """From the pose in use to another.
+
+        Args:
+            now, target: target_from_source, same frames.
+            start_s: when it begins to move.
+            center_mm: (3,) centre of the heart, target frame.
+            speed_mm_s: of the heart: mean displacement over its duration (`mean_displacement_mm`).
+        Raises:
+            FrameMismatchError: the poses map between other frames.
+            InvalidInputError: a speed that is not positive.
+        """
+        if not speed_mm_s > 0:
+            raise InvalidInputError(f"the speed of a pose is {speed_mm_s:g} mm/s; it must be positive")
+        duration_s = mean_displacement_mm(now, target, center_mm) / speed_mm_s
+        step = target @ now.inverse()
+        turn = Rotation.from_matrix(step.rotation).as_rotvec()
+        shift = step.apply_array(center_mm) - center_mm
+        return cls(now, target, start_s, start_s + duration_s, center_mm, turn, shift)
+
+    def at(self, t_s: float) -> Rigid:
+        """The pose at one time; exactly `start` before the motion and `end` after it."""
+        if t_s >= self.end_s:
+            return self.end
+        if t_s <= self.start_s:
+            return self.start
+        matrix = self.matrices(np.array([t_s]))[0]
+        return Rigid(self.end.target, self.end.source, matrix[:, :3], matrix[:, 3])
+
+    def matrices(self, t_s: FloatArray) -> FloatArray:
+        """(n, 3, 4) rotation and translation of the pose at (n,) times."""
+        t = np.asarray(t_s, dtype=np.float64)
+        check_shape(t, "times", (None,))
+        first, last = self.start.matrix[:3], self.end.matrix[:3]
+        out = np.where((t >= self.end_s)[:, None, None], last, first)
+        moving = self._moving(t)
+        if moving.any():
+            weight = self._weight(t[moving])
+            turn = Rotation.from_rotvec(weight[:, None] * self.turn_rad).as_matrix()
+            first[:, 3] -= self.center_mm
+            between = turn @ first
+            between[:, :, 3] += self.center_mm + weight[:, None] * self.shift_mm
+            out[moving] = between
+        return out
+
+    def velocity_mm_s(self, xyz_mm: FloatArray, t_s: FloatArray) -> FloatArray:
+        """(n, 3) dp/dt, target frame, of the points fixed in the source frame that are now at `xyz_mm`.
+
+        Args:
+            xyz_mm: (n, 3) where the points are at these times, target frame.
+            t_s: (n,).
+        """
+        xyz, t = np.asarray(xyz_mm, dtype=np.float64), np.asarray(t_s, dtype=np.float64)
+        check_shape(t, "times", (None,))
+        check_shape(xyz, "points", (len(t), 3))
+        out = np.zeros(xyz.shape)
+        moving = self._moving(t)
+        if moving.any():
+            arm = xyz[moving] - self.center_mm - self._weight(t[moving])[:, None] * self.shift_mm
+            out[moving] = (np.cross(self.turn_rad, arm) + self.shift_mm) / (self.end_s - self.start_s)
+        return out
+
+    def _moving(self, t_s: FloatArray) -> FloatArray:
+        return np.asarray((t_s >= self.start_s) & (t_s < self.end_s))
+
+    def _weight(self, t_s: FloatArray) -> FloatArray:
+        return (t_s - self.start_s) / (self.end_s - self.start_s)
