@@ -17,6 +17,11 @@ from .device import DeviceLimits as DeviceLimits
 from .evaluator import Evaluator as Evaluator
 from .evaluator import ForceSamples as ForceSamples
 from .feed_forward import FeedForward as FeedForward
+from .fixture import FORBIDDEN_SURFACE as FORBIDDEN_SURFACE
+from .fixture import FixtureOptions as FixtureOptions
+from .fixture import FixtureSet as FixtureSet
+from .fixtures import Fixtures as Fixtures
+from .fixtures import force_at_distance as force_at_distance
 from .free_zone import FreeZone as FreeZone
 from .free_zone import gaussian_for_free_zone as gaussian_for_free_zone
 from .free_zone import tightest_gaussian as tightest_gaussian

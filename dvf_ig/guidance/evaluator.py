@@ -6,7 +6,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError, Rigid, read_only_arrays
+from dvf_ig.core import (
+    BoolArray,
+    DvfModel,
+    FloatArray,
+    IntArray,
+    InvalidInputError,
+    Rigid,
+    read_only_arrays,
+)
 from dvf_ig.core.arrays import check_shape
 from dvf_ig.core.frames import check_frame, require_same_frame
 from dvf_ig.kernels.dynamic import force_batch, packed_fixture
@@ -30,6 +38,7 @@ class ForceSamples:
         gradient: (n, 3) gradient of the distance, pointing into the organ; NaN unless OK.
         status: (n,) `Status` values.
         rate_mm_per_cycle: (n,) ∂d/∂φ at the fixed point; NaN unless OK, or where it was not computed.
+        conflict: (n,) True where several fixtures oppose each other (`Composed`).
     """
 
     frame: str
@@ -38,11 +47,14 @@ class ForceSamples:
     gradient: FloatArray
     status: IntArray
     rate_mm_per_cycle: FloatArray = field(default_factory=lambda: np.zeros(0))
+    conflict: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
         check_frame(self.frame)
         if len(self.rate_mm_per_cycle) != len(self.status):
             object.__setattr__(self, "rate_mm_per_cycle", np.full(len(self.status), np.nan))
+        if len(self.conflict) != len(self.status):
+            object.__setattr__(self, "conflict", np.zeros(len(self.status), dtype=np.bool_))
 
     def __len__(self) -> int:
         return len(self.status)
@@ -134,17 +146,30 @@ class Evaluator:
             FrameMismatchError: the model is in another frame than the map's target.
             InvalidInputError: shapes that do not fit.
         """
-        xyz = np.array(xyz_mm, dtype=np.float64, order="C")
-        check_shape(xyz, "points", (None, 3))
+        xyz, phase, found = checked_query(xyz_mm, model_phase, status)
         n = len(xyz)
-        phase = np.array(model_phase, dtype=np.float64, order="C")
-        if phase.ndim == 0:
-            phase = np.full(n, phase)
-        check_shape(phase, "model phase", (n,))
-        found = np.full(n, int(Status.OK)) if status is None else np.array(status, dtype=np.int64)
-        check_shape(found, "status", (n,))
         force, distance, gradient, rate = np.empty((n, 3)), np.empty(n), np.empty((n, 3)), np.empty(n)
         force_batch(
             *self.kernel_arguments(model_from_query), xyz, phase, force, distance, gradient, rate, found
         )
         return ForceSamples(model_from_query.source, force, distance, gradient, found, rate)
+
+
+def checked_query(
+    xyz_mm: Any, model_phase: Any, status: IntArray | None
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """(n, 3) points, (n,) phases and (n,) statuses of `force_through`, as writable copies.
+
+    Raises:
+        InvalidInputError: shapes that do not fit.
+    """
+    xyz = np.array(xyz_mm, dtype=np.float64, order="C")
+    check_shape(xyz, "points", (None, 3))
+    n = len(xyz)
+    phase = np.array(model_phase, dtype=np.float64, order="C")
+    if phase.ndim == 0:
+        phase = np.full(n, phase)
+    check_shape(phase, "model phase", (n,))
+    found = np.full(n, int(Status.OK)) if status is None else np.array(status, dtype=np.int64)
+    check_shape(found, "status", (n,))
+    return xyz, phase, found

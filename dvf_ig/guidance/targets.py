@@ -1,18 +1,28 @@
 """Guidance to a line or a path: Gaussian laws (eqs 7–9) of the distance to a polyline that may beat."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import CycleTiming, FloatArray, InvalidInputError, read_only_arrays
-from dvf_ig.core.arrays import check_shape, frozen_floats
+from dvf_ig.core import (
+    CycleTiming,
+    FloatArray,
+    IntArray,
+    InvalidInputError,
+    Rigid,
+    read_only_arrays,
+    require_same_frame,
+)
+from dvf_ig.core.arrays import frozen_floats
 from dvf_ig.core.frames import check_frame
+from dvf_ig.kernels.dynamic import WITHOUT_RATE
+from dvf_ig.kernels.laws import GAUSSIAN, direction_certainty, signed_potential
 
-from .blend import static_force
 from .device import COMMON_DEVICE, DeviceLimits
-from .evaluator import ForceSamples
-from .laws import Gaussian
+from .evaluator import ForceSamples, checked_query
+from .laws import Gaussian, Law
 from .status import Status
 
 CORNER_MM = 0.5
@@ -61,17 +71,23 @@ class PathTarget:
         first, second, alpha = self.timing.bracket(model_phase)
         return np.asarray((1.0 - alpha) * self.points_mm[first] + alpha * self.points_mm[second])
 
-    def distance(self, xyz_mm: FloatArray, model_phase: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Distance (n,) mm to the path and the direction (n, 3) away from it, each point at its own phase.
+    def distance(self, xyz_mm: FloatArray, model_phase: float) -> tuple[float, FloatArray]:
+        """Distance (mm) of a point (3,) to the path, and the direction (3,) away from it.
 
         The direction is the mean over segments of the unit vector from each one's nearest point, weighted by
         exp(−(dᵢ − d)/CORNER_MM). Its length is 1 beside a straight part, and falls where parts of the path
         lie on opposite sides, as a gradient of distance does across a medial axis. 0 on the path itself.
         """
-        distance, away = np.empty(len(xyz_mm)), np.empty((len(xyz_mm), 3))
-        for i, (point, phase) in enumerate(zip(xyz_mm, model_phase, strict=True)):
-            distance[i], away[i] = _from_path(point, self.at(float(phase)))
-        return distance, away
+        path = self.at(model_phase)
+        start, along = path[:-1], np.diff(path, axis=0)
+        share = np.einsum("ij,ij->i", xyz_mm - start, along) / np.einsum("ij,ij->i", along, along)
+        apart = xyz_mm - start - np.clip(share, 0.0, 1.0)[:, None] * along
+        each = np.linalg.norm(apart, axis=1)
+        nearest = float(each.min())
+        weight = np.exp((nearest - each) / CORNER_MM)
+        weight /= weight.sum()
+        unit = apart / np.where(each > 0.0, each, 1.0)[:, None]
+        return nearest, np.asarray(weight @ unit)
 
 
 class PathFixture:
@@ -86,7 +102,7 @@ class PathFixture:
         InvalidInputError: another law, a depth, or a law beyond the device's limits.
     """
 
-    def __init__(self, target: PathTarget, law: Gaussian, *, device: DeviceLimits = COMMON_DEVICE) -> None:
+    def __init__(self, target: PathTarget, law: Law, *, device: DeviceLimits = COMMON_DEVICE) -> None:
         if not isinstance(law, Gaussian):
             raise InvalidInputError(
                 f"a path was given a {type(law).__name__} law; a distance without sign has no inside, use "
@@ -102,34 +118,58 @@ class PathFixture:
     def force(self, xyz_mm: Any, model_phase: Any) -> ForceSamples:
         """Forces at (n, 3) points of the path's frame, at one model phase or (n,) of them.
 
-        A point or a phase that is not finite gets no force and status FAULT.
-
         Raises:
             InvalidInputError: shapes that do not fit.
         """
-        xyz = np.array(xyz_mm, dtype=np.float64)
-        check_shape(xyz, "points", (None, 3))
-        phase = np.array(model_phase, dtype=np.float64)
-        if phase.ndim == 0:
-            phase = np.full(len(xyz), phase)
-        check_shape(phase, "model phase", (len(xyz),))
-        good = np.isfinite(xyz).all(axis=1) & np.isfinite(phase)
-        force, distance = np.zeros((len(xyz), 3)), np.full(len(xyz), np.nan)
-        away = np.full((len(xyz), 3), np.nan)
-        distance[good], away[good] = self.target.distance(xyz[good], phase[good])
-        force[good] = static_force(self.law, distance[good], away[good])
-        status = np.where(good, int(Status.OK), int(Status.FAULT)).astype(np.int64)
-        return ForceSamples(self.target.frame, force, distance, away, status)
+        frame = self.target.frame
+        return self.force_through(Rigid.identity(frame, frame), xyz_mm, model_phase)
 
+    def force_through(
+        self, model_from_query: Rigid, xyz_mm: Any, model_phase: Any, status: IntArray | None = None
+    ) -> ForceSamples:
+        """Forces in another frame than the path's; arguments and errors as of `Evaluator.force_through`.
 
-def _from_path(point: FloatArray, path: FloatArray) -> tuple[float, FloatArray]:
-    """Distance and blended direction away from a polyline (k, 3)."""
-    start, along = path[:-1], np.diff(path, axis=0)
-    share = np.einsum("ij,ij->i", point - start, along) / np.einsum("ij,ij->i", along, along)
-    apart = point - start - np.clip(share, 0.0, 1.0)[:, None] * along
-    each = np.linalg.norm(apart, axis=1)
-    nearest = float(each.min())
-    weight = np.exp((nearest - each) / CORNER_MM)
-    weight /= weight.sum()
-    unit = apart / np.where(each > 0.0, each, 1.0)[:, None]
-    return nearest, np.asarray(weight @ unit)
+        A point or a phase that is not finite gets no force and status FAULT.
+        """
+        require_same_frame(model_from_query.target, self.target.frame, "path of a fixture")
+        xyz, phase, found = checked_query(xyz_mm, model_phase, status)
+        matrix, out = model_from_query.matrix[:3], np.empty((len(xyz), WITHOUT_RATE))
+        for i, (point, at, given) in enumerate(zip(xyz, phase.tolist(), found.tolist(), strict=True)):
+            found[i] = self.tick(matrix, point, at, given, out[i])
+        force, distance, away = out[:, :3].copy(), out[:, 3].copy(), out[:, 4:].copy()
+        return ForceSamples(model_from_query.source, force, distance, away, found)
+
+    def tick(
+        self,
+        model_from_query: FloatArray,
+        xyz_mm: FloatArray,
+        model_phase: float,
+        input_status: int,
+        out: FloatArray,
+    ) -> int:
+        """Force at one point, as of `dvf_ig.kernels.dynamic.force_tick`; arguments are not checked.
+
+        Args:
+            model_from_query: (3, 4) rigid map of the query frame into the path's.
+            xyz_mm: (3,) point in the query frame.
+            model_phase: phase of the model's cycle.
+            input_status: anything but OK is returned with zero force.
+            out: (7,) or more: force in N, distance in mm, direction away from the path; the rest NaN.
+        """
+        out[:3], out[3:] = 0.0, math.nan
+        if input_status != Status.OK:
+            return input_status
+        x, y, z = xyz_mm.tolist()
+        point = [r[0] * x + r[1] * y + r[2] * z + r[3] for r in model_from_query.tolist()]
+        if not math.isfinite(sum(point) + model_phase):
+            return int(Status.FAULT)
+        rotation = model_from_query[:, :3]
+        distance_mm, away = self.target.distance(np.array(point), model_phase)
+        norm = math.sqrt(away @ away)
+        certainty = direction_certainty(norm)
+        if certainty > 0.0:
+            pull = signed_potential(GAUSSIAN, self.law.delta_mm, self.law.m, distance_mm)
+            out[:3] = (-self.law.cap_n * pull * certainty / norm * away) @ rotation
+        out[3] = distance_mm
+        out[4:7] = away @ rotation
+        return int(Status.OK)

@@ -9,6 +9,7 @@ from .ecg.beat_annotations import read_annotations as read_annotations
 from .ecg.recording import read_ecg as read_ecg
 from .ecg.recording import write_ecg_csv as write_ecg_csv
 from .ecg.trigger import read_triggers as read_triggers
+from .fixtures import read_fixtures as read_fixtures
 from .image.labels import read_cine_labels as read_cine_labels
 from .image.seeds import read_seeds as read_seeds
 from .image.timing import read_timing as read_timing

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.io.reading import read_text
+from dvf_ig.io.yaml_config import Section, read_yaml, validated
 
 SCHEMA = "dvf_ig.scenario/1"
 CONFIG = "scenario.yaml"
@@ -27,11 +27,7 @@ _OURS = re.compile(
 )
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
-
-
-class FanConfig(_Strict):
+class FanConfig(Section):
     """The insonified sector, px and rad."""
 
     apex_px: tuple[float, float]
@@ -40,7 +36,7 @@ class FanConfig(_Strict):
     half_angle_rad: float
 
 
-class PreopConfig(_Strict):
+class PreopConfig(Section):
     """Which pre-operative data there are, and what their labels mean."""
 
     kind: Literal["labels", "surfaces", "labels and surfaces"]
@@ -54,7 +50,7 @@ class PreopConfig(_Strict):
     organ_labels: tuple[int, ...] = ()
 
 
-class FilesConfig(_Strict):
+class FilesConfig(Section):
     """Paths relative to the scenario folder; `ecg` may also be `wfdb:…` or `edf:…`."""
 
     ecg: str = "ecg.csv"
@@ -72,7 +68,7 @@ class FilesConfig(_Strict):
     landmarks_tracker: str | None = None
 
 
-class ScenarioConfig(_Strict):
+class ScenarioConfig(Section):
     """The content of `scenario.yaml`."""
 
     schema_: Literal["dvf_ig.scenario/1"] = Field(default="dvf_ig.scenario/1", alias="schema")
@@ -94,20 +90,11 @@ def read_config(folder: Path) -> ScenarioConfig:
     path = folder / CONFIG
     if not path.is_file():
         raise UnreadableFileError(f"{folder} is not a scenario folder: it has no {CONFIG}")
-    try:
-        document = yaml.safe_load(read_text(path, "a scenario description"))
-    except yaml.YAMLError as exc:
-        raise UnreadableFileError(f"{path} is not YAML: {' '.join(str(exc).split())}") from exc
+    document = read_yaml(path, "a scenario description")
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         got = document.get("schema") if isinstance(document, dict) else None
         raise UnreadableFileError(f"{path} has schema '{got}'; this version reads '{SCHEMA}'")
-    try:
-        return ScenarioConfig.model_validate(document)
-    except ValidationError as exc:
-        problems = "; ".join(
-            f"{'.'.join(map(str, error['loc']))}: {error['msg']}" for error in exc.errors()[:5]
-        )
-        raise UnreadableFileError(f"{path}: {problems}") from exc
+    return validated(ScenarioConfig, document, path)
 
 
 def config_text(config: ScenarioConfig) -> str:

@@ -1,0 +1,73 @@
+"""Virtual fixtures as values, without a model: law, target and blend of each, and the cap of all together."""
+
+import math
+from dataclasses import dataclass, field
+
+from dvf_ig.core import InvalidInputError
+
+from .blend import BLEND_CODES, Blend
+from .laws import Gaussian, Law, Sigmoid
+from .targets import PathTarget
+
+
+@dataclass(frozen=True, slots=True)
+class FixtureOptions:
+    """One virtual fixture.
+
+    Attributes:
+        law: `Sigmoid` for a forbidden region, `Confinement` for a chamber, `Gaussian` for guidance.
+        blend: how neighbouring phases of the model are blended; unused by a path.
+        path: what a Gaussian guides to; None: the model's surface.
+        name: of the fixture in messages.
+    Raises:
+        InvalidInputError: an unknown blend.
+    """
+
+    law: Law = field(default_factory=Sigmoid)
+    blend: Blend = "force"
+    path: PathTarget | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if self.blend not in BLEND_CODES:
+            raise InvalidInputError(f"unknown blend '{self.blend}'; choose one of {', '.join(BLEND_CODES)}")
+
+    @property
+    def forbidden(self) -> bool:
+        """Whether it comes before guidance in a composition."""
+        return not isinstance(self.law, Gaussian)
+
+
+@dataclass(frozen=True, slots=True)
+class FixtureSet:
+    """The fixtures that act on one tool together; the first is the primary one.
+
+    Attributes:
+        fixtures: one or several; unless given, the forbidden region of Ren 2008.
+        cap_n: largest force of all together, N; None: the largest cap among them.
+    Raises:
+        InvalidInputError: no fixture, or a cap that is not positive.
+    """
+
+    fixtures: tuple[FixtureOptions, ...] = (FixtureOptions(),)
+    cap_n: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.fixtures:
+            raise InvalidInputError("a fixture set holds no fixture; needed at least one")
+        if self.cap_n is not None and not (math.isfinite(self.cap_n) and self.cap_n > 0.0):
+            raise InvalidInputError(f"the joint cap is {self.cap_n:g} N; it must be positive and finite")
+
+    @property
+    def joint_cap_n(self) -> float:
+        """Largest force of all together, N."""
+        return max(f.law.cap_n for f in self.fixtures) if self.cap_n is None else self.cap_n
+
+    @property
+    def composed(self) -> bool:
+        """Whether forces need composing: several fixtures, or a joint cap below that of the only one."""
+        return len(self.fixtures) > 1 or self.joint_cap_n < self.fixtures[0].law.cap_n
+
+
+FORBIDDEN_SURFACE = FixtureSet()
+"""The model's surface as a forbidden region: assumed where no fixture is given."""

@@ -1,0 +1,205 @@
+"""Virtual fixtures bound to a patient's model: one force of all of them at a point and a phase."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError, Rigid, require_same_frame
+from dvf_ig.kernels.dynamic import POSE, TIMES, force_tick
+
+from .blend import static_force
+from .composition import Composed, Contribution, compose
+from .device import COMMON_DEVICE, DeviceLimits
+from .evaluator import Evaluator, ForceSamples, checked_query
+from .fixture import FORBIDDEN_SURFACE, FixtureOptions, FixtureSet
+from .status import Status
+from .targets import PathFixture
+
+FORCE = slice(0, 3)
+DISTANCE = 3
+GRADIENT = slice(4, 7)
+RATE = 7
+CONFLICT = 8
+TICK_OUTPUT = 9
+"""What stands where in the output of `Fixtures.tick`, and its length."""
+
+Tick = Callable[[FloatArray, FloatArray, float, int, FloatArray], int]
+
+
+class SurfaceTick:
+    """One tick of a fixture on the model's surface through a pose that may be another at every tick.
+
+    Owns the kernel's arguments: each thread needs its own.
+    """
+
+    __slots__ = ("_coefficients", "_packed", "_pose")
+
+    def __init__(self, evaluator: Evaluator) -> None:
+        frame = evaluator.model.frame
+        self._coefficients, self._packed = evaluator.kernel_arguments(Rigid.identity(frame, frame))
+        self._pose = self._packed[POSE:TIMES].reshape(3, 4)
+
+    def __call__(
+        self,
+        model_from_query: FloatArray,
+        xyz_mm: FloatArray,
+        model_phase: float,
+        input_status: int,
+        out: FloatArray,
+    ) -> int:
+        """As `Fixtures.tick`; fills the first 8 of `out`."""
+        self._pose[...] = model_from_query
+        return force_tick(self._coefficients, self._packed, xyz_mm, model_phase, input_status, out)
+
+
+class Fixtures:
+    """One or several fixtures, ready to evaluate their force together.
+
+    A single fixture goes straight to its kernel; several are composed (`compose`: forbidden regions before
+    guidance, one joint cap). Where any fixture has a status other than OK there is no force of any of them,
+    and the first such status is that of all. Distance, gradient and rate are those of the primary fixture.
+
+    Args:
+        model: this patient's model; every fixture on a surface is on its surface.
+        options: the fixtures and their joint cap.
+        device: what the haptic device can render; each fixture is held to it alone.
+    Raises:
+        InvalidInputError: a law beyond the device's limits, or a path with an unfit law.
+        FrameMismatchError: a path in another frame than the model.
+    """
+
+    def __init__(
+        self,
+        model: DvfModel,
+        options: FixtureSet = FORBIDDEN_SURFACE,
+        *,
+        device: DeviceLimits = COMMON_DEVICE,
+    ) -> None:
+        self.model = model
+        self.options = options
+        self.parts = tuple(_bound(model, one, device) for one in options.fixtures)
+        self._ticks: tuple[Tick, ...] = tuple(
+            SurfaceTick(part) if isinstance(part, Evaluator) else part.tick for part in self.parts
+        )
+        self._first = self._ticks[0]
+        self._composed = options.composed
+        self._parts_out = np.empty((len(self.parts), TICK_OUTPUT))
+
+    def evaluate(
+        self, model_from_query: Rigid, xyz_mm: Any, model_phase: Any, status: IntArray | None = None
+    ) -> ForceSamples:
+        """Forces at n points, in the query frame.
+
+        Args:
+            model_from_query: rigid map of the query frame into the model's.
+            xyz_mm: (n, 3) points in the query frame.
+            model_phase: (n,) phase of the model's cycle, taken modulo 1; or one number for all points.
+            status: (n,) `Status` of the input; entries that are not OK get no force. None: all OK.
+        Raises:
+            FrameMismatchError: the model is in another frame than the map's target.
+            InvalidInputError: shapes that do not fit.
+        """
+        if not self._composed:
+            return self.parts[0].force_through(model_from_query, xyz_mm, model_phase, status)
+        require_same_frame(model_from_query.target, self.model.frame, "registered model")
+        xyz, phase, found = checked_query(xyz_mm, model_phase, status)
+        matrix, out = model_from_query.matrix[:3], np.empty((len(xyz), TICK_OUTPUT))
+        for i, (point, at, given) in enumerate(zip(xyz, phase.tolist(), found.tolist(), strict=True)):
+            found[i] = self.tick(matrix, point, at, given, out[i])
+        return ForceSamples(
+            model_from_query.source,
+            out[:, FORCE].copy(),
+            out[:, DISTANCE].copy(),
+            out[:, GRADIENT].copy(),
+            found,
+            out[:, RATE].copy(),
+            out[:, CONFLICT] != 0.0,
+        )
+
+    def tick(
+        self,
+        model_from_query: FloatArray,
+        xyz_mm: FloatArray,
+        model_phase: float,
+        input_status: int,
+        out: FloatArray,
+    ) -> int:
+        """Force at one point, for a servo loop; the same bits as `evaluate`. Arguments are not checked.
+
+        Uses buffers of its own: not for two threads at once.
+
+        Args:
+            model_from_query: (3, 4) rigid map of the query frame into the model's; may differ at every tick.
+            xyz_mm: (3,) float64 point in the query frame, writable and contiguous (as kernels need it).
+            model_phase: phase of the model's cycle.
+            input_status: `Status` of all inputs together; anything but OK gives no force and is returned.
+            out: (9,) force in N at FORCE, distance in mm at DISTANCE, its gradient at GRADIENT, its rate in
+                mm a cycle at RATE (NaN of a path), and 1 at CONFLICT where fixtures oppose each other;
+                vectors in the query frame.
+        Returns:
+            `Status` value; unless OK the force is zero and distance, gradient and rate are NaN.
+        """
+        if self._composed:
+            return self._tick_of_all(model_from_query, xyz_mm, model_phase, input_status, out)
+        found = self._first(model_from_query, xyz_mm, model_phase, input_status, out)
+        out[CONFLICT] = 0.0
+        return found
+
+    def _tick_of_all(
+        self,
+        model_from_query: FloatArray,
+        xyz_mm: FloatArray,
+        model_phase: float,
+        input_status: int,
+        out: FloatArray,
+    ) -> int:
+        for tick, part in zip(self._ticks, self._parts_out, strict=True):
+            found = tick(model_from_query, xyz_mm, model_phase, input_status, part)
+            if found != Status.OK:
+                out[...] = np.nan
+                out[FORCE], out[CONFLICT] = 0.0, 0.0
+                return found
+        together = _composed(self.options, self._parts_out[:, FORCE])
+        out[...] = self._parts_out[0]
+        out[FORCE], out[CONFLICT] = together.force_n, together.conflict
+        return int(Status.OK)
+
+
+def force_at_distance(options: FixtureSet, distance_mm: FloatArray, normal: FloatArray) -> FloatArray | None:
+    """(n, 3) force where distance and direction are known otherwise, for example from ground truth.
+
+    Args:
+        distance_mm: (n,) signed distance to the organ's surface.
+        normal: (n, 3) its unit gradient.
+    Returns:
+        the force in the frame of `normal`; None for a set with a path, whose distance this is not.
+    """
+    if any(one.path is not None for one in options.fixtures):
+        return None
+    each = np.stack([static_force(one.law, distance_mm, normal) for one in options.fixtures], axis=1)
+    if not options.composed:
+        return np.asarray(each[:, 0])
+    return np.array([_composed(options, forces).force_n for forces in each]).reshape(-1, 3)
+
+
+def _bound(model: DvfModel, one: FixtureOptions, device: DeviceLimits) -> Evaluator | PathFixture:
+    try:
+        if one.path is None:
+            return Evaluator(model, one.law, blend=one.blend, device=device)
+        require_same_frame(model.frame, one.path.frame, "path of a fixture")
+        return PathFixture(one.path, one.law, device=device)
+    except InvalidInputError as exc:
+        if not one.name:
+            raise
+        raise type(exc)(f"fixture '{one.name}': {exc}") from exc
+
+
+def _composed(options: FixtureSet, forces_n: FloatArray) -> Composed:
+    """All forces (k, 3) in one, k fixtures in the order of the set."""
+    forbidden: list[Contribution] = []
+    guidance: list[Contribution] = []
+    for one, force_n in zip(options.fixtures, forces_n, strict=True):
+        part = Contribution("query", force_n, one.law.cap_n)
+        (forbidden if one.forbidden else guidance).append(part)
+    return compose(forbidden, guidance, frame="query", cap_n=options.joint_cap_n)

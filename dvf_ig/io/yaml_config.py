@@ -1,0 +1,91 @@
+"""YAML that people write: sections with known keys, and sentences that name file and key of what is wrong."""
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+
+from dvf_ig.core.errors import UnreadableFileError
+
+from .reading import read_text
+
+MOST_PROBLEMS = 5
+"""So many are named at once."""
+
+
+class Section(BaseModel):
+    """A section of a configuration: a key that it does not know is an error that lists those it knows."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, given: Any) -> Any:
+        if isinstance(given, dict):
+            known = [field.alias or name for name, field in cls.model_fields.items()]
+            unknown = [str(key) for key in given if key not in known and key not in cls.model_fields]
+            if unknown:
+                raise ValueError(f"unknown key {', '.join(unknown)}; needed some of {', '.join(known)}")
+        return given
+
+
+S = TypeVar("S", bound=Section)
+
+
+def read_yaml(path: Path, what: str) -> Any:
+    """The document in a YAML file.
+
+    Args:
+        path: the file.
+        what: what it should be, with its article, for example "a scenario description".
+    Raises:
+        UnreadableFileError: absent, or not YAML.
+    """
+    try:
+        return yaml.safe_load(read_text(path, what))
+    except yaml.YAMLError as exc:
+        raise UnreadableFileError(f"{path} is not YAML: {' '.join(str(exc).split())}") from exc
+
+
+def validated(section: type[S], document: Any, path: Path) -> S:
+    """The document as a section.
+
+    Raises:
+        UnreadableFileError: unknown keys, or missing or wrong values; names the file and each key.
+    """
+    try:
+        return section.model_validate(document)
+    except ValidationError as exc:
+        problems = "; ".join(_sentence(error, document) for error in exc.errors()[:MOST_PROBLEMS])
+        raise UnreadableFileError(f"{path}: {problems}") from exc
+
+
+def _sentence(error: Any, document: Any) -> str:
+    key = _key(error["loc"], document)
+    given = error.get("ctx", {})
+    if error["type"] == "union_tag_not_found":
+        return f"{key}: its {given['discriminator']} is missing"
+    if error["type"] == "union_tag_invalid":
+        name = given["discriminator"].strip("'")
+        return f"{key}.{name} is '{given['tag']}'; needed {given['expected_tags']}"
+    message = error["msg"].removeprefix("Value error, ")
+    return f"{key}: {message}" if key else message
+
+
+def _key(location: tuple[int | str, ...], document: Any) -> str:
+    """The keys and indices of the document on the way to a problem.
+
+    Where the items of a list are of several kinds, pydantic adds the kind of the item after its index.
+    """
+    words: list[str] = []
+    here = document
+    for previous, part in zip((None, *location), location, strict=False):
+        if isinstance(previous, int) and isinstance(here, dict) and part in here.values():
+            continue
+        words.append(str(part))
+        try:
+            here = here[part]
+        except (KeyError, IndexError, TypeError):
+            here = None
+    return ".".join(words)

@@ -1,0 +1,169 @@
+"""Fixtures in YAML: every key reaches its value, two of them are composed, and what is wrong is named."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dvf_ig.core import DvfModel, InvalidInputError, Landmarks, Points, Rigid, UnreadableFileError
+from dvf_ig.guidance import (
+    Confinement,
+    Contribution,
+    Evaluator,
+    FixtureOptions,
+    Fixtures,
+    Gaussian,
+    PathFixture,
+    PathTarget,
+    Sigmoid,
+    compose,
+)
+from dvf_ig.io import read_fixtures, write_landmarks
+from dvf_ig.io.fixtures import FixturesConfig, ForbiddenConfig, GuidanceConfig, PathConfig, fixture_options
+from dvf_ig.io.json_file import read_json, write_json
+
+CURVE = np.array([[-8.0, 0.0, 12.0], [0.0, 3.0, 15.0], [9.0, 1.0, 11.0]])
+
+
+@pytest.fixture
+def curve(tmp_path: Path) -> Path:
+    """A curve beside the YAML file, stored as Slicer may: RAS."""
+    path = tmp_path / "incision.mrk.json"
+    write_landmarks(Landmarks(("a", "b", "c"), Points("mr", CURVE * [-1, -1, 1])), path)
+    text = path.read_text(encoding="utf-8").replace('"LPS"', '"RAS"').replace("Fiducial", "Curve")
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "fixtures.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_every_key_reaches_its_value(tmp_path: Path, curve: Path) -> None:
+    path = written(
+        tmp_path,
+        """
+cap_n: 0.8
+retiming: uniform
+fixtures:
+  - {law: forbidden, name: epicardium, gamma: 2, cap_n: 0.5, depth_mm: 5.0, blend: distance}
+  - {law: forbidden, inside: true, gamma: 1.5}
+  - {law: guidance, delta: 4.0, m: 2, cap_n: 0.4, depth_mm: -1, blend: periodic}
+  - {law: path, delta: 2.5, m: 0.5, cap_n: 0.3, name: line, path: [[0, 0, 1], [0.0, 0.0, 2.0]]}
+  - {law: path, path: incision.mrk.json}
+""",
+    )
+    options, retiming = read_fixtures(path)
+    assert retiming == "uniform"
+    assert options.cap_n == 0.8
+    wall, chamber, guide, line, incision = options.fixtures
+    assert wall == FixtureOptions(Sigmoid(2.0, 0.5, 5.0), "distance", name="epicardium")
+    assert chamber == FixtureOptions(Confinement(1.5))
+    assert guide == FixtureOptions(Gaussian(4.0, 2.0, 0.4, -1.0), "periodic")
+    assert (line.law, line.name) == (Gaussian(2.5, 0.5, 0.3), "line")
+    assert line.path is not None
+    assert line.path.frame == "mr"
+    np.testing.assert_array_equal(line.path.points_mm, [[[0, 0, 1], [0, 0, 2]]])
+    assert incision.law == Gaussian()
+    assert incision.path is not None
+    np.testing.assert_allclose(incision.path.points_mm[0], CURVE, atol=1e-12)
+
+
+def test_defaults_are_those_of_the_values(tmp_path: Path) -> None:
+    assert ForbiddenConfig().options() == FixtureOptions()
+    assert ForbiddenConfig(inside=True).options().law == Confinement()
+    assert GuidanceConfig().options() == FixtureOptions(Gaussian())
+    assert PathConfig(path=((0, 0, 0), (1, 0, 0))).options().law == Gaussian()
+    assert FixturesConfig().fixture_set(tmp_path).fixtures == (FixtureOptions(),)
+    assert fixture_options({"law": "guidance", "m": 2.0}) == FixtureOptions(Gaussian(m=2.0))
+
+
+def test_two_fixtures_are_what_compose_makes_of_them(ball: DvfModel, tmp_path: Path, curve: Path) -> None:
+    path = written(
+        tmp_path,
+        """
+fixtures:
+  - {law: forbidden, name: epicardium, cap_n: 0.5}
+  - {law: path, delta: 4.0, path: incision.mrk.json}
+""",
+    )
+    options, retiming = read_fixtures(path)
+    assert retiming is None
+    pose = Rigid.from_rotation_vector([0.4, -1.1, 0.7], [30.0, -80.0, 12.0], "mr", "tracker")
+    points = np.random.default_rng(3).normal(size=(40, 3)) * [8.0, 5.0, 3.0] + [0.0, 0.0, 13.0]
+    phase = np.linspace(0.0, 1.0, len(points))
+    tip = pose.inverse().apply_array(points)
+    got = Fixtures(ball, options).evaluate(pose, tip, phase)
+    wall = Evaluator(ball, Sigmoid(1.0, 0.5)).force(points, phase)
+    guide = PathFixture(PathTarget.static("mr", CURVE), Gaussian(4.0)).force(points, phase)
+    by_hand = [
+        compose([Contribution("mr", w, 0.5)], [Contribution("mr", g, 0.6)], frame="mr", cap_n=0.6)
+        for w, g in zip(wall.force_n, guide.force_n, strict=True)
+    ]
+    expected = np.array([c.force_n for c in by_hand])
+    np.testing.assert_allclose(got.force_n @ pose.rotation.T, expected, atol=1e-9)
+    assert got.conflict.tolist() == [c.conflict for c in by_hand]
+    np.testing.assert_allclose(got.distance_mm, wall.distance_mm, atol=1e-9)
+    assert np.linalg.norm(expected - wall.force_n, axis=1).max() > 0.05
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("fixtures: [", "is not YAML"),
+        ("", "valid dictionary"),
+        ("fixtures: []", "holds no fixture; needed at least one"),
+        ("fixture: []", "unknown key fixture; needed some of fixtures, cap_n, retiming"),
+        ("fixtures: [{gamma: 1.0}]", "fixtures.0: its 'law' is missing"),
+        ("fixtures: [{law: sigmoid}]", "fixtures.0.law is 'sigmoid'; needed 'forbidden', 'guidance', 'path'"),
+        (
+            "fixtures: [{law: guidance, gamma: 2.0}]",
+            "fixtures.0: unknown key gamma; needed some of name, cap_n, law, delta, m, depth_mm, blend",
+        ),
+        ("fixtures: [{law: forbidden}, {law: guidance, delta: wide}]", "fixtures.1.delta: .*valid number"),
+        ("fixtures: [{law: forbidden, gamma: true}]", "fixtures.0.gamma: .*valid number"),
+        ("fixtures: [{law: forbidden, cap_n: .nan}]", "fixtures.0.cap_n: .*finite"),
+        (
+            "fixtures: [{law: forbidden, blend: nearest}]",
+            "fixtures.0.blend: .*'force', 'distance' or 'period",
+        ),
+        ("fixtures: [{law: forbidden, gamma: -1}]", "fixtures.0: sigmoid steepness gamma_per_mm is -1"),
+        ("fixtures: [{law: path}]", "fixtures.0.path: Field required"),
+        ("fixtures: [{law: path, path: [[0, 0], [1, 1]]}]", r"fixtures.0.path: needed points \[\[x, y, z\]"),
+        ("fixtures: [{law: path, path: [[0, 0, 0]]}]", "fixtures.0: .*at least 2 points"),
+        (
+            "fixtures: [{law: path, path: no.mrk.json}]",
+            r"fixtures.0: .*no.mrk.json does not exist; needed 3D Sl",
+        ),
+        ("retiming: linear", "retiming: .*'uniform' or 'two-segment'"),
+        ("cap_n: -1.0", "joint cap is -1 N"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_file_and_key(tmp_path: Path, text: str, complaint: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(UnreadableFileError, match=complaint) as raised:
+        read_fixtures(path)
+    message = str(raised.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+
+
+def test_a_file_of_two_curves_is_refused(tmp_path: Path, curve: Path) -> None:
+    document = read_json(curve)
+    document["markups"] *= 2
+    write_json(curve, document)
+    path = written(tmp_path, "fixtures: [{law: path, path: incision.mrk.json}]")
+    with pytest.raises(UnreadableFileError, match="holds 2 markups; needed one, the curve"):
+        read_fixtures(path)
+
+
+def test_an_absent_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableFileError, match=r"nowhere\.yaml does not exist; needed a description of"):
+        read_fixtures(tmp_path / "nowhere.yaml")
+
+
+def test_a_number_out_of_range_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="exponent m is 0"):
+        fixture_options({"law": "guidance", "m": 0.0})
