@@ -127,7 +127,10 @@ def run_replay(
     history, recorder, operator = SessionHistory(), TickRecorder(t_s), SimulatedOperator()
     events = events_of(scenario, ecg_chunk=ecg_chunk)
     upcoming = next(events)
-    with Beside(waits=True) as executor, Session(setup, executor=executor, clock=clock, history=history) as session:
+    with (
+        Beside(waits=True) as executor,
+        Session(setup, executor=executor, clock=clock, history=history) as session,
+    ):
         for i, now_s in enumerate(t_s.tolist()):
             while upcoming[0] <= now_s:
                 session.push(upcoming[1])

@@ -1,13 +1,13 @@
 """What the pose did over a replay: beats evaluated, drift, suspensions and computing time."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.registration import PoseChart
-
-from .pose_history import PoseHistory, PoseUpdates
+from dvf_ig.session import PoseUpdate, SessionHistory
 
 MIN_SPAN_S = 10.0
 """Drift over less than this is within the scatter of single beats' updates."""
@@ -38,39 +38,39 @@ class PoseSummary:
         return sum(end_s - begin_s for begin_s, end_s in self.suspended_s)
 
 
-def summarise_poses(history: PoseHistory, center_mm: FloatArray, end_s: float) -> PoseSummary:
+def summarise_poses(history: SessionHistory, center_mm: FloatArray, end_s: float) -> PoseSummary:
     """Beats, drift, computing time and suspensions of a whole replay.
 
     Args:
         center_mm: (3,) centre of the heart box; end_s: of the recording.
     """
-    seconds = [beat.seconds for beat in history.beats]
+    seconds, updates = [beat.seconds for beat in history.beats], tuple(history.updates)
     return PoseSummary(
         sum(beat.in_use for beat in history.beats),
-        drift_mm_per_min(history.updates, center_mm),
+        drift_mm_per_min(updates, center_mm),
         float(np.median(seconds)) if seconds else None,
         float(np.percentile(seconds, 95)) if seconds else None,
-        suspensions(history.updates, end_s),
+        suspensions(updates, end_s),
     )
 
 
-def suspensions(updates: PoseUpdates, end_s: float) -> tuple[tuple[float, float], ...]:
+def suspensions(updates: Sequence[PoseUpdate], end_s: float) -> tuple[tuple[float, float], ...]:
     """Begin and end of each time in which the pose was suspended."""
     found: list[tuple[float, float]] = []
-    for i, (from_s, pose) in enumerate(updates):
-        if pose is None:
-            found.append((from_s, updates[i + 1][0] if i + 1 < len(updates) else end_s))
+    for i, update in enumerate(updates):
+        if update.pose is None:
+            found.append((update.from_s, updates[i + 1].from_s if i + 1 < len(updates) else end_s))
     return tuple(found)
 
 
-def drift_mm_per_min(updates: PoseUpdates, center_mm: FloatArray) -> float | None:
+def drift_mm_per_min(updates: Sequence[PoseUpdate], center_mm: FloatArray) -> float | None:
     """Least-squares slope of the poses since the last suspension, mean over the heart."""
     since: list[tuple[float, Rigid]] = []
-    for from_s, pose in updates:
-        if pose is None:
+    for update in updates:
+        if update.pose is None:
             since = []
         else:
-            since.append((from_s, pose))
+            since.append((update.from_s, update.pose))
     if len(since) < 3 or since[-1][0] - since[0][0] < MIN_SPAN_S:
         return None
     chart = PoseChart(since[0][1], center_mm)

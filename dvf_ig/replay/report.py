@@ -19,11 +19,11 @@ from dvf_ig.report.replay import (
     TickTrace,
     replay_html,
 )
+from dvf_ig.session import GatedFrames
+from dvf_ig.session.registration_monitor import SUSPEND_LOG_RATIO
 
 from .engine import Replay
-from .gated_frames import GatedFrames
 from .pose_summary import suspensions
-from .registration_monitor import SUSPEND_LOG_RATIO
 from .result import true_contact, true_phases
 from .table import table
 
@@ -57,9 +57,9 @@ def _overlays(replay: Replay) -> list[PlaneOverlay]:
     attempt = next((a for a in reversed(replay.attempts) if a.usable), None)
     attempt = attempt or next((a for a in reversed(replay.attempts) if a.result), None)
     images = replay.scenario.ultrasound.images
-    if attempt is None or attempt.result is None or images is None:
+    if attempt is None or attempt.result is None or attempt.frames is None or images is None:
         return []
-    used, first, pose = attempt.frames.used, attempt.frames.first, attempt.result.target_from_source
+    used, first, pose = attempt.frames.used, attempt.frames.first_number, attempt.result.target_from_source
     chosen = used[np.linspace(0, len(used) - 1, 6).astype(int)[1:5]].tolist()
     evaluator = Evaluator(replay.heart.model, Sigmoid(), blend="distance")
     return [
@@ -122,23 +122,23 @@ def _beats(replay: Replay) -> BeatTrace | None:
         log_likelihood_ratio=np.array([beat.measurement.log_likelihood_ratio for beat in beats]),
         tre_mm=tre_mm,
         limit=SUSPEND_LOG_RATIO,
-        suspended_s=suspensions(replay.history.updates, float(replay.phase_tracking.track.t_s[-1])),
+        suspended_s=suspensions(tuple(replay.history.updates), float(replay.ticks.t_s[-1])),
     )
 
 
 def _ticks(replay: Replay, true_phase: FloatArray | None) -> TickTrace:
-    track = replay.phase_tracking.track
+    ticks, track = replay.ticks, replay.ticks.phase
     distance = force = error = None
     if true_phase is not None:
         distance, true_force = true_contact(replay)
-        force = np.linalg.norm(true_force, axis=1)
+        force = None if true_force is None else np.linalg.norm(true_force, axis=1)
         error = 100 * ((track.phi - true_phase + 0.5) % 1.0 - 0.5)
     return TickTrace(
         t_s=track.t_s,
-        valid=replay.valid,
+        valid=ticks.valid,
         phase_valid=track.valid,
-        force_n=np.linalg.norm(replay.samples.force_n, axis=1),
-        distance_mm=replay.samples.distance_mm,
+        force_n=np.linalg.norm(ticks.force_n, axis=1),
+        distance_mm=ticks.distance_mm,
         true_force_n=force,
         true_distance_mm=distance,
         phase_error_percent=error,
@@ -147,7 +147,7 @@ def _ticks(replay: Replay, true_phase: FloatArray | None) -> TickTrace:
 
 def _ecg_strip(replay: Replay, true_phase: FloatArray | None) -> EcgStrip:
     """STRIP_S seconds in the middle of the recording."""
-    ecg, track = replay.scenario.ecg, replay.phase_tracking.track
+    ecg, track = replay.scenario.ecg, replay.ticks.phase
     middle = float(track.t_s[len(track.t_s) // 2])
     begin = max(float(track.t_s[0]), middle - STRIP_S / 2)
     end = begin + STRIP_S
@@ -158,7 +158,7 @@ def _ecg_strip(replay: Replay, true_phase: FloatArray | None) -> EcgStrip:
         unit=ecg.unit,
         ecg_t_s=ecg.t_s[shown],
         ecg=ecg.samples[shown, 0],
-        r_peaks_s=np.array([peak.t_s for peak in replay.phase_tracking.peaks if begin <= peak.t_s < end]),
+        r_peaks_s=np.array([peak.t_s for peak in replay.history.peaks if begin <= peak.t_s < end]),
         t_s=track.t_s[ticks],
         phase=track.phi[ticks],
         phase_valid=track.state[ticks] == int(PhaseState.LOCKED),

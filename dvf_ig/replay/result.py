@@ -9,14 +9,14 @@ import numpy as np
 
 from dvf_ig.cardiac import frame_period_s
 from dvf_ig.core import FloatArray, InvalidInputError, summarise_errors
-from dvf_ig.guidance import Sigmoid, Status
-from dvf_ig.guidance.blend import static_force
+from dvf_ig.guidance import Status
+from dvf_ig.guidance.fixtures import force_at_distance
 from dvf_ig.registration import RegistrationResult, least_constrained_direction, target_errors_mm
+from dvf_ig.session import Attempt
 
 from .engine import Replay
-from .pose_history import Attempt
 from .pose_summary import summarise_poses
-from .score import CONTACT_MM, far_corner_error_mm, score_force, score_phase, score_poses
+from .score import CONTACT_MM, far_corner_error_mm, pose_errors_mm, score_force, score_phase
 
 SCHEMA = "dvf_ig.replay/1"
 
@@ -38,21 +38,21 @@ def validate(result: dict[str, Any]) -> None:
 
 def result_of(replay: Replay) -> dict[str, Any]:
     """Every estimate of a replay, and beside it its error where the scenario carries its truth."""
-    track, force = replay.phase_tracking.track, replay.samples.force_n
+    ticks, force = replay.ticks, replay.ticks.force_n
     magnitude = np.linalg.norm(force, axis=1)
-    valid = replay.valid
+    valid = ticks.valid
     out: dict[str, Any] = {
         "schema": SCHEMA,
         "scenario": replay.scenario.name,
         "preset": replay.scenario.preset,
         "seed": replay.scenario.seed,
         "patient_id": replay.scenario.preop.patient_id,
-        "ticks": len(track.t_s),
+        "ticks": len(ticks),
         "valid_ticks": int(valid.sum()),
         "refused_ticks": int((~valid).sum()),
         "refused_by_status": _refusals(replay),
         "nonfinite_ticks": int((~np.isfinite(force).all(axis=1)).sum()),
-        "valid_phase_share": float(track.valid.mean()),
+        "valid_phase_share": float(ticks.phase.valid.mean()),
         "force_n": {
             "max": float(np.nanmax(magnitude)),
             "mean": float(magnitude[valid].mean()) if valid.any() else 0.0,
@@ -82,14 +82,14 @@ def result_of(replay: Replay) -> dict[str, Any]:
 
 def _refusals(replay: Replay) -> dict[str, int]:
     return {
-        status.name.lower(): int((replay.samples.status == status).sum())
+        status.name.lower(): int((replay.ticks.status == status).sum())
         for status in Status
         if status is not Status.OK
     }
 
 
 def _estimates(replay: Replay) -> dict[str, Any]:
-    calibrations, track = replay.calibrations, replay.phase_tracking.track
+    calibrations, track = replay.calibrations, replay.ticks.phase
     locked = track.valid
     rr_s = float(np.median(track.rr_s[locked])) if locked.any() else None
     model = replay.heart.model
@@ -101,7 +101,7 @@ def _estimates(replay: Replay) -> dict[str, Any]:
         "probe_calibration_mean95_mm": calibrations.probe.calibration.summary.mean95,
         "lag_s": calibrations.latency.lag_s,
         "lag_correlation": calibrations.latency.correlation,
-        "beats": len(replay.phase_tracking.peaks),
+        "beats": len(replay.history.peaks),
         "rr_s": rr_s,
         "frame_period_s": frame_period_s(rr_s, model.phases) if rr_s else None,
         "model_rr_s": model.timing.rr_s,
@@ -114,7 +114,7 @@ def _estimates(replay: Replay) -> dict[str, Any]:
 
 def _pose_updates(replay: Replay) -> dict[str, Any]:
     """What beats and registrations did to the pose."""
-    t_s = replay.phase_tracking.track.t_s
+    t_s = replay.ticks.t_s
     done = summarise_poses(replay.history, replay.heart.center_mm, float(t_s[-1]))
     return {
         "tracked_beats": done.tracked_beats,
@@ -133,8 +133,8 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
         "asked_s": attempt.asked_s,
         "ready_s": attempt.ready_s,
         "usable": attempt.usable,
-        "frames": len(attempt.frames.used),
-        "frames_rejected": attempt.frames.gated.rejected,
+        "frames": 0 if attempt.frames is None else len(attempt.frames.used),
+        "frames_rejected": {} if attempt.frames is None else attempt.frames.gated.rejected,
         "stop": result.stop.name if result else "TOO_FEW_FRAMES",
         "reason": attempt.reason,
     }
@@ -171,7 +171,7 @@ def _errors(replay: Replay) -> dict[str, Any]:
     truth = replay.scenario.truth
     if truth is None:
         return {}
-    track, valid = replay.phase_tracking.track, replay.valid
+    ticks, track, valid = replay.ticks, replay.ticks.phase, replay.ticks.valid
     start_errors = target_errors_mm(replay.start, truth.mr_from_tracker_at(0.0), truth.targets.points)
     out: dict[str, Any] = {
         "start_tre_mm": summarise_errors(start_errors).tre_fields(),
@@ -183,20 +183,20 @@ def _errors(replay: Replay) -> dict[str, Any]:
         out["probe_error_mm"] = far_corner_error_mm(
             replay.calibrations.probe.probe_from_image, truth.probe_from_image, *images.shape[1:]
         )
-    poses = score_poses(replay.poses, track.t_s, valid, truth)
-    if poses is not None:
-        out["tre_mm"] = poses[0].tre_fields()
+    errors_mm = pose_errors_mm(ticks.mr_from_tracker, ticks.t_s, truth)
+    if valid.any():
+        out["tre_mm"] = summarise_errors(errors_mm[valid].ravel()).tre_fields()
     phi, model_phase = true_phases(replay)
     locked = track.valid
     if locked.any():
         score = score_phase(
-            track.phi[locked], replay.model_phase[locked], phi[locked], model_phase[locked], truth.surface
+            track.phi[locked], ticks.model_phase[locked], phi[locked], model_phase[locked], truth.surface
         )
         out["phase_error_percent_rr"] = {"mean": score.percent_mean, "p95": score.percent_p95}
         out["model_phase_error_mm"] = {"mean": score.surface_mm_mean, "p95": score.surface_mm_p95}
     distance, true_force = true_contact(replay)
     contact = distance >= CONTACT_MM
-    force = score_force(replay.samples.force_n, valid, true_force, contact)
+    force = None if true_force is None else score_force(ticks.force_n, valid, true_force, contact)
     out["contact"] = {
         "ticks": int(contact.sum()),
         "share": float(contact.mean()),
@@ -212,19 +212,21 @@ def true_phases(replay: Replay) -> tuple[FloatArray, FloatArray]:
     truth = replay.scenario.truth
     if truth is None:
         raise InvalidInputError("the scenario carries no truth")
-    nearest = _nearest(truth.tool.t_s, replay.phase_tracking.track.t_s)
+    nearest = _nearest(truth.tool.t_s, replay.ticks.t_s)
     return truth.tool.phi[nearest], truth.tool.model_phase[nearest]
 
 
-def true_contact(replay: Replay) -> tuple[FloatArray, FloatArray]:
-    """(n,) true distance and (n, 3) true force in the tracker's frame at each tick."""
+def true_contact(replay: Replay) -> tuple[FloatArray, FloatArray | None]:
+    """(n,) true distance and (n, 3) true force in the tracker's frame at each tick; None for a path."""
     truth = replay.scenario.truth
     if truth is None:
         raise InvalidInputError("the scenario carries no truth")
-    t_s = replay.phase_tracking.track.t_s
+    t_s = replay.ticks.t_s
     nearest = _nearest(truth.tool.t_s, t_s)
     distance, normal = truth.tool.distance_mm[nearest], truth.tool.normal[nearest]
-    force_mr = static_force(Sigmoid(), distance, normal)
+    force_mr = force_at_distance(replay.setup.fixtures, distance, normal)
+    if force_mr is None:
+        return distance, None
     force = np.empty_like(force_mr)
     for start_s, pose in truth.mr_from_tracker:
         later = t_s >= start_s

@@ -1,22 +1,17 @@
 """Estimates against the ground truth. Nothing here runs where a scenario carries none."""
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dvf_ig.core import (
     BoolArray,
-    ErrorSummary,
     FloatArray,
     ImageMap,
-    Rigid,
     ScenarioTruth,
     SurfaceSeries,
-    summarise_errors,
 )
-from dvf_ig.registration import target_errors_mm
 
 CONTACT_MM = 0.0
 """The tool is in contact where its tip truly is at or inside the true surface."""
@@ -42,31 +37,25 @@ class ForceScore:
     force_ticks: int
 
 
-def score_poses(
-    poses: Sequence[tuple[float, Rigid]], t_s: FloatArray, valid: BoolArray, truth: ScenarioTruth
-) -> tuple[ErrorSummary, FloatArray] | None:
-    """TRE at the declared targets over valid ticks, and the mean TRE at each tick (NaN where not valid).
+def pose_errors_mm(mr_from_tracker: FloatArray, t_s: FloatArray, truth: ScenarioTruth) -> FloatArray:
+    """(n, k) TRE at the k declared targets at each tick; NaN where no pose was used.
 
     Args:
-        poses: (time from which it was used, mr_from_tracker), in time order.
+        mr_from_tracker: (n, 3, 4) rotation and translation used at each tick.
+        t_s: (n,) tick times.
     """
-    mean_mm = np.full(len(t_s), np.nan)
-    errors: list[FloatArray] = []
-    weights: list[int] = []
-    edges = sorted({start for start, _ in poses} | {start for start, _ in truth.mr_from_tracker} | {np.inf})
-    for begin, end in itertools.pairwise(edges):
-        used = [pose for start, pose in poses if start <= begin]
-        here = valid & (t_s >= begin) & (t_s < end)
-        if not used or not here.any():
-            continue
-        tre = target_errors_mm(used[-1], truth.mr_from_tracker_at(begin), truth.targets.points)
-        mean_mm[here] = tre.mean()
-        errors.append(tre)
-        weights.append(int(here.sum()))
-    if not errors:
-        return None
-    pooled = np.repeat(np.concatenate(errors), np.repeat(weights, [len(e) for e in errors]))
-    return summarise_errors(pooled), mean_mm
+    targets = truth.targets.points.xyz_mm
+    errors = np.empty((len(t_s), len(targets)))
+    begins = np.searchsorted(t_s, [start_s for start_s, _ in truth.mr_from_tracker])
+    for (_, true_pose), (begin, end) in zip(
+        truth.mr_from_tracker, itertools.pairwise([*begins, len(t_s)]), strict=True
+    ):
+        here = slice(0 if begin == begins[0] else int(begin), int(end))
+        tracker = true_pose.inverse().apply_array(targets)
+        used = mr_from_tracker[here]
+        apart = np.einsum("nij,kj->nki", used[:, :, :3], tracker) + used[:, None, :, 3] - targets
+        errors[here] = np.linalg.norm(apart, axis=2)
+    return errors
 
 
 def score_phase(

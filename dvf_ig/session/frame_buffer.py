@@ -24,6 +24,11 @@ class FrameBuffer:
         self._first_number = 0
         self._shape: tuple[int, ...] | None = None
 
+    @property
+    def any(self) -> bool:
+        """Whether a frame was ever accepted."""
+        return self.order.newest_s > float("-inf")
+
     def push(self, frame: TrackedFrame) -> bool:
         """Take one frame; False where its stamp is not later than all before.
 
@@ -51,7 +56,7 @@ class FrameBuffer:
         Args:
             from_s, until_s: stamps; frames after `until_s` are never looked at.
         Returns:
-            the sequence and the running number of its first frame; None where there is no frame with an image.
+            the sequence and the running number of its first frame; None without any image.
         """
         numbered = [
             (number, frame)

@@ -25,7 +25,7 @@ class HeartClock:
 
     @property
     def next_s(self) -> float:
-        """When the next R peak is detected, or the ECG is lost or returns, of what was pushed; else infinite."""
+        """When the next R peak is detected, or the ECG is lost or returns; infinite where nothing waits."""
         peak_s = self._peaks[0].detected_at_s if self._peaks else inf
         return min(peak_s, self._changes[0].t_s if self._changes else inf)
 

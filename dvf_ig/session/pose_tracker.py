@@ -21,7 +21,7 @@ from .beat_evaluation import BEAT_COMPUTE_S, BeatEvaluation, ComparableBeat, Com
 from .confirmation import Confirmation
 from .events import Landmark
 from .executor import Job
-from .history import Attempt, SessionHistory, PoseUpdate
+from .history import Attempt, PoseUpdate, SessionHistory
 from .refusal import Refusal, Refused
 from .registration_monitor import CONSISTENT_LOG_RATIO, RegistrationMonitor
 from .touched_landmarks import TouchedLandmarks

@@ -18,9 +18,10 @@ from types import TracebackType
 
 import numpy as np
 
-from dvf_ig.cardiac import RPeak, retiming_curve
-from dvf_ig.core import InvalidInputError, PhaseState, PoseMotion
-from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, Status, Supervisor
+from dvf_ig.cardiac import retiming_curve
+from dvf_ig.core import InvalidInputError, PhaseState
+from dvf_ig.guidance import Fixtures, Hazard, Status, Supervisor, hazard_of
+from dvf_ig.guidance.fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, TICK_OUTPUT
 from dvf_ig.registration import SliceThreads
 
 from .events import EcgSamples, Event, Landmark, Rearm, ToolPose, TrackedFrame
@@ -32,11 +33,16 @@ from .pose_tracker import PoseTracker
 from .registration_monitor import RegistrationMonitor
 from .setup import SessionSetup
 from .state import GuidanceState
-from .tool_tracker import ToolTracker
+from .temporary import PoseAndPhase
+from .tool_tracker import ToolReading, ToolTracker
 from .ultrasound_source import ArrivedUltrasound
 
 REMEMBERED = 200
 """Registrations, beats and updates that a session remembers unless it is given a history of its own."""
+
+
+POSE_MISSING = Hazard.NO_POSE | Hazard.POSE_CONTRADICTED | Hazard.POSE_UNCONFIRMED
+_NO_POSE, _NO_POINT = np.zeros((3, 4)), np.zeros(3)
 
 
 def _no_clock() -> float:
@@ -83,7 +89,8 @@ class Session:
         self._fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
         self._supervisor = Supervisor(setup.device)
         self._actions: deque[Landmark | Rearm] = deque()
-        self._first_frame_s = inf
+        self._out = np.zeros(TICK_OUTPUT)
+        self._known: tuple[object, object, object] = (None, None, None)
         self._now_s = -inf
 
     def __enter__(self) -> "Session":
@@ -123,10 +130,11 @@ class Session:
         """
         if not (now_s >= self._now_s and now_s < inf):
             raise InvalidInputError(
-                f"the state at {now_s:g} s was asked for after that at {self._now_s:g} s; ask in order of time"
+                f"the state at {now_s:g} s was asked for after that at {self._now_s:g} s; "
+                "ask in order of time"
             )
-        self._now_s = now_s
-        self._advance(now_s)
+        stepped_s, self._now_s = self._now_s, now_s
+        self._advance(now_s, stepped_s)
         self._update_transform(now_s)
         tool = self._tool.at(now_s)
         hazards = self._hazards(now_s, tool.hazard)
@@ -151,7 +159,7 @@ class Session:
             supervised=supervised,
         )
 
-    def _advance(self, now_s: float) -> None:
+    def _advance(self, now_s: float, stepped_s: float) -> None:
         """Everything that happens until now, in order of time; what is known at a moment counts in it."""
         while True:
             action_s = self._actions[0].t_s if self._actions else inf
@@ -161,15 +169,15 @@ class Session:
             if input_s > self._pose.next_s:
                 self._pose.step()
             elif action_s == input_s:
-                self._act(self._actions.popleft())
+                self._act(self._actions.popleft(), stepped_s)
             else:
                 self._take_peak()
 
-    def _act(self, action: Landmark | Rearm) -> None:
+    def _act(self, action: Landmark | Rearm, stepped_s: float) -> None:
         if isinstance(action, Landmark):
             self._pose.add_landmark(action)
         else:
-            self._supervisor.rearm(max(action.t_s, self._stepped_s))
+            self._supervisor.rearm(max(action.t_s, stepped_s))
 
     def _take_peak(self) -> None:
         peak = self._clock.step()
@@ -179,4 +187,57 @@ class Session:
 
     def _update_transform(self, now_s: float) -> None:
         """A new value where the pose, its confirmation or the phase's forecast has changed."""
-        phase, pose, confirmation = self._clock.forecast(now_s), self._pose.motion, self._pose.confirmation
+        phase, motion = self._clock.forecast(now_s), self._pose.motion
+        confirmation = self._pose.confirmation
+        known = (phase, motion, confirmation)
+        if all(new is old for new, old in zip(known, self._known, strict=True)):
+            return
+        self._known = known
+        heart, estimate = self.setup.heart, self._pose.monitor.estimate
+        model = heart.model
+        self._transform = PoseAndPhase(
+            pose=motion,
+            phase=phase,
+            retiming=retiming_curve(phase.rr_s, model.timing.rr_s, model.es_fraction, self.setup.retiming)
+            if phase.rr_s > 0
+            else None,
+            covariance_mm2=None if estimate is None else estimate.covariance_mm2,
+            pose_until_s=-inf if confirmation is None else confirmation.until_s,
+        )
+
+    def _hazards(self, now_s: float, tool: Hazard) -> Hazard:
+        """What is wrong with pose, phase, tracking and time at this moment."""
+        found, transform, monitor = tool, self._transform, self._pose.monitor
+        if monitor.estimate is None:
+            found |= Hazard.NO_POSE
+        elif transform.pose is None:
+            found |= Hazard.POSE_CONTRADICTED
+        elif now_s >= transform.pose_until_s:
+            found |= Hazard.POSE_UNCONFIRMED
+        elif now_s < transform.pose.end_s:
+            found |= Hazard.POSE_MOVING
+        if transform.phase.state is not PhaseState.LOCKED or now_s > transform.phase.until_s:
+            found |= Hazard.NO_PHASE
+        if self._frames.order.restarted:
+            found |= Hazard.CLOCK_BACKWARDS
+        if self._frames.order.disordered or self._tool.order.disordered:
+            found |= Hazard.REORDERED_STAMPS
+        return found
+
+    def _evaluate(self, now_s: float, tool: ToolReading, hazards: Hazard) -> tuple[float, Status]:
+        """Fill the output with the fixtures' force; the place in the model's cycle, and the status."""
+        transform, status = self._transform, Status.OK
+        if hazards & POSE_MISSING:
+            status = Status.NO_POSE
+        elif hazards & Hazard.NO_PHASE:
+            status = Status.NO_PHASE
+        elif tool.hazard:
+            status = Status.STALE_TOOL
+        unknown = status in (Status.NO_POSE, Status.NO_PHASE)
+        if transform.pose is None or transform.retiming is None or unknown:
+            self._fixtures.tick(_NO_POSE, _NO_POINT, 0.0, int(status), self._out)
+            return nan, status
+        model_phase = float(transform.retiming.at(transform.phase.at(now_s).phi))
+        matrix = transform.pose.at(now_s).matrix[:3]
+        point = np.array(tool.tip_tracker_mm)
+        return model_phase, Status(self._fixtures.tick(matrix, point, model_phase, int(status), self._out))

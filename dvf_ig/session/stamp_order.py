@@ -1,4 +1,4 @@
-"""Order of a stream's time stamps: repeats and reordered samples are dropped, a restarted clock is refused."""
+"""Order of a stream's time stamps: repeated and reordered samples are dropped, a restarted clock refused."""
 
 from collections import deque
 

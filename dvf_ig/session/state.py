@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 from dvf_ig.core import FloatArray, PhaseReading, read_only_arrays
-from dvf_ig.guidance import PoseAndPhase, Status, SupervisedForce, SupervisorState
+from dvf_ig.guidance import Status, SupervisedForce, SupervisorState
 from dvf_ig.registration import PoseEstimate
 
 from .calibrations import CalibrationsInUse
 from .history import Attempt
+from .temporary import PoseAndPhase
 from .tool_tracker import ToolReading
 
 

@@ -1,5 +1,7 @@
 """Landmarks touched on the patient: a start, a check of the first pose, and a prior of registrations."""
 
+import numpy as np
+
 from dvf_ig.core import InvalidInputError, Landmarks, Points, Rigid
 from dvf_ig.registration import LandmarkPrior, prior_from_landmarks, start_from_landmarks
 
@@ -19,8 +21,8 @@ class TouchedLandmarks:
         """One more point, or the same point again."""
         self._touched[landmark.name] = landmark
         names = tuple(self._touched)
-        mr = Landmarks(names, Points("mr", [self._touched[n].mr_mm for n in names]))
-        tracker = Landmarks(names, Points("tracker", [self._touched[n].tracker_mm for n in names]))
+        mr = Landmarks(names, Points("mr", np.array([self._touched[n].mr_mm for n in names])))
+        tracker = Landmarks(names, Points("tracker", np.array([self._touched[n].tracker_mm for n in names])))
         self.fit = _fit(mr, tracker)
         self.prior = None if self.fit is None else prior_from_landmarks(mr, tracker)
 
