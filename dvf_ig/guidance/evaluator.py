@@ -30,6 +30,8 @@ class ForceSamples:
         gradient: (n, 3) gradient of the distance, pointing into the organ; NaN unless OK.
         status: (n,) `Status` values.
         rate_mm_per_cycle: (n,) ∂d/∂φ at the fixed point; NaN unless OK, or where it was not computed.
+        sigma_mm: (n,) standard deviation of the distance by those of pose and phase; NaN unless OK, or where
+            they are not known.
     """
 
     frame: str
@@ -38,11 +40,13 @@ class ForceSamples:
     gradient: FloatArray
     status: IntArray
     rate_mm_per_cycle: FloatArray = field(default_factory=lambda: np.zeros(0))
+    sigma_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         check_frame(self.frame)
-        if len(self.rate_mm_per_cycle) != len(self.status):
-            object.__setattr__(self, "rate_mm_per_cycle", np.full(len(self.status), np.nan))
+        for name in ("rate_mm_per_cycle", "sigma_mm"):
+            if len(getattr(self, name)) != len(self.status):
+                object.__setattr__(self, name, np.full(len(self.status), np.nan))
 
     def __len__(self) -> int:
         return len(self.status)

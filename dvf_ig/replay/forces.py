@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, Rigid
-from dvf_ig.guidance import Evaluator, ForceSamples, PoseAndPhase, Sigmoid, Status
+from dvf_ig.guidance import Evaluator, ForceSamples, Sigmoid, Status
 
 from .heart import Heart
 from .tool_tip import TipTrack
@@ -35,9 +35,8 @@ def force_samples(
     force, gradient = np.zeros((n, 3)), np.full((n, 3), np.nan)
     distance, status = np.full(n, np.nan), refusal.astype(np.int64)
     for (_, mr_from_tracker), here in zip(poses, _spans(begins, n), strict=True):
-        part = PoseAndPhase(mr_from_tracker).evaluate(
-            evaluator, tip.tip_tracker_mm[here], model_phase[here], valid[here], refusal=refusal[here]
-        )
+        given = np.where(valid[here], Status.OK, refusal[here])
+        part = evaluator.force_through(mr_from_tracker, tip.tip_tracker_mm[here], model_phase[here], given)
         force[here], gradient[here] = part.force_n, part.gradient
         distance[here], status[here] = part.distance_mm, part.status
     return ForceSamples("tracker", force, distance, gradient, status), status == Status.OK
