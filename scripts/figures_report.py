@@ -2,15 +2,17 @@
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from dvf_ig.core import Rigid
-from dvf_ig.guidance import DEVICES, Evaluator, Gaussian, PoseAndPhase, Sigmoid
+from dvf_ig.guidance import DEVICES, Evaluator, Gaussian, Sigmoid
 from dvf_ig.guidance.blend import BLEND_CODES
 from dvf_ig.io import write_text
+from dvf_ig.kernels.dynamic import force_tick
 from dvf_ig.report.paper import (
     PaperFigure,
     SurfaceFit,
@@ -157,7 +159,7 @@ def _speed(surface: BeatingSurface) -> list[Row]:
     points = surface.starts_mm[0] + np.cumsum(steps, axis=0).clip(-6, 6)
     phase = np.arange(TIMED_POINTS) / 600.0
     evaluator = Evaluator(surface.model, FORBIDDEN)
-    tick = PoseAndPhase(Rigid("mr", "tracker", np.eye(3), np.zeros(3))).bind(evaluator)
+    tick = partial(force_tick, *evaluator.kernel_arguments(Rigid.identity("mr", "tracker")))
     out = np.empty(7)
     calls = [(point, phi, 0, out) for point, phi in zip(points, phase.tolist(), strict=True)]
     one_us = time_calls(tick, calls, 1)

@@ -117,11 +117,12 @@ class PhaseForecast:
             np.where(known & (self.rr_s > 0), rate / self.rr_s, 0.0),
         )
 
-    def unwrapped(self, t_s: FloatArray) -> FloatArray:
+    def unwrapped(self, t_s: FloatArray | float) -> FloatArray:
         """(...) Φ on the count in which it is `phi` at `since_s`; times not before that."""
         if not self.rr_s > 0:
             return np.full(np.shape(t_s), self.phi)
-        return np.maximum(self.phi, np.minimum(self._target(t_s), self._caught_up(t_s)))
+        t = np.asarray(t_s, dtype=np.float64)
+        return np.asarray(np.maximum(self.phi, np.minimum(self._target(t), self._caught_up(t))))
 
     def _target(self, t_s: FloatArray) -> FloatArray:
         return self.cycles + (t_s - self.r_s) / self.rr_s

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .arrays import FloatArray, check_shape, frozen_floats, read_only_arrays
+from .arrays import BoolArray, FloatArray, check_shape, frozen_floats, read_only_arrays
 from .displacement import mean_displacement_mm
 from .errors import InvalidInputError
 from .frames import require_same_frame
@@ -130,8 +130,8 @@ class PoseMotion:
             out[moving] = (np.cross(self.turn_rad, arm) + self.shift_mm) / (self.end_s - self.start_s)
         return out
 
-    def _moving(self, t_s: FloatArray) -> FloatArray:
+    def _moving(self, t_s: FloatArray) -> BoolArray:
         return np.asarray((t_s >= self.start_s) & (t_s < self.end_s))
 
     def _weight(self, t_s: FloatArray) -> FloatArray:
-        return (t_s - self.start_s) / (self.end_s - self.start_s)
+        return np.asarray((t_s - self.start_s) / (self.end_s - self.start_s))

@@ -37,6 +37,8 @@ from .laws import Confinement as Confinement
 from .laws import Gaussian as Gaussian
 from .laws import Law as Law
 from .laws import Sigmoid as Sigmoid
+from .places import PlaceInModel as PlaceInModel
+from .places import PlacesInModel as PlacesInModel
 from .pose_and_phase import BoundTick as BoundTick
 from .pose_and_phase import PoseAndPhase as PoseAndPhase
 from .simulated_device import DEVICES as DEVICES

@@ -38,6 +38,8 @@ class ForceSamples:
         gradient: (n, 3) gradient of the distance, pointing into the organ; NaN unless OK.
         status: (n,) `Status` values.
         rate_mm_per_cycle: (n,) ∂d/∂φ at the fixed point; NaN unless OK, or where it was not computed.
+        sigma_mm: (n,) standard deviation of the distance by those of pose and phase; NaN unless OK, or where
+            they are not known.
         conflict: (n,) True where several fixtures oppose each other (`Composed`).
     """
 
@@ -47,12 +49,14 @@ class ForceSamples:
     gradient: FloatArray
     status: IntArray
     rate_mm_per_cycle: FloatArray = field(default_factory=lambda: np.zeros(0))
+    sigma_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
     conflict: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
         check_frame(self.frame)
-        if len(self.rate_mm_per_cycle) != len(self.status):
-            object.__setattr__(self, "rate_mm_per_cycle", np.full(len(self.status), np.nan))
+        for name in ("rate_mm_per_cycle", "sigma_mm"):
+            if len(getattr(self, name)) != len(self.status):
+                object.__setattr__(self, name, np.full(len(self.status), np.nan))
         if len(self.conflict) != len(self.status):
             object.__setattr__(self, "conflict", np.zeros(len(self.status), dtype=np.bool_))
 

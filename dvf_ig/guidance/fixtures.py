@@ -114,7 +114,7 @@ class Fixtures:
             out[:, GRADIENT].copy(),
             found,
             out[:, RATE].copy(),
-            out[:, CONFLICT] != 0.0,
+            conflict=out[:, CONFLICT] != 0.0,
         )
 
     def tick(

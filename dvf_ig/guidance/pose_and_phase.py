@@ -1,118 +1,260 @@
-"""The pose-and-phase transform: tool pose and time to the place and phase of the model, and forces back."""
+"""The pose-and-phase transform: a tracked tool at a time, in the model and in its cycle, and its force back.
 
-from dataclasses import dataclass
+    (p_tracker, t) ↦ (p_mr, model phase, the rate of both, σ_d, Status)
+
+One value owns pose, phase, retiming, how well they are known and until when they may be used. It holds from
+one event to the next: a new pose, an R peak, a confirmation. Within it everything is a function of time.
+"""
+
+import math
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError, Rigid
-from dvf_ig.core.arrays import check_shape
-from dvf_ig.kernels.dynamic import force_tick
+from dvf_ig.core import (
+    HEART_RADIUS_MM,
+    FloatArray,
+    IntArray,
+    InvalidInputError,
+    PhaseForecast,
+    PhaseState,
+    PoseMotion,
+    RetimingCurve,
+    Rigid,
+    read_only_arrays,
+)
+from dvf_ig.core.arrays import check_shape, frozen_floats
+from dvf_ig.kernels import pose_and_phase as kernels
 
 from .evaluator import Evaluator, ForceSamples
+from .places import PlaceInModel, PlacesInModel
 from .status import Status
 
 DEVICE_FRAME = "device"
 """Frame of forces that were turned by `tracker_from_device`."""
+TRACKER_FRAME = "tracker"
+"""Frame of the tool where there is no pose to name it."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseAndPhase:
-    """(p_tracker, φ) ↦ (p_mr, φ): a tracked tool in the model's frame, and its force in the tracker's.
+    """A tracked tool and a time to the model's frame and cycle; forces back in the tracker's frame.
 
     Attributes:
-        mr_from_tracker: the registration.
+        pose: mr_from_tracker over time; None without a registration that may be used.
+        phase: as known at the last event of the ECG.
+        retiming: of the current beat; None where its length is not known.
+        covariance_mm2: (6, 6) of the pose in the coordinates of `dvf_ig.registration.PoseChart` about
+            `center_mm`; None where it is not known: σ_d is then NaN.
+        center_mm: (3,) centre of the heart, model frame.
+        pose_until_s: the pose is withheld from then on, unless it was confirmed.
     """
 
-    mr_from_tracker: Rigid
+    pose: PoseMotion | None
+    phase: PhaseForecast
+    retiming: RetimingCurve | None
+    covariance_mm2: FloatArray | None = None
+    center_mm: FloatArray = field(default_factory=lambda: np.zeros(3))
+    pose_until_s: float = math.inf
+    packed: FloatArray = field(init=False, repr=False)
+    """For `dvf_ig.kernels.pose_and_phase`: `place_tick`, `guided_tick`."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center_mm", frozen_floats(self.center_mm, "centre of the heart", (3,)))
+        if self.covariance_mm2 is not None:
+            covariance = frozen_floats(self.covariance_mm2, "covariance of the pose", (6, 6))
+            object.__setattr__(self, "covariance_mm2", covariance)
+        if math.isnan(self.pose_until_s):
+            raise InvalidInputError(
+                "the pose is withheld from NaN s on; needed a time, or infinity for never"
+            )
+        packed = kernels.packed_pose_and_phase(
+            self.pose, self.pose_until_s, self.phase, self.retiming, self.covariance_mm2, self.center_mm
+        )
+        packed.setflags(write=False)
+        object.__setattr__(self, "packed", packed)
+
+    def at(self, xyz_tracker_mm: Any, t_s: Any, *, tracker_from_tool: Any = None) -> PlacesInModel:
+        """Places in the model and in its cycle.
+
+        Args:
+            xyz_tracker_mm: (n, 3) points, tracker frame.
+            t_s: (n,) times of these, or one for all.
+            tracker_from_tool: orientation of the tool, if that is wanted in the model: (3, 3) or (4, 4), or
+                one for each point, (n, 3, 3) or (n, 4, 4).
+        Raises:
+            InvalidInputError: shapes that do not fit.
+        """
+        xyz, t = _points_and_times(xyz_tracker_mm, t_s)
+        n = len(xyz)
+        tools = None if tracker_from_tool is None else _rotations(tracker_from_tool, n, "tracker_from_tool")
+        finite = np.isfinite(xyz).all(axis=1) & np.isfinite(t)
+        if tools is not None:
+            finite &= np.isfinite(tools).all(axis=(1, 2))
+        posed = finite & (t < (-math.inf if self.pose is None else self.pose_until_s))
+        phase, rate, sigma = self._model_phase(np.where(finite, t, np.nan))
+        status = np.where(np.isnan(phase), int(Status.NO_PHASE), int(Status.OK))
+        status = np.where(posed, status, int(Status.NO_POSE))
+        place, velocity = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
+        turned = np.full((0 if tools is None else n, 3, 3), np.nan)
+        if self.pose is not None:
+            poses = self.pose.matrices(t[posed])
+            place[posed] = np.einsum("nij,nj->ni", poses[:, :, :3], xyz[posed]) + poses[:, :, 3]
+            velocity[posed] = self.pose.velocity_mm_s(place[posed], t[posed])
+            if tools is not None:
+                turned[posed] = poses[:, :, :3] @ tools[posed]
+        return PlacesInModel(
+            xyz_mm=place,
+            velocity_mm_s=velocity,
+            model_phase=phase,
+            model_phase_rate_hz=rate,
+            sigma_model_phase=sigma,
+            covariance_mm2=self._covariance(place),
+            mr_from_tool=turned,
+            status=np.where(finite, status, int(Status.FAULT)),
+        )
+
+    def at_one(self, xyz_tracker_mm: FloatArray, t_s: float) -> PlaceInModel:
+        """`at` for one point, (3,), without checks of its shape: quick enough for a loop at 1 kHz."""
+        place = np.empty(kernels.PLACE_SIZE)
+        status = kernels.place_tick(self.packed, t_s, place)
+        pose = place[: kernels.TURN_RATE].reshape(3, 4)
+        xyz = pose[:, :3] @ xyz_tracker_mm + pose[:, 3]
+        if not np.isfinite(xyz_tracker_mm).all():
+            place[:], xyz[:], status = math.nan, math.nan, Status.FAULT
+        x, y, z = xyz.tolist()
+        u, v, w, a, b, c, phase, rate, sigma = place[kernels.TURN_RATE :].tolist()
+        velocity = np.array([v * z - w * y + a, w * x - u * z + b, u * y - v * x + c])
+        return PlaceInModel(xyz, velocity, phase, rate, sigma, Status(status))
 
     def evaluate(
         self,
         evaluator: Evaluator,
         tip_tracker_mm: Any,
-        model_phase: Any,
-        valid: BoolArray,
-        tracker_from_device: FloatArray | None = None,
+        t_s: Any,
+        input_status: IntArray | None = None,
         *,
-        refusal: IntArray | None = None,
+        tracker_from_device: Any = None,
     ) -> ForceSamples:
-        """Forces at the tool tip; none where the state is not valid.
+        """Forces at the tool tip at some times; none where tool, pose or phase may not be used.
 
         Args:
             evaluator: fixture in the target frame of the registration.
-            tip_tracker_mm: (n, 3) tool tip, tracker frame; any value where not valid.
-            model_phase: (n,) phase of the model's cycle; any value where not valid.
-            valid: (n,) True where tool pose, phase and registration may all be used.
+            tip_tracker_mm: (n, 3) tool tip, tracker frame; any value where its status is not OK.
+            t_s: (n,) times of these, or one for all.
+            input_status: (n,) `Status` of the tool's pose; None: all OK.
             tracker_from_device: (3, 3) or (4, 4), or one per sample, (n, 3, 3) or (n, 4, 4): orientation of
                 the frame "device" in which forces and gradients are wanted; None leaves them in the tracker
                 frame. Only the rotation acts: a force is a free vector.
-            refusal: (n,) `Status` to report where not valid; default NO_PHASE.
         Raises:
             FrameMismatchError: the model is in another frame than the registration's target.
-            InvalidInputError: shapes that do not fit, or a refusal that is OK.
+            InvalidInputError: shapes that do not fit.
         """
-        ok = np.asarray(valid, dtype=np.bool_)
-        reason = np.full(len(ok), int(Status.NO_PHASE)) if refusal is None else np.asarray(refusal)
-        check_shape(reason, "refusal", (len(ok),))
-        if (reason[~ok] == Status.OK).any():
-            raise InvalidInputError("a refusal is OK where the state is not valid; give the reason")
-        status = np.where(ok, int(Status.OK), reason)
-        if tracker_from_device is None:
-            return evaluator.force_through(self.mr_from_tracker, tip_tracker_mm, model_phase, status)
-        device_from_tracker = np.swapaxes(_rotations(tracker_from_device, len(ok)), 1, 2)
-        broken = np.asarray(~np.isfinite(device_from_tracker).all(axis=(1, 2)))
-        status = np.where(broken & ok, int(Status.FAULT), status)
-        samples = evaluator.force_through(self.mr_from_tracker, tip_tracker_mm, model_phase, status)
-        turn = np.where(broken[:, None, None], np.eye(3), device_from_tracker)
+        xyz, t = _points_and_times(tip_tracker_mm, t_s)
+        n = len(xyz)
+        ok = int(Status.OK)
+        status = np.full(n, ok) if input_status is None else np.array(input_status, dtype=np.int64)
+        check_shape(status, "input status", (n,))
+        frame, turn = self._pose_frames(evaluator).source, None
+        if tracker_from_device is not None:
+            device = _rotations(tracker_from_device, n, "tracker_from_device")
+            broken = np.asarray(~np.isfinite(device).all(axis=(1, 2)))
+            status[broken & (status == ok)] = int(Status.FAULT)
+            frame, turn = DEVICE_FRAME, np.where(broken[:, None, None], np.eye(3), device)
+        out = np.empty((n, kernels.GUIDED_SIZE))
+        kernels.guided_batch(*self._kernel_arguments(evaluator), t, xyz, status, out)
+        force, gradient = out[:, :3], out[:, 4:7]
+        if turn is not None:
+            force, gradient = (np.einsum("nji,nj->ni", turn, v) for v in (force, gradient))
         return ForceSamples(
-            DEVICE_FRAME,
-            np.einsum("nij,nj->ni", turn, samples.force_n),
-            samples.distance_mm,
-            np.einsum("nij,nj->ni", turn, samples.gradient),
-            samples.status,
-            samples.rate_mm_per_cycle,
+            frame, force, out[:, 3], gradient, status, out[:, 7], out[:, kernels.DISTANCE_SIGMA]
         )
 
     def bind(self, evaluator: Evaluator) -> "BoundTick":
-        """The same map as one call per servo tick, without allocation.
+        """The same as one call per servo tick, without allocation, until the next event.
 
         Raises:
             FrameMismatchError: the model is in another frame than the registration's target.
         """
-        return BoundTick(evaluator, self.mr_from_tracker)
+        return BoundTick(*self._kernel_arguments(evaluator))
+
+    def _kernel_arguments(self, evaluator: Evaluator) -> tuple[Any, FloatArray, FloatArray]:
+        """Leading arguments of `guided_tick`; the fixture's array is a new one, which its calls write to."""
+        return *evaluator.kernel_arguments(self._pose_frames(evaluator)), self.packed
+
+    def _pose_frames(self, evaluator: Evaluator) -> Rigid:
+        """A map between the frames of the pose; the kernel sets its numbers."""
+        if self.pose is None:
+            return Rigid.identity(evaluator.model.frame, TRACKER_FRAME)
+        return self.pose.end
+
+    def _model_phase(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(n,) model phase, its rate and its standard deviation; NaN where phase may not be used."""
+        found = self.phase.at_many(t_s)
+        if self.retiming is None:
+            return (np.full(len(t_s), np.nan),) * 3
+        usable = (found.state == int(PhaseState.LOCKED)) & ~np.isnan(found.phi)
+        phi = np.where(usable, found.phi, np.nan)
+        slope = self.retiming.slope(phi)
+        return self.retiming.at(phi), slope * found.rate_hz, slope * found.sigma_phi
+
+    def _covariance(self, xyz_mm: FloatArray) -> FloatArray:
+        """(n, 3, 3) mm² of places by the pose: J Σ Jᵀ with J = (−[p − c]× / radius, I)."""
+        n = len(xyz_mm)
+        if self.covariance_mm2 is None:
+            return np.full((n, 3, 3), np.nan)
+        x, y, z = ((xyz_mm - self.center_mm) / HEART_RADIUS_MM).T
+        jacobian = np.zeros((n, 3, 6))
+        jacobian[:, 0, 1], jacobian[:, 0, 2] = z, -y
+        jacobian[:, 1, 0], jacobian[:, 1, 2] = -z, x
+        jacobian[:, 2, 0], jacobian[:, 2, 1] = y, -x
+        jacobian[:, :, 3:] = np.eye(3)
+        return np.asarray(jacobian @ self.covariance_mm2 @ np.swapaxes(jacobian, 1, 2))
 
 
 class BoundTick(partial[int]):
-    """One tick of the servo loop: tip (tracker frame) and model phase in, force (tracker frame) out.
+    """One tick of the servo loop: time and tip (tracker frame) in, force (tracker frame) out.
 
-    `tick(tip_tracker_mm, model_phase, input_status, out)` returns the `Status` value and fills `out`:
+    `tick(t_s, tip_tracker_mm, input_status, out)` returns the `Status` value and fills `out`:
 
     Args:
+        t_s: time of the tool's pose.
         tip_tracker_mm: (3,) tool tip, tracker frame.
-        model_phase: phase of the model's cycle.
-        input_status: `Status` of phase, pose and tool together; anything but OK gives zero force.
-        out: (7,) force in N, distance in mm, gradient, vectors in the tracker frame; (8,) for ∂d/∂φ as
-            well, in mm a cycle.
+        input_status: `Status` of the tool's pose; anything but OK gives zero force.
+        out: (7,) force in N, distance in mm, gradient, vectors in the tracker frame; (8,) for ∂d/∂φ in mm a
+            cycle as well; (10,) for ∂d/∂t at the tool's fixed place in mm/s and σ_d in mm as well.
 
-    Arguments are not checked: the call goes straight to the kernel, for use in a servo loop.
+    Arguments are not checked: the call goes straight to the kernel, for use in one servo loop.
     `PoseAndPhase.evaluate` is the same with checks. `args` are the leading arguments of
-    `dvf_ig.kernels.dynamic.force_tick`, for loops that run inside a kernel and never cross Python.
+    `dvf_ig.kernels.pose_and_phase.guided_tick`, for loops that run inside a kernel and never cross Python.
     """
 
     __slots__ = ()
 
-    def __new__(cls, evaluator: Evaluator, mr_from_tracker: Rigid) -> "BoundTick":
-        return super().__new__(cls, force_tick, *evaluator.kernel_arguments(mr_from_tracker))
+    def __new__(cls, coefficients: Any, fixture: FloatArray, packed: FloatArray) -> "BoundTick":
+        return super().__new__(cls, kernels.guided_tick, coefficients, fixture, packed)
 
 
-def _rotations(tracker_from_device: FloatArray, n: int) -> FloatArray:
+def _points_and_times(xyz_mm: Any, t_s: Any) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) and (n,), owned and writable: kernels are compiled for such arrays."""
+    xyz = np.array(xyz_mm, dtype=np.float64, order="C")
+    check_shape(xyz, "points", (None, 3))
+    t = np.array(t_s, dtype=np.float64, order="C")
+    if t.ndim == 0:
+        t = np.full(len(xyz), t)
+    check_shape(t, "times", (len(xyz),))
+    return xyz, t
+
+
+def _rotations(given_map: Any, n: int, name: str) -> FloatArray:
     """(n, 3, 3) rotations of rigid maps given in any of the accepted shapes."""
-    given = np.asarray(tracker_from_device, dtype=np.float64)
+    given = np.asarray(given_map, dtype=np.float64)
     stack = given[None] if given.ndim == 2 else given
     if stack.ndim != 3 or stack.shape[1:] not in ((3, 3), (4, 4)) or len(stack) not in (1, n):
         raise InvalidInputError(
-            f"tracker_from_device has shape {given.shape}; needed (3, 3) or (4, 4), or one for "
-            f"each of {n} samples"
+            f"{name} has shape {given.shape}; needed (3, 3) or (4, 4), or one for each of {n} samples"
         )
     return np.broadcast_to(stack[:, :3, :3], (n, 3, 3))

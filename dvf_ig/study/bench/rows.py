@@ -1,16 +1,28 @@
 """The fixture's speed and error beside other ways to the same distance, on one heart in one run."""
 
+import math
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, Rigid
+from dvf_ig.core import (
+    DvfModel,
+    FloatArray,
+    InvalidInputError,
+    PhaseForecast,
+    PhaseState,
+    PoseMotion,
+    RetimingCurve,
+    Rigid,
+)
 from dvf_ig.guidance import Continuity, Evaluator, Gaussian, PoseAndPhase, Sigmoid, Status, check_continuity
 from dvf_ig.guidance.blend import BLEND_CODES
-from dvf_ig.kernels.dynamic import force_batch
+from dvf_ig.kernels.dynamic import force_batch, force_tick
+from dvf_ig.kernels.pose_and_phase import GUIDED_SIZE
 from dvf_ig.kernels.spline import spline_batch
 from dvf_ig.preop import build_triangle_tree
 
@@ -198,12 +210,11 @@ def _dynamic_rows(
     tip = np.ascontiguousarray(POSE.inverse().apply_array(path))
     law = Sigmoid()
     ed = float(model.timing.fractions[model.ed_phase])
-    ok = np.ones(1, dtype=np.bool_)
     for blend in BLEND_CODES:
         evaluator = Evaluator(model, law, blend=blend)
-        pose = PoseAndPhase(Rigid(model.frame, "tracker", POSE.rotation, POSE.translation_mm))
-        tick = pose.bind(evaluator)
-        found = pose.evaluate(evaluator, tip, ed, np.ones(len(tip), dtype=np.bool_)).distance_mm
+        pose = Rigid(model.frame, "tracker", POSE.rotation, POSE.translation_mm)
+        tick = partial(force_tick, *evaluator.kernel_arguments(pose))
+        found = evaluator.force_through(pose, tip, ed).distance_mm
         error = float(np.sqrt(np.mean((np.abs(found) - exact_mm) ** 2)))
         suffix = "" if blend == "force" else f", {blend} blend"
         yield _kernel_row(f"dynamic kernel{suffix}", tick.args, tip, phi, error, options)
@@ -215,9 +226,39 @@ def _dynamic_rows(
         elsewhere = np.ascontiguousarray(POSE.inverse().apply_array(scattered))
         anywhen = np.random.default_rng(options.seed).uniform(size=len(phi))
         yield _kernel_row("random kernel", tick.args, elsewhere, anywhen, None, options)
-        few = [(evaluator, tip[k : k + 1], phi[k], ok) for k in range(min(len(tip), 1000))]
-        spent = time_calls(pose.evaluate, few, options.repeats)
-        yield row(OURS, "dynamic safe", spent, error, note="PoseAndPhase.evaluate, every argument checked")
+        yield from _guided_rows(evaluator, PoseAndPhase(*_steady(pose)), tip, error, options)
+
+
+def _guided_rows(
+    evaluator: Evaluator, transform: PoseAndPhase, tip: FloatArray, error_mm: float, options: BenchOptions
+) -> Iterator[Row]:
+    """Force from tracker position and time, through the pose-and-phase transform."""
+    t_s = (np.arange(len(tip)) / RATE_HZ).tolist()
+    few = [(evaluator, tip[k : k + 1], t_s[k]) for k in range(min(len(tip), 1000))]
+    spent = time_calls(transform.evaluate, few, options.repeats)
+    yield row(OURS, "dynamic safe", spent, error_mm, note="PoseAndPhase.evaluate, every argument checked")
+    out = np.empty(GUIDED_SIZE)
+    calls = [(now, point, 0, out) for point, now in zip(tip, t_s, strict=True)]
+    spent = time_calls(transform.bind(evaluator), calls, options.repeats)
+    yield row(OURS, "guided python", spent, error_mm, note="pose and phase at t, rates and σ_d included")
+
+
+def _steady(pose: Rigid) -> tuple[PoseMotion, PhaseForecast, RetimingCurve, FloatArray]:
+    """A pose that stays, with its covariance, and a heart that beats once in CYCLE_S."""
+    beat = PhaseForecast(
+        since_s=0.0,
+        until_s=math.inf,
+        state=PhaseState.LOCKED,
+        state_after=PhaseState.LOST,
+        phi=0.0,
+        r_s=0.0,
+        cycles=0.0,
+        rr_s=CYCLE_S,
+        spread=0.05,
+        catch_up=3.0,
+        r_timing_s=0.005,
+    )
+    return PoseMotion.still(pose), beat, RetimingCurve.uniform(), np.eye(6)
 
 
 def _kernel_row(

@@ -8,6 +8,7 @@ left is the fixture, its blending, and the mass and friction of the device.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -25,17 +26,16 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.guidance import (
-    BoundTick,
     Evaluator,
     FeedForward,
     Gaussian,
-    PoseAndPhase,
     SimulatedDevice,
     Status,
     tightest_gaussian,
 )
 from dvf_ig.guidance.blend import Blend
 from dvf_ig.kernels.device import MM_PER_M, advance
+from dvf_ig.kernels.dynamic import force_tick
 from dvf_ig.preop import ModelOptions, model_from_surfaces
 
 FASTEST_MM_S = 150.0
@@ -210,7 +210,7 @@ def hold_stylus(
     device, cycle_s = stylus.device, surface.model.timing.rr_s
     limits = device.limits(fastest_mm_s=FASTEST_MM_S, feed_forward=stylus.feed_forward)
     evaluator = Evaluator(surface.model, stylus.law, blend=stylus.blend, device=limits)
-    tick = PoseAndPhase(Rigid("mr", "device", np.eye(3), np.zeros(3))).bind(evaluator)
+    tick = partial(force_tick, *evaluator.kernel_arguments(Rigid.identity("mr", "device")))
     t_s = np.arange(round(cycles * cycle_s * device.rate_hz)) / device.rate_hz
     shape = (len(surface.starts_mm), len(t_s), 3)
     tip, force, distance, outward = np.empty(shape), np.empty(shape), np.empty(shape[:2]), []
@@ -234,7 +234,7 @@ def pool_hearts(runs: Sequence[StylusRun]) -> StylusRun:
 
 
 def _one_place(
-    tick: BoundTick, stylus: HeldStylus, start_mm: FloatArray, phase: FloatArray, cycle_s: float
+    tick: partial[int], stylus: HeldStylus, start_mm: FloatArray, phase: FloatArray, cycle_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Tip (n, 3) and force (n, 3) at every tick: measure, evaluate, add the feed-forward, cap, move."""
     device, law, constants = stylus.device, stylus.law, stylus.device.constants
@@ -258,7 +258,7 @@ def _one_place(
     return tip, force
 
 
-def _distance_rate(tick: BoundTick, here: FloatArray, phi: float, out: FloatArray) -> float:
+def _distance_rate(tick: partial[int], here: FloatArray, phi: float, out: FloatArray) -> float:
     """∂d/∂φ at a point that stays, mm a cycle."""
     tick(here, phi + PHASE_STEP, int(Status.OK), out)
     after = float(out[3])

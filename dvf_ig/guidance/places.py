@@ -1,0 +1,72 @@
+"""Where tracked points are in the model and in its cycle: what the pose-and-phase transform gives."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, IntArray, read_only_arrays
+
+from .status import Status
+
+
+class PlaceInModel(NamedTuple):
+    """One point at one time; fields as in `PlacesInModel`."""
+
+    xyz_mm: FloatArray
+    velocity_mm_s: FloatArray
+    model_phase: float
+    model_phase_rate_hz: float
+    sigma_model_phase: float
+    status: Status
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacesInModel:
+    """Tracked points in the model's frame and cycle, at their times.
+
+    What follows from the pose is NaN at NO_POSE, what follows from phase where phase may not be used, all of
+    it at FAULT.
+
+    Attributes:
+        xyz_mm: (n, 3) model frame.
+        velocity_mm_s: (n, 3) of the place by the motion of the pose alone, the tool held still; model frame.
+        model_phase: (n,) in [0, 1).
+        model_phase_rate_hz: (n,) cycles of the model a second.
+        sigma_model_phase: (n,) one standard deviation.
+        covariance_mm2: (n, 3, 3) of the place, by that of the pose; NaN where that is not known.
+        mr_from_tool: (n, 3, 3) orientation of the tool; (0, 3, 3) if it was not asked for.
+        status: (n,) `Status`: OK, NO_POSE, NO_PHASE or FAULT.
+    """
+
+    xyz_mm: FloatArray
+    velocity_mm_s: FloatArray
+    model_phase: FloatArray
+    model_phase_rate_hz: FloatArray
+    sigma_model_phase: FloatArray
+    covariance_mm2: FloatArray
+    mr_from_tool: FloatArray
+    status: IntArray
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def distance_rate_mm_s(self, gradient: FloatArray, rate_mm_per_cycle: FloatArray) -> FloatArray:
+        """(n,) ∂d/∂t where the tool is: ∇d·v + ∂d/∂φ dφ/dt, φ the model phase.
+
+        Args:
+            gradient: (n, 3) ∇d at the places, model frame.
+            rate_mm_per_cycle: (n,) ∂d/∂φ.
+        """
+        by_pose = np.einsum("ni,ni->n", gradient, self.velocity_mm_s)
+        return np.asarray(by_pose + rate_mm_per_cycle * self.model_phase_rate_hz)
+
+    def distance_sigma_mm(self, gradient: FloatArray, rate_mm_per_cycle: FloatArray) -> FloatArray:
+        """(n,) σ_d by pose and phase, taken as independent: σ_d² = ∇dᵀ C ∇d + (∂d/∂φ σ_φ)².
+
+        Args:
+            gradient, rate_mm_per_cycle: as in `distance_rate_mm_s`.
+        """
+        by_pose = np.einsum("ni,nij,nj->n", gradient, self.covariance_mm2, gradient)
+        return np.asarray(np.sqrt(by_pose + (rate_mm_per_cycle * self.sigma_model_phase) ** 2))
