@@ -226,8 +226,7 @@ class Supervisor:
         """Towards the wanted force; gives the rise's share of it, and whether a counted clamp was needed."""
         risen = (t_s - self._rise_start_s) / self._rise_s if self._rise_s > 0.0 else 1.0
         scale = 1.0 - _falling_cosine(min(max(risen, 0.0), 1.0)) if risen < 1.0 else 1.0
-        moving = bool(bits & _SLOW)
-        slow = self._slow or moving
+        slow = self._slow or bool(bits & _SLOW)
         largest_n = dt_s * (min(SLOW_SLEW_N_PER_S, self._slew_n_per_s) if slow else self._slew_n_per_s)
         sent = self._sent
         target = (scale * wanted[0], scale * wanted[1], scale * wanted[2])
@@ -238,7 +237,7 @@ class Supervisor:
         if cut:
             target = (sent[0] + share * change[0], sent[1] + share * change[1], sent[2] + share * change[2])
         self._sent = target
-        self._slow = slow and (moving or cut or risen < 1.0)
+        self._slow = slow and (cut or risen < 1.0)
         if not self._slow:
             self._rise_s = 0.0
         self._state = SupervisorState.DEGRADED if bits or self._slow else SupervisorState.OK

@@ -129,6 +129,21 @@ def test_a_rise_after_a_rearm_begins_again_when_it_was_interrupted():
     np.testing.assert_allclose(again[-1], CAP)
 
 
+def test_the_slow_rise_belongs_to_the_rearm_alone():
+    loop = latched()
+    assert loop.rearm() is Rearm.ACCEPTED
+    loop.steps(700)
+    loop.steps(300, hazards=Hazard.NO_PHASE)
+    assert loop.steps(110)[-1].state is OK
+
+
+def test_a_step_before_the_time_of_the_rearm_still_sends_nothing():
+    loop = latched()
+    assert loop.supervisor.rearm(loop.now_s + 0.05) is Rearm.ACCEPTED
+    assert not sizes(loop.steps(50)).any()
+    assert loop.steps(2)[-1].force_n.any()
+
+
 def test_rearm_is_refused_with_a_reason_and_then_dropped():
     assert guiding().rearm() is Rearm.NOT_LATCHED
     assert Loop().rearm() is Rearm.NOT_LATCHED
@@ -148,7 +163,8 @@ def test_rearm_is_refused_with_a_reason_and_then_dropped():
 def test_a_hazard_during_a_latch_is_not_remembered_after_the_rearm():
     loop = latched()
     loop.steps(5, wanted=[math.nan, 0.0, 0.0])
-    loop.steps(1500, wanted=NONE, hazards=Hazard.TOOL_LOST)
+    lost = loop.steps(1500, wanted=NONE, hazards=Hazard.TOOL_LOST)
+    assert all(s.hazards == Hazard.TOOL_LOST and s.cause == Hazard.NOT_FINITE for s in lost)
     loop.steps(1, wanted=NONE)
     assert loop.rearm() is Rearm.ACCEPTED
     loop.steps(10, wanted=NONE, hazards=Hazard.NO_PHASE)
@@ -164,12 +180,12 @@ def test_without_a_force_there_is_nothing_to_fade():
 
 
 def test_time_that_stands_still_gives_the_same_force():
-    loop = Loop()
-    rising = loop.steps(50)[-1]
-    for hazards in (Hazard.NONE, Hazard.NO_PHASE, Hazard.NOT_FINITE):
-        again = loop.supervisor.step(loop.now_s, -WANTED, hazards)
-        np.testing.assert_array_equal(again.force_n, rising.force_n)
-        assert not again.clamped
+    for loop in (Loop(), guiding()):
+        last = loop.steps(50)[-1]
+        for hazards in (Hazard.NONE, Hazard.NO_PHASE, Hazard.NOT_FINITE):
+            again = loop.supervisor.step(loop.now_s, -WANTED, hazards)
+            np.testing.assert_array_equal(again.force_n, last.force_n)
+            assert not again.clamped
 
 
 def test_slow_and_irregular_steps_keep_to_the_same_slew():
