@@ -56,8 +56,11 @@ from .signals.occlusion import OcclusionSpec as OcclusionSpec
 from .signals.rhythm import RhythmSpec as RhythmSpec
 from .signals.rhythm import beat_series as beat_series
 from .signals.tracker import TrackerSpec as TrackerSpec
+from .signals.tracker_failure import ClockRestartSpec as ClockRestartSpec
+from .signals.tracker_failure import TrackerFailureSpec as TrackerFailureSpec
 from .surfaces.anatomy import SurfaceAnatomy as SurfaceAnatomy
 from .surfaces.anatomy import surface_anatomy as surface_anatomy
+from .ultrasound.image_failure import ImageFailureSpec as ImageFailureSpec
 from .ultrasound.image_faults import ImageSpec as ImageSpec
 from .ultrasound.label_anatomy import LabelAnatomy as LabelAnatomy
 from .ultrasound.label_anatomy import label_anatomy as label_anatomy

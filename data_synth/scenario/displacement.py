@@ -1,6 +1,6 @@
 """A rigid pose that changes once, by a stated amount: a patient who moves, a marker that slips."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,12 +22,16 @@ class Displacement:
         shift_mm: how far the centre moves, exactly; the direction is random.
         turn_deg: how far it turns about the centre, exactly; the axis is random.
         over_s: how long the change takes; 0 is a jump.
+        shift_up_to_mm: where this is above `shift_mm`, the distance is drawn uniformly between the two.
+        wait_s: (shortest, longest) time from `at_share` to the beginning, drawn uniformly.
     """
 
     at_share: float = 0.5
     shift_mm: float = 0.0
     turn_deg: float = 0.0
     over_s: float = 0.0
+    shift_up_to_mm: float = 0.0
+    wait_s: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.at_share <= 1.0 or not 0.0 <= self.over_s <= 60.0:
@@ -35,14 +39,26 @@ class Displacement:
                 f"a displacement begins at {self.at_share:g} of the recording and takes {self.over_s:g} s; "
                 "needed 0 to 1 and 0 to 60 s"
             )
-        if not 0.0 <= self.shift_mm <= 100.0 or not 0.0 <= self.turn_deg <= 90.0:
+        shift_mm = (self.shift_mm, self.shift_up_to_mm)
+        if not 0.0 <= min(shift_mm) <= max(shift_mm) <= 100.0 or not 0.0 <= self.turn_deg <= 90.0:
             raise InvalidInputError(
-                f"a displacement is {self.shift_mm:g} mm and {self.turn_deg:g}°; needed 0 to 100 mm, 0 to 90°"
+                f"a displacement is {max(shift_mm):g} mm and {self.turn_deg:g}°; needed 0 to 100 mm, 0 to 90°"
+            )
+        if not 0.0 <= self.wait_s[0] <= self.wait_s[1] <= 3600.0:
+            raise InvalidInputError(
+                f"a displacement waits {self.wait_s[0]:g} to {self.wait_s[1]:g} s; needed 0 to 3600 s, "
+                "increasing"
             )
 
     @property
     def happens(self) -> bool:
-        return self.shift_mm > 0 or self.turn_deg > 0
+        return max(self.shift_mm, self.shift_up_to_mm) > 0 or self.turn_deg > 0
+
+    def drawn(self, rng: np.random.Generator) -> "Displacement":
+        """The same with one distance and one waiting time in place of their ranges."""
+        shift_mm = float(rng.uniform(self.shift_mm, max(self.shift_mm, self.shift_up_to_mm)))
+        wait_s = float(rng.uniform(*self.wait_s))
+        return replace(self, shift_mm=shift_mm, shift_up_to_mm=0.0, wait_s=(wait_s, wait_s))
 
 
 @read_only_arrays
@@ -107,9 +123,11 @@ def displaced(
     """`before`, changed as stated in a random direction and about a random axis.
 
     Args:
+        change: without ranges, see `Displacement.drawn`.
         center_mm: (3,) point of the target frame that moves by exactly `change.shift_mm`.
         seconds: length of the live part.
     """
     turn_rad, shift_mm = random_displacement(rng, shift_mm=change.shift_mm, turn_deg=change.turn_deg)
     center = np.asarray(center_mm, dtype=np.float64)
-    return DisplacedPose(before, change.at_share * seconds, change.over_s, turn_rad, shift_mm, center)
+    start_s = change.at_share * seconds + change.wait_s[0]
+    return DisplacedPose(before, start_s, change.over_s, turn_rad, shift_mm, center)

@@ -32,4 +32,22 @@ def describe_faults(preset: Preset) -> tuple[str, ...]:
         (preset.probe_tracker.position_mm > 0.5, "The probe's poses are noisy."),
         (preset.mismatch_mm > 1.5, "The heart's shape differs much from the pre-operative images."),
     )
-    return tuple(sentence for present, sentence in known if present)
+    return tuple(sentence for present, sentence in (*known, *_failures(preset)) if present)
+
+
+def _failures(preset: Preset) -> tuple[tuple[bool, str], ...]:
+    """Failures that begin at some moment, each with whether the preset has it."""
+    shows = preset.image_failure.shows
+    sensors = (("ultrasound probe", preset.probe_failure), ("tool", preset.tool_failure))
+    return (
+        *((s.lost, f"The {name} is lost to the tracker and not found again.") for name, s in sensors),
+        *(
+            (s.frozen_s > 0, f"The tracker repeats one pose of the {name} as if fresh.")
+            for name, s in sensors
+        ),
+        (preset.tool_clock.back_s > 0, "The clock of the tool's tracker restarts."),
+        (preset.ecg.latency_s > 0, "The ECG's time stamps are late."),
+        (shows == "noise", "The ultrasound images show noise in place of the heart from some moment on."),
+        (shows == "black", "The ultrasound images are black from some moment on."),
+        (shows == "frozen", "One ultrasound image is repeated from some moment on."),
+    )

@@ -13,6 +13,8 @@ from data_synth.operator.tool_path import tip_path, tool_path
 from data_synth.seeds import child_seed
 from data_synth.signals.occlusion import losses_in_contact
 from data_synth.signals.tracker import PosePath, TrackerSpec, sampling_times, tracked
+from data_synth.signals.tracker_failure import TrackerFailureSpec, split_at_restart, with_frozen_poses
+from data_synth.ultrasound.image_failure import with_failure
 from data_synth.ultrasound.image_faults import degraded
 from data_synth.ultrasound.sequence import simulate_sequence
 from dvf_ig.core import FloatArray, PoseStream, Rigid, ToolTruth, TrackedSequence
@@ -49,13 +51,15 @@ def tool_task(world: World) -> ToolTask:
     return ToolTask(moved(heart_from_tool, breath), contact)
 
 
-def tracked_tool(world: World, task: ToolTask) -> PoseStream:
-    """tracker_from_tool as measured."""
-    rng = world.rng("tool tracker")
-    spec = _with_losses(world.options.tool_tracker, world, task.contact, "tool sight")
-    true_s, stamp_s = sampling_times(spec, 0.0, world.spec.seconds, rng)
+def tracked_tool(world: World, task: ToolTask) -> tuple[PoseStream, PoseStream | None]:
+    """tracker_from_tool as measured, and where its clock restarted what came after that."""
+    rng, options, seconds = world.rng("tool tracker"), world.options, world.spec.seconds
+    spec = _with_losses(options.tool_tracker, options.tool_failure, world, task.contact, "tool sight")
+    true_s, stamp_s = sampling_times(spec, 0.0, seconds, rng)
     path = composed(inverted(world.patient), task.mr_from_tool)
-    return tracked(path, "tracker", "tool", true_s, stamp_s, spec, rng)
+    stream = tracked(path, "tracker", "tool", true_s, stamp_s, spec, rng)
+    reported = with_frozen_poses(stream, options.tool_failure, seconds)
+    return split_at_restart(reported, options.tool_clock, seconds)
 
 
 def tracked_ultrasound(
@@ -80,12 +84,16 @@ def tracked_ultrasound(
         progress=lambda done, count: report(done / count),
     )
     images = degraded(images, world.probe, taken_s, options.image, world.rng("image faults"))
-    tracker = _with_losses(options.probe_tracker, world, contact, "probe sight")
+    images = with_failure(
+        images, world.probe, taken_s, options.image_failure, spec.seconds, world.rng("image failure")
+    )
+    tracker = _with_losses(options.probe_tracker, options.probe_failure, world, contact, "probe sight")
     tracker_from_probe = composed(composed(inverted(world.patient), mr_from_plane), inverted(world.mount))
     stream = tracked(
         tracker_from_probe, "tracker", "probe", stamp_s - tracker.latency_s, stamp_s, tracker,
         world.rng("probe tracker"),
     )  # fmt: skip
+    stream = with_frozen_poses(stream, options.probe_failure, spec.seconds)
     return TrackedSequence(stamp_s, images, np.ones(len(stamp_s), dtype=np.bool_), {stream.name: stream})
 
 
@@ -108,6 +116,8 @@ def _line_phases(world: World, taken_s: FloatArray) -> FloatArray:
     return world.clock.model_phase(taken_s[:, None] + offsets_s)
 
 
-def _with_losses(spec: TrackerSpec, world: World, contact: ToolTruth, stream: str) -> TrackerSpec:
+def _with_losses(
+    spec: TrackerSpec, failure: TrackerFailureSpec, world: World, contact: ToolTruth, stream: str
+) -> TrackerSpec:
     losses = losses_in_contact(contact, world.options.occlusion, world.rng(stream))
-    return replace(spec, lost_s=spec.lost_s + losses)
+    return replace(spec, lost_s=spec.lost_s + losses + failure.lost_s(world.spec.seconds))

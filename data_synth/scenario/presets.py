@@ -12,6 +12,8 @@ from data_synth.signals.ecg import EcgSpec
 from data_synth.signals.occlusion import OcclusionSpec
 from data_synth.signals.rhythm import RhythmSpec
 from data_synth.signals.tracker import TrackerSpec
+from data_synth.signals.tracker_failure import ClockRestartSpec, TrackerFailureSpec
+from data_synth.ultrasound.image_failure import ImageFailureSpec
 from data_synth.ultrasound.image_faults import ImageSpec
 from dvf_ig.core import InvalidInputError
 
@@ -29,6 +31,9 @@ class Preset:
         probe_tracker, tool_tracker: errors of the two sensors in the live part.
         pivot_tracker, nwire_tracker, watertank_tracker: the same in these calibration recordings.
         occlusion: long losses of the probe's and the tool's markers while the tool is in contact.
+        probe_failure, tool_failure: one failure of each sensor in the live part.
+        tool_clock: the clock of the tool's tracker restarts in the live part.
+        image_failure: images stop showing the heart.
         patient_shift: mr_from_tracker changes; the displacement is that of the heart's centre.
         probe_slip: probe_from_image changes; the displacement is that of the image's middle.
         other_probe_mm, other_probe_deg: the calibration recordings are of a probe whose image lies this far
@@ -64,6 +69,10 @@ class Preset:
     )
     watertank_tracker: TrackerSpec = field(default_factory=lambda: TrackerSpec(rate_hz=50.0))
     occlusion: OcclusionSpec = field(default_factory=OcclusionSpec)
+    probe_failure: TrackerFailureSpec = field(default_factory=TrackerFailureSpec)
+    tool_failure: TrackerFailureSpec = field(default_factory=TrackerFailureSpec)
+    tool_clock: ClockRestartSpec = field(default_factory=ClockRestartSpec)
+    image_failure: ImageFailureSpec = field(default_factory=ImageFailureSpec)
     patient_shift: Displacement = field(default_factory=Displacement)
     probe_slip: Displacement = field(default_factory=Displacement)
     other_probe_mm: float = 0.0
@@ -110,6 +119,17 @@ PRESETS: dict[str, Preset] = {
         mismatch_mm=2.0,
     ),
     "wrong-calibration": Preset(other_probe_mm=6.0, other_probe_deg=4.0),
+    "lost-ultrasound": Preset(
+        probe_failure=TrackerFailureSpec(lost=True),
+        image_failure=ImageFailureSpec(shows="noise"),
+        patient_shift=Displacement(shift_mm=8.0, shift_up_to_mm=15.0, over_s=0.5, wait_s=(2.0, 10.0)),
+    ),
+    "noise-ultrasound": Preset(image_failure=ImageFailureSpec(shows="noise")),
+    "black-ultrasound": Preset(image_failure=ImageFailureSpec(shows="black")),
+    "frozen-ultrasound": Preset(image_failure=ImageFailureSpec(shows="frozen")),
+    "frozen-tool": Preset(tool_failure=TrackerFailureSpec(frozen_s=20.0)),
+    "tool-clock-restart": Preset(tool_clock=ClockRestartSpec(back_s=10.0)),
+    "late-ecg": Preset(ecg=EcgSpec(latency_s=0.3)),
 }
 """calm: about 72 beats/min with mild variability, low noise, short drop-outs. Every other one is calm except:
 tachycardia: the rate climbs from 60 to 120 beats/min between 8 and 52 s.
@@ -119,6 +139,14 @@ probe-slip: half-way the marker slips on the probe: the image's middle is 6 mm a
 patient-shift: half-way the patient moves within 0.5 s: the heart's centre by 8 mm, and by 3° about it.
 poor-image: clutter ×5, shadows, 45 dB of dynamic range, 2 mm mismatch, 1 mm and 0.7° of noise on the probe.
 wrong-calibration: N-wire and water-tank recordings are of a probe whose image lies 6 mm and 4° off.
+lost-ultrasound: half-way the probe is laid aside for good: no pose is OK, images show noise; 2 to 10 s later
+    the patient moves by 8 to 15 mm within 0.5 s.
+noise-ultrasound: from half-way on images show weak noise; the probe stays tracked.
+black-ultrasound: from half-way on images are black; the probe stays tracked.
+frozen-ultrasound: from half-way on one image is repeated; stamps and poses go on.
+frozen-tool: half-way the tool's pose freezes, bit for bit and with status OK, for 20 s.
+tool-clock-restart: half-way the clock of the tool's tracker restarts 10 s back.
+late-ecg: the ECG is stamped 0.3 s late from the beginning.
 """
 
 

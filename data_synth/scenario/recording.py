@@ -1,6 +1,7 @@
 """One synthetic intervention: a beating heart, what was known of it before, and every recorded stream."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -114,6 +115,7 @@ def _assembled(
         world, sweep, task.contact, lambda done: _report_progress(progress, 0.4 + 0.57 * done)
     )
     options, center = world.options, anatomy.box_mm.mean(axis=0)
+    tool, tool_after_restart = tracked_tool(world, task)
     landmarks = anatomy.landmarks()
     start = coarse_start(
         truth.mr_from_tracker, center, options.start_mm, options.start_deg, world.rng("start")
@@ -122,10 +124,10 @@ def _assembled(
         name=name,
         preset=spec.preset,
         preop=preop,
-        ecg=ecg,
+        ecg=replace(ecg, start_s=ecg.start_s + options.ecg.latency_s),
         ultrasound=ultrasound,
         fan=world.probe.fan,
-        tool=tracked_tool(world, task),
+        tool=tool,
         pivot=pivot_recording(truth.tip_in_tool, options.pivot_tracker, world.rng("pivot")),
         nwire=_nwire(world),
         latency=watertank_recording(
@@ -140,6 +142,7 @@ def _assembled(
         landmarks_mr=landmarks,
         landmarks_tracker=touched_landmarks(landmarks, truth.mr_from_tracker, world.rng("landmarks")),
         seed=spec.seed,
+        tool_after_restart=tool_after_restart,
         truth=_truth(world, preop, task.contact),
     )
     _report_progress(progress, 1.0)

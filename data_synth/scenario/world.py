@@ -101,14 +101,14 @@ def make_world(spec: ScenarioSpec, anatomy: BeatingAnatomy, r_peaks_s: FloatArra
         truth=truth,
         patient=displaced(
             truth.mr_from_tracker,
-            options.patient_shift,
+            options.patient_shift.drawn(child_rng(spec.seed, "patient shift size")),
             center,
             spec.seconds,
             child_rng(spec.seed, "patient shift"),
         ),
         mount=displaced(
             truth.probe_from_plane,
-            options.probe_slip,
+            options.probe_slip.drawn(child_rng(spec.seed, "probe slip size")),
             middle,
             spec.seconds,
             child_rng(spec.seed, "probe slip"),

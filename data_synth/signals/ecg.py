@@ -49,6 +49,8 @@ class EcgSpec:
         burst_mv: RMS of that noise, in the muscle's band.
         missed_beats: indices of beats that leave no trace in the ECG although the heart beat; beat 0 is the
             first with an R peak in the recording.
+        latency_s: every sample's stamp is this much later than the instant at which it was measured: a
+            filter's delay, or a clock that was never set.
     """
 
     rate_hz: float = 500.0
@@ -64,12 +66,15 @@ class EcgSpec:
     noise_bursts_s: tuple[tuple[float, float], ...] = ()
     burst_mv: float = 0.8
     missed_beats: tuple[int, ...] = ()
+    latency_s: float = 0.0
 
     def __post_init__(self) -> None:
         if self.leads not in (1, 2) or not 100.0 <= self.rate_hz <= 10_000.0:
             raise InvalidInputError(
                 f"the ECG has {self.leads} leads at {self.rate_hz:g} Hz; needed 1 or 2, and 100 to 10 000 Hz"
             )
+        if not 0.0 <= self.latency_s <= 10.0:
+            raise InvalidInputError(f"the ECG is stamped {self.latency_s:g} s late; needed 0 to 10 s")
         sizes = (self.baseline_mv, self.emg_mv, self.mains_mv, self.burst_mv)
         if min(sizes) < 0 or self.resolution_mv <= 0:
             raise InvalidInputError("an ECG disturbance is negative, or its resolution is not positive")
@@ -104,7 +109,7 @@ def _beat_waves(rr_s: float, ectopic: bool) -> tuple[FloatArray, FloatArray, Flo
 
 
 def synthetic_ecg(beats: Beats, seconds: float, spec: EcgSpec, rng: np.random.Generator) -> Signal:
-    """ECG from 0 to `seconds` on the ECG/tracker clock."""
+    """ECG from 0 to `seconds`, stamped when it was measured: without `latency_s`."""
     n = round(seconds * spec.rate_hz)
     t_s = np.arange(n) / spec.rate_hz
     mv = clean_ecg(beats, t_s, spec)

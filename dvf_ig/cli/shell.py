@@ -5,6 +5,7 @@ files go to stderr.
 """
 
 import json
+import logging
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -50,14 +51,40 @@ def exit_code(error: DvfIgError) -> int:
 
 @contextmanager
 def command(threads: int | None = None) -> Iterator[None]:
-    """Body of a command: limits threads and turns a DvfIgError into one sentence and its exit code."""
+    """Body of a command: limits threads, tells what is logged as a warning as a note, and turns a DvfIgError
+    into one sentence and its exit code."""
     if threads is not None:
         limit_threads(threads)
     try:
-        yield
+        with _notes_of_warnings():
+            yield
     except DvfIgError as error:
         typer.secho(f"error: {error}", err=True, fg=typer.colors.RED)
         raise typer.Exit(exit_code(error)) from error
+
+
+class _Notes(logging.Handler):
+    """Tells each warning that is logged as a note, once."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self._told: set[str] = set()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        message = record.getMessage()
+        if message not in self._told:
+            self._told.add(message)
+            warn(message)
+
+
+@contextmanager
+def _notes_of_warnings() -> Iterator[None]:
+    logger, handler = logging.getLogger("dvf_ig"), _Notes()
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
 
 
 def limit_threads(threads: int) -> None:

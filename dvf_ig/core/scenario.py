@@ -156,6 +156,8 @@ class Scenario:
         landmarks_mr, landmarks_tracker: the same anatomical points on the model and touched on the patient.
         seed: what the synthetic world was drawn from; None for recorded data.
         truth: None for recorded data.
+        tool_after_restart: poses of the tool that came after its tracker's clock had restarted, with that
+            clock's stamps. Synthetic scenarios are written with them; readers leave them out.
     """
 
     name: str
@@ -173,3 +175,4 @@ class Scenario:
     landmarks_tracker: Landmarks | None = None
     seed: int | None = None
     truth: ScenarioTruth | None = None
+    tool_after_restart: PoseStream | None = None

@@ -1,6 +1,7 @@
 """What a replay reports as `result.json`, and its schema."""
 
 import json
+from dataclasses import asdict
 from importlib import resources
 from typing import Any
 
@@ -8,15 +9,17 @@ import jsonschema
 import numpy as np
 
 from dvf_ig.cardiac import frame_period_s
-from dvf_ig.core import FloatArray, InvalidInputError, summarise_errors
-from dvf_ig.guidance import Status
+from dvf_ig.core import FloatArray, InvalidInputError, ScenarioTruth, summarise_errors
+from dvf_ig.guidance import Status, summarise_supervision
 from dvf_ig.guidance.fixtures import force_at_distance
 from dvf_ig.registration import RegistrationResult, least_constrained_direction, target_errors_mm
 from dvf_ig.session import Attempt
 
 from .engine import Replay
 from .pose_summary import summarise_poses
-from .score import CONTACT_MM, far_corner_error_mm, pose_errors_mm, score_force, score_phase
+from .preconditions import RATE_HZ
+from .score import CONTACT_MM, far_corner_error_mm, pose_errors_mm, score_force, score_hazard, score_phase
+from .ticks import Ticks
 
 SCHEMA = "dvf_ig.replay/1"
 
@@ -60,6 +63,8 @@ def result_of(replay: Replay) -> dict[str, Any]:
         "seconds": round(replay.seconds, 3),
         "estimates": _estimates(replay),
         **_pose_updates(replay),
+        "supervisor": asdict(summarise_supervision(ticks.t_s, ticks.supervisor, force)),
+        "pose_age_s": _pose_age(ticks),
         "registrations": [_attempt(a) for a in replay.attempts],
         **dict.fromkeys(
             (
@@ -72,6 +77,8 @@ def result_of(replay: Replay) -> dict[str, Any]:
                 "lag_error_s",
                 "probe_error_mm",
                 "tip_error_mm",
+                "hazard_s",
+                "hazard_longest_s",
             )
         ),
     }
@@ -125,6 +132,12 @@ def _pose_updates(replay: Replay) -> dict[str, Any]:
         "withheld_s": done.withheld_s,
         "doubts_s": [list(span) for span in done.suspended_s],
     }
+
+
+def _pose_age(ticks: Ticks) -> dict[str, float] | None:
+    """Age of the pose over the ticks that gave a force: time since a beat confirmed it."""
+    age_s = ticks.pose_age_s[ticks.valid]
+    return {"median": float(np.median(age_s)), "max": float(age_s.max())} if len(age_s) else None
 
 
 def _attempt(attempt: Attempt) -> dict[str, Any]:
@@ -186,6 +199,7 @@ def _errors(replay: Replay) -> dict[str, Any]:
     errors_mm = pose_errors_mm(ticks.mr_from_tracker, ticks.t_s, truth)
     if valid.any():
         out["tre_mm"] = summarise_errors(errors_mm[valid].ravel()).tre_fields()
+    out |= _hazard(ticks, truth)
     phi, model_phase = true_phases(replay)
     locked = track.valid
     if locked.any():
@@ -205,6 +219,16 @@ def _errors(replay: Replay) -> dict[str, Any]:
     if force is not None:
         out["force_error_n"] = {"median": force.error_n_median, "p95": force.error_n_p95}
     return out
+
+
+def _hazard(ticks: Ticks, truth: ScenarioTruth) -> dict[str, float]:
+    """Seconds of force on a pose that is far off; a fading force is one on the last pose."""
+    posed = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
+    last = np.maximum.accumulate(np.where(posed, np.arange(len(ticks)), -1))
+    poses = np.where((last >= 0)[:, None, None], ticks.mr_from_tracker[last], np.nan)
+    error_mm = pose_errors_mm(poses, ticks.t_s, truth).mean(axis=1)
+    score = score_hazard(ticks.force_n, error_mm, 1.0 / RATE_HZ)
+    return {"hazard_s": score.total_s, "hazard_longest_s": score.longest_s}
 
 
 def true_phases(replay: Replay) -> tuple[FloatArray, FloatArray]:

@@ -16,6 +16,10 @@ from dvf_ig.core import (
 CONTACT_MM = 0.0
 """The tool is in contact where its tip truly is at or inside the true surface."""
 
+HAZARD_FORCE_N = 0.001
+HAZARD_MM = 5.0
+"""A tick is hazardous where it gives more than HAZARD_FORCE_N on a pose with a mean error above HAZARD_MM."""
+
 
 @dataclass(frozen=True, slots=True)
 class PhaseScore:
@@ -35,6 +39,14 @@ class ForceScore:
     error_n_p95: float
     contact_ticks: int
     force_ticks: int
+
+
+@dataclass(frozen=True, slots=True)
+class HazardScore:
+    """Seconds of hazardous force: all of them, and the longest without a break."""
+
+    total_s: float
+    longest_s: float
 
 
 def pose_errors_mm(mr_from_tracker: FloatArray, t_s: FloatArray, truth: ScenarioTruth) -> FloatArray:
@@ -119,3 +131,18 @@ def score_force(
     return ForceScore(
         float(np.median(error)), float(np.percentile(error, 95)), int(contact.sum()), int(with_force.sum())
     )
+
+
+def score_hazard(force_n: FloatArray, pose_error_mm: FloatArray, tick_s: float) -> HazardScore:
+    """Time in which a force was given on a pose that was far off; see HAZARD_FORCE_N and HAZARD_MM.
+
+    Args:
+        force_n: (n, 3) force given at each tick; ticks are equally spaced.
+        pose_error_mm: (n,) mean error over the true targets of the pose that the tick used, against the pose
+            that was true then; NaN where it used none, which does not count.
+        tick_s: from one tick to the next.
+    """
+    hazard = (np.linalg.norm(force_n, axis=1) > HAZARD_FORCE_N) & (pose_error_mm > HAZARD_MM)
+    edges = np.flatnonzero(np.diff(hazard, prepend=False, append=False))
+    lengths = edges[1::2] - edges[::2]
+    return HazardScore(float(hazard.sum() * tick_s), float(lengths.max(initial=0) * tick_s))

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, PhaseTrack, read_only_arrays
-from dvf_ig.guidance import Status
+from dvf_ig.guidance import PoseAndPhase, Status
 from dvf_ig.session import GuidanceState
-from dvf_ig.session.temporary import PoseAndPhase
 
 
 @read_only_arrays

@@ -13,15 +13,16 @@ state at or after its stamp is asked for; one that comes later counts from then 
 
 from collections import deque
 from collections.abc import Callable
-from math import inf, nan
+from math import inf
 from types import TracebackType
 
 import numpy as np
 
 from dvf_ig.cardiac import retiming_curve
 from dvf_ig.core import InvalidInputError, PhaseState
-from dvf_ig.guidance import Fixtures, Hazard, Status, Supervisor, hazard_of
-from dvf_ig.guidance.fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, TICK_OUTPUT
+from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, Status, Supervisor, hazard_of
+from dvf_ig.guidance.fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, RATE, TICK_OUTPUT
+from dvf_ig.kernels.pose_and_phase import MODEL_PHASE, PLACE_SIZE, TURN_RATE, place_tick
 from dvf_ig.registration import SliceThreads
 
 from .events import EcgSamples, Event, Landmark, Rearm, ToolPose, TrackedFrame
@@ -33,16 +34,14 @@ from .pose_tracker import PoseTracker
 from .registration_monitor import RegistrationMonitor
 from .setup import SessionSetup
 from .state import GuidanceState
-from .temporary import PoseAndPhase
 from .tool_tracker import ToolReading, ToolTracker
 from .ultrasound_source import ArrivedUltrasound
 
 REMEMBERED = 200
 """Registrations, beats and updates that a session remembers unless it is given a history of its own."""
 
-
-POSE_MISSING = Hazard.NO_POSE | Hazard.POSE_CONTRADICTED | Hazard.POSE_UNCONFIRMED
-_NO_POSE, _NO_POINT = np.zeros((3, 4)), np.zeros(3)
+_UNPOSED = np.zeros((3, 4))
+"""The pose of a tick that gives no force."""
 
 
 def _no_clock() -> float:
@@ -89,7 +88,9 @@ class Session:
         self._fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
         self._supervisor = Supervisor(setup.device)
         self._actions: deque[Landmark | Rearm] = deque()
-        self._out = np.zeros(TICK_OUTPUT)
+        self._place, self._out = np.empty(PLACE_SIZE), np.empty(TICK_OUTPUT)
+        self._model_from_tracker = self._place[:TURN_RATE].reshape(3, 4)
+        self._point = np.empty(3)
         self._known: tuple[object, object, object] = (None, None, None)
         self._now_s = -inf
 
@@ -138,7 +139,7 @@ class Session:
         self._update_transform(now_s)
         tool = self._tool.at(now_s)
         hazards = self._hazards(now_s, tool.hazard)
-        model_phase, status = self._evaluate(now_s, tool, hazards)
+        status = self._evaluate(now_s, tool)
         wanted_n = self._out[FORCE]
         supervised = self._supervisor.step(now_s, wanted_n, hazards | hazard_of(status))
         confirmation = self._pose.confirmation
@@ -148,13 +149,14 @@ class Session:
             estimate=self._pose.monitor.estimate,
             pose_age_s=inf if confirmation is None else now_s - confirmation.confirmed_s,
             registration=self.history.attempts[-1] if self.history.attempts else None,
-            model_phase=model_phase,
+            model_phase=float(self._place[MODEL_PHASE]),
             tool=tool,
             calibrations=self.setup.calibrations,
             status=status,
             wanted_n=wanted_n,
             distance_mm=float(self._out[DISTANCE]),
             gradient=self._out[GRADIENT],
+            rate_mm_per_cycle=float(self._out[RATE]),
             conflict=bool(self._out[CONFLICT]),
             supervised=supervised,
         )
@@ -202,6 +204,7 @@ class Session:
             if phase.rr_s > 0
             else None,
             covariance_mm2=None if estimate is None else estimate.covariance_mm2,
+            center_mm=heart.center_mm,
             pose_until_s=-inf if confirmation is None else confirmation.until_s,
         )
 
@@ -224,20 +227,14 @@ class Session:
             found |= Hazard.REORDERED_STAMPS
         return found
 
-    def _evaluate(self, now_s: float, tool: ToolReading, hazards: Hazard) -> tuple[float, Status]:
-        """Fill the output with the fixtures' force; the place in the model's cycle, and the status."""
-        transform, status = self._transform, Status.OK
-        if hazards & POSE_MISSING:
-            status = Status.NO_POSE
-        elif hazards & Hazard.NO_PHASE:
-            status = Status.NO_PHASE
-        elif tool.hazard:
+    def _evaluate(self, now_s: float, tool: ToolReading) -> Status:
+        """Fill the place with pose and phase, and the output with the fixtures' force there."""
+        status = place_tick(self._transform.packed, now_s, self._place)
+        if status == Status.OK and tool.hazard:
             status = Status.STALE_TOOL
-        unknown = status in (Status.NO_POSE, Status.NO_PHASE)
-        if transform.pose is None or transform.retiming is None or unknown:
-            self._fixtures.tick(_NO_POSE, _NO_POINT, 0.0, int(status), self._out)
-            return nan, status
-        model_phase = float(transform.retiming.at(transform.phase.at(now_s).phi))
-        matrix = transform.pose.at(now_s).matrix[:3]
-        point = np.array(tool.tip_tracker_mm)
-        return model_phase, Status(self._fixtures.tick(matrix, point, model_phase, int(status), self._out))
+        pose = self._model_from_tracker if status == Status.OK else _UNPOSED
+        self._point[:] = tool.tip_tracker_mm
+        found = self._fixtures.tick(
+            pose, self._point, float(self._place[MODEL_PHASE]), int(status), self._out
+        )
+        return Status(found)

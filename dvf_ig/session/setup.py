@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from dvf_ig.cardiac import RetimeMode
 from dvf_ig.core import Fan, Rigid
 from dvf_ig.guidance import FORBIDDEN_SURFACE, DeviceLimits, FixtureSet
+from dvf_ig.guidance.device import COMMON_DEVICE
 
 from .calibrations import CalibrationsInUse
 from .heart import Heart
@@ -32,6 +33,6 @@ class SessionSetup:
     start: Rigid | None = None
     fan: Fan | None = None
     fixtures: FixtureSet = FORBIDDEN_SURFACE
-    device: DeviceLimits = DeviceLimits()
+    device: DeviceLimits = COMMON_DEVICE
     retiming: RetimeMode = "two-segment"
     seed: int = 0

@@ -1,14 +1,16 @@
 """What a session knows at one moment, and the force that follows from it."""
 
 from dataclasses import dataclass
+from math import nan
+
+import numpy as np
 
 from dvf_ig.core import FloatArray, PhaseReading, read_only_arrays
-from dvf_ig.guidance import Status, SupervisedForce, SupervisorState
+from dvf_ig.guidance import PoseAndPhase, Status, SupervisedForce, SupervisorState
 from dvf_ig.registration import PoseEstimate
 
 from .calibrations import CalibrationsInUse
 from .history import Attempt
-from .temporary import PoseAndPhase
 from .tool_tracker import ToolReading
 
 
@@ -29,6 +31,7 @@ class GuidanceState:
         wanted_n: (3,) force of the fixtures, frame "tracker".
         distance_mm: signed distance of the primary fixture, positive inside; NaN unless OK.
         gradient: (3,) of that distance, frame "tracker"; NaN unless OK.
+        rate_mm_per_cycle: its change with the model's phase; NaN unless OK, and of a path.
         conflict: fixtures oppose each other.
         supervised: the force to send, and the supervisor's state with what it found.
     """
@@ -45,6 +48,7 @@ class GuidanceState:
     wanted_n: FloatArray
     distance_mm: float
     gradient: FloatArray
+    rate_mm_per_cycle: float
     conflict: bool
     supervised: SupervisedForce
 
@@ -52,6 +56,15 @@ class GuidanceState:
     def phase(self) -> PhaseReading:
         """Phase of the beat, its standard deviation, predicted RR and state."""
         return self.transform.phase.at(self.now_s)
+
+    @property
+    def distance_sigma_mm(self) -> float:
+        """Standard deviation of the distance by those of pose and phase; NaN where either is not known."""
+        place = self.transform.at(self.tool.tip_tracker_mm[None], self.now_s)
+        if self.transform.pose is None:
+            return nan
+        gradient_mr = self.transform.pose.at(self.now_s).rotation @ self.gradient
+        return float(place.distance_sigma_mm(gradient_mr[None], np.array([self.rate_mm_per_cycle]))[0])
 
     @property
     def force_n(self) -> FloatArray:

@@ -42,7 +42,12 @@ def _clock(facts: Facts) -> list[Row]:
 def _stamps(facts: Facts) -> str:
     repeated, backward = facts["repeated_stamps"], facts["backward_stamps"]
     order = "increasing" if not repeated and not backward else f"{repeated} repeated, {backward} step back"
-    shift = facts["stamp_filter_shift_s"]
+    shift, restart = facts["stamp_filter_shift_s"], facts["clock_restart"]
+    if restart is not None:
+        order += (
+            f"; the clock jumps back by {restart['back_s']:.3f} s at frame {restart['frame']}: "
+            f"the {restart['unused_frames']} frames from there on are not used"
+        )
     return order if not shift else f"{order}; the recorder's filter moved them by up to {1000 * shift:.0f} ms"
 
 

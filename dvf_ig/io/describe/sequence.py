@@ -10,7 +10,7 @@ from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import MAX_GAP_S, PoseStream
 from dvf_ig.io.plus.names import split_transform
 from dvf_ig.io.plus.raw_sequence import RawSequence, read_raw_sequence
-from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES, indexed_sequence, read_sequence
+from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES, clock_restart, indexed_sequence, read_sequence
 
 FROZEN_SAMPLES = 5
 """A pose that repeats bit for bit this often is counted as frozen: a live tracker always shows noise."""
@@ -133,15 +133,26 @@ def _image_maps(raw: RawSequence) -> list[tuple[str, str]]:
 
 
 def _stamp_facts(raw: RawSequence) -> Facts:
-    """How the stamps stand in the file: repeats, steps back, and how far the recorder's filter moved them."""
+    """How the stamps stand in the file: repeats, steps back, how far the recorder's filter moved them, and
+    where the clock restarted: frame, its stamp, size of the jump, and how many frames are not used for it.
+    """
     stamps, plain = raw.numbers("Timestamp"), raw.numbers("UnfilteredTimestamp")
     if stamps is None:
-        return {"repeated_stamps": None, "backward_stamps": None, "stamp_filter_shift_s": None}
-    steps = np.diff(stamps)
+        names = ("repeated_stamps", "backward_stamps", "stamp_filter_shift_s", "clock_restart")
+        return dict.fromkeys(names)
+    steps, restart = np.diff(stamps), clock_restart(stamps)
     return {
         "repeated_stamps": int(np.count_nonzero(steps == 0)),
         "backward_stamps": int(np.count_nonzero(steps < 0)),
         "stamp_filter_shift_s": None if plain is None else float(np.abs(stamps - plain).max()),
+        "clock_restart": None
+        if restart is None
+        else {
+            "frame": restart,
+            "at_s": float(stamps[restart]),
+            "back_s": float(stamps[:restart].max() - stamps[restart]),
+            "unused_frames": raw.frames - restart,
+        },
     }
 
 

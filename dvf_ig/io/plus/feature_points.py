@@ -67,9 +67,9 @@ def read_target_recording(sequence_path: Path | str, points_csv: Path | str) -> 
     """
     path = Path(sequence_path)
     with reading(path, "a sequence with a tracked probe"):
-        sequence, kept = read_indexed_sequence(path)
+        sequence, kept, frames = read_indexed_sequence(path)
         poses = tracked_probe(sequence)
-    return poses, read_feature_points(points_csv, int(kept.max()) + 1)[kept]
+    return poses, read_feature_points(points_csv, frames)[kept]
 
 
 def tracked_probe(sequence: TrackedSequence) -> PoseStream:

@@ -62,16 +62,16 @@ def read_latency_recording(
     """
     with reading(Path(tracker_sequence), "a sequence with a tracked probe"):
         probe = read_sequence(tracker_sequence).stream("tracker", "probe")
-    video, kept = read_indexed_sequence(video_sequence)
+    video, kept, frames = read_indexed_sequence(video_sequence)
     if not video.has_timestamps:
         raise UnreadableFileError(f"{video_sequence} has no time stamps; the latency cannot be read from it")
     center = None if video.images is None else (video.images.shape[2] - 1) / 2
     index, rows = read_line_table(line_table, center)
-    if index[-1] > kept.max():
+    if index[-1] >= frames:
         raise UnreadableFileError(
-            f"{line_table} has frame {index[-1]}, but {video_sequence} ends at frame {kept.max()}"
+            f"{line_table} has frame {index[-1]}, but {video_sequence} ends at frame {frames - 1}"
         )
-    position = np.full(int(kept.max()) + 1, -1, dtype=np.int64)
+    position = np.full(frames, -1, dtype=np.int64)
     position[kept] = np.arange(len(kept))
     at = position[index]
     order = np.argsort(at[at >= 0], kind="stable")

@@ -93,9 +93,9 @@ def read_nwire_recording(
         UnreadableFileError: any of the three cannot be read or lacks what is needed.
     """
     phantom = read_nwire_phantom(device_set_xml)
-    sequence, kept = read_indexed_sequence(sequence_path)
+    sequence, kept, frames = read_indexed_sequence(sequence_path)
     stream = phantom_from_probe(Path(sequence_path), sequence, Path(device_set_xml))
-    points = read_wire_points(points_xml, section, phantom, int(kept.max()) + 1)
+    points = read_wire_points(points_xml, section, phantom, frames)
     return NWireRecording(phantom, stream, points[kept])
 
 

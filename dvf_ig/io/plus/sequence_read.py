@@ -19,14 +19,20 @@ log = logging.getLogger(__name__)
 PIXEL_FRAMES = ("image", "transducer_origin_pixel")
 """Frames whose unit is the pixel: transforms from or to them carry scale and are image maps, not poses."""
 
+REORDERING_S = 0.1
+"""Frames may stand this much out of order in a file. A recorder's buffers and threads swap neighbours, and in
+the slowest streams in use (12 frames/s) these are 0.08 s apart; a clock that restarts goes back further."""
+
 
 def read_sequence(path: Path | str) -> TrackedSequence:
     """Read a tracked sequence.
 
-    Frames that repeat an earlier time stamp are dropped and frames out of order are sorted; both are logged.
-    Without time stamps `t_s` is the frame index and `has_timestamps` is False. Without status fields a pose
-    counts as OK. A pose whose status is not OK is invalid and its matrix is not looked at. Transforms from
-    or to pixel frames (ImageToProbe) are left out: they are image maps.
+    Frames that repeat an earlier time stamp are dropped, and frames out of order by up to REORDERING_S are
+    sorted. Where time runs back further, the recording ends and no later frame is used: stamps before and
+    after are of two clocks. All of it is logged. Without time stamps `t_s` is the frame index and
+    `has_timestamps` is False. Without status fields a pose counts as OK. A pose whose status is not OK is
+    invalid and its matrix is not looked at. Transforms from or to pixel frames (ImageToProbe) are left out:
+    they are image maps.
 
     Args:
         path: `.igs.mha`, `.igs.mhd`, `.igs.nrrd`, or the same without `.igs`.
@@ -38,11 +44,12 @@ def read_sequence(path: Path | str) -> TrackedSequence:
     return read_indexed_sequence(path)[0]
 
 
-def read_indexed_sequence(path: Path | str) -> tuple[TrackedSequence, IntArray]:
-    """As `read_sequence`, with the index in the file of each frame that was kept, (n,)."""
+def read_indexed_sequence(path: Path | str) -> tuple[TrackedSequence, IntArray, int]:
+    """As `read_sequence`, with the index in the file of each kept frame, (n,), and the file's frame count."""
     path = Path(path)
     with reading(path, "a tracked sequence"):
-        return indexed_sequence(path, read_raw_sequence(path))
+        raw = read_raw_sequence(path)
+        return *indexed_sequence(path, raw), raw.frames
 
 
 def indexed_sequence(path: Path, raw: RawSequence) -> tuple[TrackedSequence, IntArray]:
@@ -84,19 +91,43 @@ def _times(path: Path, raw: RawSequence) -> tuple[FloatArray, bool]:
 
 
 def _usable_order(path: Path, t_s: FloatArray) -> IntArray:
-    """Frame indices by increasing time; of equal times only the first in the file."""
-    order = np.argsort(t_s, kind="stable")
+    """Frame indices by increasing time, up to a clock's restart; of equal times the first in the file."""
+    restart = clock_restart(t_s)
+    frames = len(t_s) if restart is None else restart
+    if restart is not None:
+        latest_s = float(t_s[:restart].max())
+        log.warning(
+            "%s: time jumps back by %.3f s at frame %d (from %.3f s to %.3f s), as when a clock restarts; "
+            "the %d frames from there on are not used: split the file there, or record again",
+            path,
+            latest_s - t_s[restart],
+            restart,
+            latest_s,
+            t_s[restart],
+            len(t_s) - restart,
+        )
+    order = np.argsort(t_s[:frames], kind="stable")
     kept = order[np.concatenate([[True], np.diff(t_s[order]) > 0])]
-    late = int(np.count_nonzero(np.diff(t_s) < 0))
-    if len(kept) < len(t_s) or late:
+    late = int(np.count_nonzero(np.diff(t_s[:frames]) < 0))
+    if len(kept) < frames or late:
         log.warning(
             "%s: dropped %d of %d frames that repeat a time stamp; time runs backwards at %d places, sorted",
             path,
-            len(t_s) - len(kept),
-            len(t_s),
+            frames - len(kept),
+            frames,
             late,
         )
     return np.asarray(kept, dtype=np.int64)
+
+
+def clock_restart(t_s: FloatArray) -> int | None:
+    """The first frame stamped more than REORDERING_S before an earlier one, by its index; None without one.
+
+    Args:
+        t_s: (frames,) stamps in the order of the file.
+    """
+    restarts = np.flatnonzero(np.maximum.accumulate(t_s) - t_s > REORDERING_S)
+    return int(restarts[0]) if len(restarts) else None
 
 
 def _images(raw: RawSequence, kept: IntArray) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]] | None:

@@ -1,6 +1,7 @@
 """Write tracked sequences as PLUS / 3D Slicer `.igs.mha`."""
 
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,24 +29,43 @@ def write_sequence(sequence: TrackedSequence, path: Path | str, *, compression: 
         OutputError: another ending, or not writable.
         InvalidInputError: a frame name that PLUS cannot spell.
     """
-    path = Path(path)
-    if path.suffix != ".mha":
-        raise OutputError(f"cannot write {path}: sequences are written as .igs.mha; change the ending")
     images = sequence.images
     pixels = b"" if images is None else np.ascontiguousarray(images).data
     compressed = images is not None and compression > 0
     payload = zlib.compress(pixels, compression) if compressed else bytes(pixels)
-    header = "\n".join([*_header_lines(sequence, compressed, len(payload)), *_frame_lines(sequence)])
-    write_bytes(path, [f"{header}\nElementDataFile = LOCAL\n".encode(), payload])
+    header = _header_lines(sequence, len(sequence), compressed, len(payload))
+    _write(Path(path), header, [sequence], payload)
 
 
-def write_poses(stream: PoseStream, path: Path | str) -> None:
-    """Write one pose stream as a pose-only sequence (`.igs.mha`)."""
-    none = np.zeros(len(stream), dtype=np.bool_)
-    write_sequence(TrackedSequence(stream.t_s, None, none, {stream.name: stream}, orientation="XX"), path)
+def write_poses(stream: PoseStream, path: Path | str, after_restart: PoseStream | None = None) -> None:
+    """Write one pose stream as a pose-only sequence (`.igs.mha`).
+
+    Args:
+        after_restart: poses of the same name that came later, from a clock that had restarted: their frames
+            follow, with their own stamps.
+    """
+    parts = [
+        TrackedSequence(s.t_s, None, np.zeros(len(s), dtype=np.bool_), {s.name: s}, orientation="XX")
+        for s in (stream, after_restart)
+        if s is not None
+    ]
+    frames = sum(len(part) for part in parts)
+    _write(Path(path), _header_lines(parts[0], frames, compressed=False, payload=0), parts, b"")
 
 
-def _header_lines(sequence: TrackedSequence, compressed: bool, payload: int) -> list[str]:
+def _write(path: Path, header: list[str], parts: Sequence[TrackedSequence], payload: bytes) -> None:
+    """One file: the header, the frames of every part in the order in which they arrived, the pixels."""
+    if path.suffix != ".mha":
+        raise OutputError(f"cannot write {path}: sequences are written as .igs.mha; change the ending")
+    frames = sum(len(part) for part in parts)
+    lines, first = list(header), 0
+    for part in parts:
+        lines += _frame_lines(part, first, frames)
+        first += len(part)
+    write_bytes(path, ["\n".join([*lines, "ElementDataFile = LOCAL\n"]).encode(), payload])
+
+
+def _header_lines(sequence: TrackedSequence, frames: int, compressed: bool, payload: int) -> list[str]:
     images = sequence.images
     rows, columns = (0, 0) if images is None else images.shape[1:]
     lines = [
@@ -61,7 +81,7 @@ def _header_lines(sequence: TrackedSequence, compressed: bool, payload: int) -> 
         lines.append(f"CompressedDataSize = {payload}")
     return [
         *lines,
-        f"DimSize = {columns} {rows} {len(sequence)}",
+        f"DimSize = {columns} {rows} {frames}",
         "Kinds = domain domain list",
         "ElementNumberOfChannels = 1",
         "ElementSpacing = 1 1 1",
@@ -73,8 +93,9 @@ def _header_lines(sequence: TrackedSequence, compressed: bool, payload: int) -> 
     ]
 
 
-def _frame_lines(sequence: TrackedSequence) -> list[str]:
-    width = max(4, len(str(len(sequence) - 1)))
+def _frame_lines(sequence: TrackedSequence, first: int, frames: int) -> list[str]:
+    """Fields of the frames of a sequence whose first is number `first` of `frames` in the file."""
+    width = max(4, len(str(frames - 1)))
     streams = [
         (f"{join_transform(s.target, s.source)}Transform", _matrix_texts(s), s.valid.tolist())
         for s in sequence.poses.values()
@@ -82,7 +103,7 @@ def _frame_lines(sequence: TrackedSequence) -> list[str]:
     times = [repr(t) for t in sequence.t_s.tolist()] if sequence.has_timestamps else None
     lines: list[str] = []
     for i, image_ok in enumerate(sequence.image_valid.tolist()):
-        prefix = f"Seq_Frame{i:0{width}d}_"
+        prefix = f"Seq_Frame{first + i:0{width}d}_"
         for name, texts, valid in streams:
             lines.append(f"{prefix}{name} = {texts[i]}")
             lines.append(f"{prefix}{name}Status = {'OK' if valid[i] else 'INVALID'}")

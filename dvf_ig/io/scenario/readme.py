@@ -50,7 +50,8 @@ def readme_text(scenario: Scenario, notes: ScenarioNotes) -> str:
 
 
 def _rows(scenario: Scenario) -> list[tuple[str, str, str, str]]:
-    ecg, images, tool = scenario.ecg, scenario.ultrasound, scenario.tool
+    ecg, images = scenario.ecg, scenario.ultrasound
+    tool_poses = len(scenario.tool) + len(scenario.tool_after_restart or ())
     size = "" if images.images is None else f" of {images.images.shape[2]} × {images.images.shape[1]} px"
     rows = [
         ("`scenario.yaml`", "which file is what; the ultrasound fan in pixels", "", ""),
@@ -62,7 +63,7 @@ def _rows(scenario: Scenario) -> list[tuple[str, str, str, str]]:
             "tracker_from_probe",
             "video",
         ),
-        ("`tool.igs.mha`", f"{len(tool)} poses of the tool", "tracker_from_tool", "tracker"),
+        ("`tool.igs.mha`", f"{tool_poses} poses of the tool", "tracker_from_tool", "tracker"),
         (
             "`calibration/pivot.igs.mha`",
             "the tool turns about its resting tip",

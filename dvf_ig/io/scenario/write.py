@@ -60,7 +60,7 @@ def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes 
         files = config.files
         write_ecg_csv(scenario.ecg, new / files.ecg)
         write_sequence(scenario.ultrasound, new / files.ultrasound)
-        write_poses(scenario.tool, new / files.tool)
+        write_poses(scenario.tool, new / files.tool, scenario.tool_after_restart)
         write_poses(scenario.pivot, new / files.pivot)
         _write_nwire(scenario.nwire, new, files)
         _write_latency(scenario.latency, new, files)
