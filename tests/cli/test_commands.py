@@ -16,7 +16,7 @@ from dvf_ig.core import Landmarks, Points, Preop, Rigid, Scenario
 from dvf_ig.io import read_coordinate_definitions, read_transform, write_landmarks, write_transform
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay import Replay
-from dvf_ig.replay.heart import Heart
+from dvf_ig.session.heart import Heart
 
 
 def run(*arguments: str) -> dict[str, object]:

@@ -7,11 +7,12 @@ from data_synth.scenario.presets import ScenarioSpec
 from data_synth.scenario.recording import phantom_scenario
 from dvf_ig.core import BoolArray, DvfModel, Scenario, ScenarioTruth
 from dvf_ig.guidance import Status
+from dvf_ig.guidance.supervisor import FADE_S
 from dvf_ig.preop import ModelOptions, model_from_labels
 from dvf_ig.replay import Replay, run_replay
 from dvf_ig.replay.pose_summary import suspensions
-from dvf_ig.replay.refusal import Refusal
-from dvf_ig.replay.score import score_poses
+from dvf_ig.replay.score import pose_errors_mm
+from dvf_ig.session import Refusal
 
 RECOVERED_TRE_MM = 1.85
 """1.3 times the 1.41 mm that this seed has after the patient moved."""
@@ -38,7 +39,7 @@ def truth_of(replay: Replay) -> ScenarioTruth:
 
 
 def between(replay: Replay, begin_s: float, end_s: float) -> BoolArray:
-    return np.asarray((replay.tip.t_s >= begin_s) & (replay.tip.t_s < end_s))
+    return np.asarray((replay.ticks.t_s >= begin_s) & (replay.ticks.t_s < end_s))
 
 
 def beats_until(replay: Replay, from_s: float, until_s: float) -> int:
@@ -48,41 +49,41 @@ def beats_until(replay: Replay, from_s: float, until_s: float) -> int:
 
 
 def median_tre_mm(replay: Replay, ticks: BoolArray) -> float:
-    scored = score_poses(replay.poses, replay.tip.t_s, replay.valid & ticks, truth_of(replay))
-    assert scored is not None
-    return scored[0].median
+    errors_mm = pose_errors_mm(replay.ticks.mr_from_tracker, replay.ticks.t_s, truth_of(replay))
+    return float(np.median(errors_mm[replay.ticks.valid & ticks]))
 
 
 def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_again(
     coarse_model: DvfModel,
 ) -> None:
     replay = run_replay(disturbed("patient-shift", 27.0), model=coarse_model, seed=0)
-    end_s = float(replay.tip.t_s[-1])
+    end_s = float(replay.ticks.t_s[-1])
     moved_s = truth_of(replay).mr_from_tracker[1][0]
-    ((stopped_s, resumed_s),) = suspensions(replay.history.updates, end_s)
+    ((stopped_s, resumed_s),) = suspensions(tuple(replay.history.updates), end_s)
     assert moved_s < stopped_s
     assert beats_until(replay, moved_s, stopped_s) <= 2
     suspended = between(replay, stopped_s, resumed_s)
-    assert not replay.samples.force_n[suspended].any()
-    assert (replay.samples.status[suspended] == Status.NO_POSE).all()
+    assert not replay.ticks.force_n[between(replay, stopped_s + FADE_S + 0.001, resumed_s)].any()
+    assert not replay.ticks.wanted_n[suspended].any()
+    assert (replay.ticks.status[suspended] == Status.NO_POSE).all()
     assert median_tre_mm(replay, between(replay, resumed_s, end_s)) <= RECOVERED_TRE_MM
-    assert replay.samples.force_n[between(replay, resumed_s, end_s)].any()
+    assert replay.ticks.force_n[between(replay, resumed_s, end_s)].any()
     assert replay.attempts[-1].usable
 
 
 def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(coarse_model: DvfModel) -> None:
     replay = run_replay(disturbed("probe-slip", 24.0), model=coarse_model, seed=0)
-    end_s = float(replay.tip.t_s[-1])
+    end_s = float(replay.ticks.t_s[-1])
     slipped_s = truth_of(replay).later_probe_from_image[0][0]
-    assert replay.valid[between(replay, 0.0, slipped_s)].any()
-    ((stopped_s, resumed_s),) = suspensions(replay.history.updates, end_s)
+    assert replay.ticks.valid[between(replay, 0.0, slipped_s)].any()
+    ((stopped_s, resumed_s),) = suspensions(tuple(replay.history.updates), end_s)
     assert slipped_s < stopped_s
     assert beats_until(replay, slipped_s, stopped_s) <= 2
     assert resumed_s == end_s
     after = [attempt.refused for attempt in replay.attempts if attempt.asked_s > slipped_s]
     assert len(after) >= 2
     assert {refused.cause for refused in after if refused is not None} == {Refusal.BEAT_DISAGREES}
-    assert not replay.samples.force_n[between(replay, stopped_s, np.inf)].any()
+    assert not replay.ticks.force_n[between(replay, stopped_s + FADE_S + 0.001, np.inf)].any()
 
 
 def test_a_wrong_probe_calibration_is_refused_by_touched_landmarks(
@@ -94,5 +95,5 @@ def test_a_wrong_probe_calibration_is_refused_by_touched_landmarks(
         assert attempt.refused is not None
         assert attempt.refused.cause is Refusal.LANDMARKS_DISAGREE
     assert not replay.poses
-    assert not replay.samples.force_n.any()
-    assert not replay.valid.any()
+    assert not replay.ticks.force_n.any()
+    assert not replay.ticks.valid.any()

@@ -7,6 +7,8 @@ import pytest
 
 from dvf_ig.core import InvalidInputError, NoOverlapError, PoseStream, Scenario, Signal, TrackedSequence
 from dvf_ig.guidance import Status
+from dvf_ig.guidance.device import COMMON_DEVICE
+from dvf_ig.guidance.supervisor import FADE_S, SLEW_SPEED_M_S
 from dvf_ig.replay import Replay, result_of, run_replay, table, validate
 from dvf_ig.replay.report import report_html
 
@@ -26,13 +28,22 @@ def test_estimates_are_within_their_errors(replay: Replay) -> None:
 
 
 def test_no_force_without_valid_state(replay: Replay) -> None:
-    before = replay.tip.t_s < replay.poses[0][0]
+    ticks = replay.ticks
+    before = ticks.t_s < replay.poses[0][0]
     assert before.any()
-    assert not replay.samples.force_n[before].any()
-    assert (replay.samples.status[before] != Status.OK).all()
-    refused = replay.samples.status != Status.OK
-    assert not replay.samples.force_n[refused].any()
-    np.testing.assert_array_equal(replay.valid, ~refused)
+    assert not ticks.force_n[before].any()
+    assert (ticks.status[before] != Status.OK).all()
+    refused = ticks.status != Status.OK
+    assert not ticks.wanted_n[refused].any()
+    released = np.convolve(~refused, np.ones(round(FADE_S * 1000) + 1))[: len(refused)] == 0
+    assert released.any()
+    assert not ticks.force_n[released].any()
+
+
+def test_the_force_never_jumps(replay: Replay) -> None:
+    summary = result_of(replay)["supervisor"]
+    limit_n_per_s = COMMON_DEVICE.stiffness_n_per_m * SLEW_SPEED_M_S
+    assert 0.0 < summary["largest_slew_n_per_s"] <= limit_n_per_s * (1.0 + 1e-9)
 
 
 def test_result_fits_its_schema_and_the_page_holds_every_picture(replay: Replay) -> None:
@@ -61,13 +72,19 @@ def test_the_future_changes_nothing(scenario: Scenario, replay: Replay) -> None:
     _same_until(replay, run_replay(cut, model=replay.heart.model, seed=0), until - 0.01)
 
 
+@pytest.mark.parametrize("ecg_chunk", [1, 7, 1000])
+def test_how_the_streams_are_cut_changes_nothing(scenario: Scenario, replay: Replay, ecg_chunk: int) -> None:
+    until = float(replay.poses[0][0]) + 1.5
+    cut = run_replay(_cut(scenario, until), model=replay.heart.model, seed=0, ecg_chunk=ecg_chunk)
+    _same_until(replay, cut, until - 0.01)
+
+
 def _same_until(first: Replay, second: Replay, until_s: float) -> None:
-    n = min(len(first.tip.t_s), len(second.tip.t_s), int(np.sum(first.tip.t_s < until_s)))
+    n = min(len(first.ticks), len(second.ticks), int(np.sum(first.ticks.t_s < until_s)))
     assert n > 1000
-    for name in ("force_n", "status", "distance_mm"):
-        np.testing.assert_array_equal(getattr(first.samples, name)[:n], getattr(second.samples, name)[:n])
-    np.testing.assert_array_equal(first.model_phase[:n], second.model_phase[:n])
-    assert first.samples.force_n[:n].any()
+    for name in ("force_n", "status", "distance_mm", "model_phase", "hazards", "mr_from_tracker"):
+        np.testing.assert_array_equal(getattr(first.ticks, name)[:n], getattr(second.ticks, name)[:n])
+    assert first.ticks.force_n[:n].any()
 
 
 def _cut(scenario: Scenario, until_s: float) -> Scenario:

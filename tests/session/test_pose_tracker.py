@@ -15,12 +15,16 @@ from dvf_ig.registration import (
     RegistrationResult,
     mean_displacement_mm,
 )
-from dvf_ig.replay import PoseHistory
-from dvf_ig.replay.beat_evaluation import BEAT_COMPUTE_S, BeatEvaluation
-from dvf_ig.replay.gated_frames import GatedFrames
 from dvf_ig.replay.pose_summary import drift_mm_per_min, suspensions
-from dvf_ig.replay.pose_tracker import COMPUTE_S, FIRST_ATTEMPT_S, RECOVER_S, Timing, track_pose
-from dvf_ig.replay.registration_monitor import RegistrationMonitor
+from dvf_ig.session import Refusal, SessionHistory
+from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, BeatEvaluation, ComparedBeat
+from dvf_ig.session.confirmation import MAX_AGE_S, MAX_MISSED_BEATS
+from dvf_ig.session.executor import Job, answered
+from dvf_ig.session.gated_frames import GatedFrames
+from dvf_ig.session.history import PoseUpdate
+from dvf_ig.session.pose_tracker import COMPUTE_S, FIRST_ATTEMPT_S, RECOVER_S, PoseTracker
+from dvf_ig.session.registration_monitor import RegistrationMonitor
+from dvf_ig.session.ultrasound_source import RegistrationAnswer, RegistrationRequest
 
 CENTER = np.array([10.0, -20.0, 30.0])
 HOME = Rigid("mr", "tracker", np.eye(3), np.zeros(3))
@@ -87,39 +91,55 @@ def registration(pose: Rigid) -> RegistrationResult:
 
 @dataclass(frozen=True, slots=True)
 class KnownUltrasound:
-    """Ultrasound of a patient whose motion is known. `blind`: no beat can be compared with the model."""
+    """Ultrasound of a patient whose motion is known; later beats cannot be compared with the model."""
 
     patient: Patient
-    peaks: tuple[RPeak, ...]
-    blind: bool
+    blind_from_s: float
 
-    def register(
-        self, from_s: float, until_s: float, start: Rigid, *, warm: bool
-    ) -> tuple[GatedFrames, RegistrationResult | None]:
-        event_s = np.arange(from_s, until_s, 1 / 12)
+    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationAnswer]:
+        event_s = np.arange(request.from_s, request.until_s, 1 / 12)
         n = len(event_s)
         index = np.arange(n, dtype=np.int64)
         still = np.tile(np.eye(3), (n, 1, 1))
-        frames = GatedFrames(0, Gated(index, {}), index, event_s, np.zeros(n), still, np.zeros((n, 3)))
+        frames = GatedFrames(0, 0, Gated(index, {}), index, event_s, np.zeros(n), still, np.zeros((n, 3)))
         mean = np.mean([self.patient(t) for t in event_s], axis=0)
-        return frames, registration(PoseChart(HOME, CENTER).pose(mean))
+        return answered(RegistrationAnswer(frames, registration(PoseChart(HOME, CENTER).pose(mean))))
 
-    def beat(self, last: int) -> KnownBeat | None:
-        begin_s, end_s = self.peaks[last - 1].t_s, self.peaks[last].t_s
-        middle_s = (begin_s + end_s) / 2
-        return None if self.blind else KnownBeat(begin_s, end_s, pose_at(self.patient, middle_s))
+    def beat(
+        self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool
+    ) -> Job[ComparedBeat]:
+        begin_s, end_s = peaks[-2].t_s, peaks[-1].t_s
+        if begin_s >= self.blind_from_s:
+            return answered(ComparedBeat(None, None, irregular=False))
+        beat = KnownBeat(begin_s, end_s, pose_at(self.patient, (begin_s + end_s) / 2))
+        compared = None if pose is None else beat.evaluate_beat(pose, CENTER, in_use=in_use)
+        return answered(ComparedBeat(beat, compared, irregular=False))
 
 
-def tracked(patient: Patient, *, blind: bool = False, peaks: tuple[RPeak, ...] = PEAKS) -> PoseHistory:
+def tracker_of(patient: Patient, *, blind_from_s: float = np.inf) -> PoseTracker:
+    source = KnownUltrasound(patient, blind_from_s)
+    tracker = PoseTracker(source, RegistrationMonitor(CENTER, None), HOME, SessionHistory())
+    tracker.begin(0.0)
+    return tracker
+
+
+def tracked(
+    patient: Patient, *, blind_from_s: float = np.inf, peaks: tuple[RPeak, ...] = PEAKS
+) -> SessionHistory:
     """Track a patient for a minute."""
-    return track_pose(
-        KnownUltrasound(patient, peaks, blind),
-        peaks,
-        RegistrationMonitor(CENTER, None),
-        HOME,
-        Timing(begin_s=0.0, end_s=peaks[-1].detected_at_s + 0.5, beat_compute_s=BEAT_COMPUTE_S),
-        report_progress=lambda _: None,
-    )
+    tracker = tracker_of(patient, blind_from_s=blind_from_s)
+    run(tracker, peaks)
+    return tracker.history
+
+
+def run(tracker: PoseTracker, peaks: tuple[RPeak, ...]) -> None:
+    """Everything that happens until the last beat is evaluated."""
+    end_s = peaks[-1].detected_at_s + 0.5
+    for upcoming_s, peak in [*((p.detected_at_s, p) for p in peaks), (end_s, None)]:
+        while tracker.next_s < upcoming_s:
+            tracker.step()
+        if peak is not None:
+            tracker.add_peak(peak)
 
 
 def still(t_s: float) -> FloatArray:
@@ -143,33 +163,34 @@ def slipped(t_s: float) -> FloatArray:
 
 def test_a_still_patient_is_never_suspended() -> None:
     done = tracked(still)
-    assert done.updates[0][0] <= FIRST_ATTEMPT_S + COMPUTE_S + 2 * RR_S
-    assert all(pose is not None for _, pose in done.updates)
+    assert done.updates[0].from_s <= FIRST_ATTEMPT_S + COMPUTE_S + 2 * RR_S
+    assert all(update.pose is not None for update in done.updates)
     assert all(attempt.usable for attempt in done.attempts)
-    assert drift_mm_per_min(done.updates, CENTER) == 0.0
+    assert drift_mm_per_min(tuple(done.updates), CENTER) == 0.0
 
 
 def test_a_patient_who_moved_is_noticed_within_a_beat_and_found_again() -> None:
     done = tracked(shifted)
-    (begin_s, end_s) = suspensions(done.updates, 60.0)[0]
+    (begin_s, end_s) = suspensions(tuple(done.updates), 60.0)[0]
     latest_s = 30.5 + 2 * RR_S + DETECTION_S + BEAT_COMPUTE_S
     assert 30.0 < begin_s <= latest_s
     assert end_s - begin_s <= RECOVER_S + COMPUTE_S + 2 * RR_S
-    found = next(pose for from_s, pose in done.updates if from_s == end_s)
+    found = next(update.pose for update in done.updates if update.from_s == end_s)
     assert found is not None
     assert mean_displacement_mm(found, pose_at(shifted, 60.0), CENTER) < 0.01  # exact beats
     again = next(a for a in done.attempts if a.asked_s > begin_s)
+    assert again.frames is not None
     assert again.frames.event_s[0] >= begin_s - DETECTION_S - BEAT_COMPUTE_S - 1e-6
     assert again.usable
 
 
 def test_a_slow_drift_is_tracked_and_reported() -> None:
     done = tracked(drifting)
-    assert not suspensions(done.updates, 60.0)
-    late = [(from_s, pose) for from_s, pose in done.updates if from_s > 25.0]
-    for from_s, pose in late:
-        assert pose is not None
-        assert mean_displacement_mm(pose, pose_at(drifting, from_s), CENTER) < 0.76  # 0.59
+    assert not suspensions(tuple(done.updates), 60.0)
+    late: list[PoseUpdate] = [update for update in done.updates if update.from_s > 25.0]
+    for update in late:
+        assert update.pose is not None
+        assert mean_displacement_mm(update.pose, pose_at(drifting, update.from_s), CENTER) < 0.76  # 0.59
     drift = drift_mm_per_min(late, CENTER)
     assert drift is not None
     assert abs(drift - 6.0) < 0.12  # 0.09
@@ -177,7 +198,7 @@ def test_a_slow_drift_is_tracked_and_reported() -> None:
 
 def test_after_a_slip_no_pose_is_used_again() -> None:
     done = tracked(slipped)
-    begin_s, end_s = suspensions(done.updates, 60.0)[0]
+    begin_s, end_s = suspensions(tuple(done.updates), 60.0)[0]
     assert 30.0 < begin_s < 32.0
     assert end_s == 60.0
     after = [a for a in done.attempts if a.asked_s > begin_s]
@@ -186,8 +207,8 @@ def test_after_a_slip_no_pose_is_used_again() -> None:
 
 
 def test_without_comparable_beats_no_pose_is_used() -> None:
-    done = tracked(still, blind=True)
-    assert done.updates == ()
+    done = tracked(still, blind_from_s=0.0)
+    assert not done.updates
     assert done.attempts
     assert not any(a.usable for a in done.attempts)
 
@@ -196,9 +217,31 @@ def test_later_beats_change_nothing_before() -> None:
     whole, part = tracked(shifted), tracked(shifted, peaks=PEAKS[:50])
     until_s = PEAKS[49].detected_at_s
     assert len(part.updates) > 10
-    early = [(from_s, pose) for from_s, pose in whole.updates if from_s <= until_s]
-    for (first_s, first), (second_s, second) in zip(early, part.updates, strict=False):
-        assert first_s == second_s
-        assert (first is None) == (second is None)
-        if first is not None and second is not None:
-            np.testing.assert_array_equal(first.matrix, second.matrix)
+    early = [update for update in whole.updates if update.from_s <= until_s]
+    for first, second in zip(early, part.updates, strict=False):
+        assert first.from_s == second.from_s
+        assert (first.pose is None) == (second.pose is None)
+        if first.pose is not None and second.pose is not None:
+            np.testing.assert_array_equal(first.pose.matrix, second.pose.matrix)
+
+
+def test_a_pose_that_no_beat_confirms_ages_until_it_is_withheld() -> None:
+    tracker = tracker_of(still, blind_from_s=30.0)
+    run(tracker, PEAKS[:38])
+    confirmed = tracker.confirmation
+    assert confirmed is not None
+    assert confirmed.missed_beats == 0
+    assert confirmed.until_s == confirmed.confirmed_s + MAX_AGE_S
+    tracker = tracker_of(still, blind_from_s=30.0)
+    run(tracker, PEAKS[:42])
+    assert tracker.monitor.in_use is not None
+    assert tracker.confirmation is not None
+    assert tracker.confirmation.missed_beats >= MAX_MISSED_BEATS
+    assert tracker.confirmation.until_s == -np.inf
+
+
+def test_a_registration_in_flight_is_dropped_when_a_beat_contradicts_the_pose() -> None:
+    done = tracked(lambda t_s: shifted(t_s - 10.5))
+    meanwhile = [a for a in done.attempts if a.refused and a.refused.cause is Refusal.SUSPENDED_MEANWHILE]
+    assert len(meanwhile) == 1
+    assert 38.0 < meanwhile[0].asked_s < 42.0

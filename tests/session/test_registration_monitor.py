@@ -5,8 +5,8 @@ import pytest
 
 from dvf_ig.core import Rigid
 from dvf_ig.registration import BeatMeasurement, PoseEstimate
-from dvf_ig.replay.refusal import Refusal, Refused
-from dvf_ig.replay.registration_monitor import (
+from dvf_ig.session.refusal import Refusal, Refused
+from dvf_ig.session.registration_monitor import (
     CONFIRMING_BEATS,
     CONSISTENT_LOG_RATIO,
     SUSPEND_LOG_RATIO,

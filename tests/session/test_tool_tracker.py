@@ -1,53 +1,103 @@
-"""The predicted tool tip: exact for steady motion, invalid when stale or lost, causal."""
+"""The predicted tool tip: exact for steady motion, unknown when stale, lost or frozen, causal."""
+
+from collections.abc import Iterable
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import PoseStream
-from dvf_ig.replay.tool_tip import predict_tip
+from dvf_ig.core import FloatArray, Points
+from dvf_ig.guidance import Hazard
+from dvf_ig.session import ToolPose
+from dvf_ig.session.tool_tracker import FROZEN_POSES, ToolReading, ToolTracker
 
-TIP_MM = np.array([10.0, 0.0, 150.0])
+TIP = Points("tool", np.array([[10.0, 0.0, 150.0]]))
+TURN = Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix()
+VELOCITY = np.array([20.0, -10.0, 5.0])
 
 
-def steady(valid: np.ndarray | None = None) -> PoseStream:
-    """Translation at (20, -10, 5) mm/s, 100 Hz for 2 s."""
-    t = np.arange(200) / 100
-    turn = Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix()
-    ok = np.ones(200, dtype=bool) if valid is None else valid
-    shifts = np.outer(t, [20.0, -10.0, 5.0])
-    return PoseStream("tracker", "tool", t, np.tile(turn, (200, 1, 1)), shifts, ok)
+def pose_at(t_s: float) -> FloatArray:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = TURN, VELOCITY * t_s
+    return matrix
+
+
+def steady(seconds: float = 2.0) -> list[ToolPose]:
+    """Translation at a steady velocity, 100 Hz."""
+    return [ToolPose(t_s, pose_at(t_s)) for t_s in (np.arange(round(100 * seconds)) / 100).tolist()]
+
+
+def read(poses: Iterable[ToolPose], times: FloatArray) -> list[ToolReading]:
+    tracker = ToolTracker(TIP)
+    for pose in poses:
+        tracker.push(pose)
+    return [tracker.at(t_s) for t_s in times.tolist()]
 
 
 def test_steady_motion_is_predicted_exactly() -> None:
-    t = np.arange(0.1, 1.9, 0.001)
-    track = predict_tip(steady(), TIP_MM, t)
-    expected = steady().rotations[0] @ TIP_MM + np.outer(t, [20.0, -10.0, 5.0])
-    assert track.valid.all()
-    np.testing.assert_allclose(track.tip_tracker_mm, expected, atol=1e-9)
+    times = np.arange(0.1, 1.9, 0.001)
+    expected = TURN @ TIP.xyz_mm[0] + np.outer(times, VELOCITY)
+    readings = read(steady(), times)
+    assert not any(reading.hazard for reading in readings)
+    np.testing.assert_allclose([r.tip_tracker_mm for r in readings], expected, atol=1e-9)
+    assert max(r.age_s for r in readings) < 0.0101
 
 
 def test_lost_tracking_is_not_bridged_and_stale_poses_expire() -> None:
-    valid = np.ones(200, dtype=bool)
-    valid[100:110] = False
-    track = predict_tip(steady(valid), TIP_MM, np.arange(0.0, 2.2, 0.001))
-    lost = (track.t_s >= 1.0) & (track.t_s < 1.0995)
-    assert not track.valid[lost].any()
-    assert not track.tip_tracker_mm[lost].any()
-    assert not track.valid[track.t_s > 1.99 + 0.0255].any()
-    assert track.valid[(track.t_s > 0.1) & (track.t_s < 0.99)].all()
+    poses = steady()
+    poses[100:110] = [ToolPose(pose.t_s, None) for pose in poses[100:110]]
+    times = np.arange(0.0, 2.2, 0.001)
+    readings = read(poses, times)
+    for t_s, reading in zip(times.tolist(), readings, strict=True):
+        if 1.0 <= t_s < 1.0995:
+            assert reading.hazard is Hazard.TOOL_LOST
+            assert not reading.tip_tracker_mm.any()
+        if t_s > 1.99 + 0.0255:
+            assert reading.hazard is Hazard.STALE_TOOL
+        if 0.1 < t_s < 0.99:
+            assert not reading.hazard
+
+
+def test_a_pose_that_repeats_bit_by_bit_is_old_whatever_its_status_says() -> None:
+    poses = steady()
+    poses[100:] = [ToolPose(pose.t_s, poses[100].tracker_from_tool) for pose in poses[100:]]
+    frozen_s = poses[100 + FROZEN_POSES - 1].t_s
+    before, after = read(poses, np.array([frozen_s - 0.001, frozen_s]))
+    assert not before.hazard
+    assert after.hazard is Hazard.TOOL_FROZEN
+    assert not after.tip_tracker_mm.any()
+
+
+@pytest.mark.parametrize(
+    ("matrix", "hazard"),
+    [
+        (np.full((4, 4), np.nan), Hazard.NOT_FINITE),
+        (np.diag([1.01, 1.0, 1.0, 1.0]), Hazard.TOOL_LOST),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), Hazard.TOOL_LOST),
+    ],
+)
+def test_what_is_no_rigid_pose_is_never_used(matrix: FloatArray, hazard: Hazard) -> None:
+    poses = [*steady()[:50], ToolPose(0.5, matrix)]
+    (reading,) = read(poses, np.array([0.501]))
+    assert reading.hazard is hazard
+
+
+def test_a_clock_that_restarts_is_refused_and_small_disorder_is_dropped() -> None:
+    jittered = steady()
+    jittered[50], jittered[51] = jittered[51], jittered[50]
+    assert not any(reading.hazard for reading in read(jittered, np.arange(0.1, 1.9, 0.01)))
+    restarted = [*steady()[:150], *(ToolPose(p.t_s - 10.0, p.tracker_from_tool) for p in steady()[150:])]
+    readings = read(restarted, np.array([1.495, 1.6, 1.99]))
+    assert [reading.hazard for reading in readings] == [
+        Hazard.NONE,
+        Hazard.CLOCK_BACKWARDS,
+        Hazard.CLOCK_BACKWARDS,
+    ]
 
 
 def test_later_poses_do_not_change_earlier_ticks() -> None:
-    stream = steady()
-    short = PoseStream(
-        "tracker",
-        "tool",
-        stream.t_s[:90],
-        stream.rotations[:90],
-        stream.translations_mm[:90],
-        stream.valid[:90],
-    )
-    t = np.arange(0.0, 0.89, 0.001)
-    np.testing.assert_array_equal(
-        predict_tip(stream, TIP_MM, t).tip_tracker_mm, predict_tip(short, TIP_MM, t).tip_tracker_mm
-    )
+    times = np.arange(0.0, 0.89, 0.001)
+    whole, part = read(steady(), times), read(steady()[:90], times)
+    for first, second in zip(whole, part, strict=True):
+        assert first.hazard is second.hazard
+        np.testing.assert_array_equal(first.tip_tracker_mm, second.tip_tracker_mm)
