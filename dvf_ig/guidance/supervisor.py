@@ -7,7 +7,7 @@ from enum import Enum, IntEnum
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 
 from .device import COMMON_DEVICE, DeviceLimits
 from .hazards import Hazard, Latch, Response, hazards_that_latch, hazards_with
@@ -51,6 +51,7 @@ class Rearm(Enum):
     FORCE_WANTED = "not re-armed: the fixture asks for 0.2 N or more; move the tool away and re-arm again"
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SupervisedForce:
     """What is sent to the device, and why.
@@ -60,8 +61,8 @@ class SupervisedForce:
         state: what may become of the force.
         hazards: active in this step, those found by the supervisor included.
         cause: hazards that began the running fade or latch, or joined the fade; NONE in OK and DEGRADED.
-        scale: in [0, 1]: of the last sent force during a fade, of the wanted one during a rise after a
-            re-arm; 0 after a fade; otherwise 1.
+        scale: in [0, 1]: share of the force at the fade's beginning, or of the wanted one during a rise after
+            a re-arm; 0 after a fade; otherwise 1.
         clamped: the slew limit cut this step, and it was counted.
     """
 
@@ -114,7 +115,7 @@ class Supervisor:
 
         Args:
             t_s: not before the last step's; at the same time the force stays the same.
-            wanted_n: (3,) N, of the composed fixtures.
+            wanted_n: (3,) N, of the composed fixtures, in the same frame at every step.
             hazards: active now.
         Raises:
             InvalidInputError: time that goes back or is not finite, or a force that is not (3,).
