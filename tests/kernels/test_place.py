@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dvf_ig.core import PhaseForecast, PhaseState, PoseMotion, RetimingCurve, Rigid
-from dvf_ig.kernels import pose_and_phase as kernels
+from dvf_ig.kernels import place as kernels
 from dvf_ig.kernels import status as code
 
 small = st.floats(-2.0, 2.0)
