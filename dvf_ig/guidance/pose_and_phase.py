@@ -26,7 +26,8 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.core.arrays import check_shape, frozen_floats
-from dvf_ig.kernels import pose_and_phase as kernels
+from dvf_ig.kernels.place import PLACE_SIZE, TURN_RATE, packed_pose_and_phase, place_tick
+from dvf_ig.kernels.pose_and_phase import DISTANCE_SIGMA, GUIDED_SIZE, guided_batch, guided_tick
 
 from .evaluator import Evaluator, ForceSamples
 from .places import PlaceInModel, PlacesInModel
@@ -60,7 +61,7 @@ class PoseAndPhase:
     center_mm: FloatArray = field(default_factory=lambda: np.zeros(3))
     pose_until_s: float = math.inf
     packed: FloatArray = field(init=False, repr=False)
-    """For `dvf_ig.kernels.pose_and_phase`: `place_tick`, `guided_tick`."""
+    """All of it in one array for `dvf_ig.kernels.place` and `dvf_ig.kernels.pose_and_phase`."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "center_mm", frozen_floats(self.center_mm, "centre of the heart", (3,)))
@@ -71,7 +72,7 @@ class PoseAndPhase:
             raise InvalidInputError(
                 "the pose is withheld from NaN s on; needed a time, or infinity for never"
             )
-        packed = kernels.packed_pose_and_phase(
+        packed = packed_pose_and_phase(
             self.pose, self.pose_until_s, self.phase, self.retiming, self.covariance_mm2, self.center_mm
         )
         packed.setflags(write=False)
@@ -119,14 +120,14 @@ class PoseAndPhase:
 
     def at_one(self, xyz_tracker_mm: FloatArray, t_s: float) -> PlaceInModel:
         """`at` for one point, (3,), without checks of its shape: quick enough for a loop at 1 kHz."""
-        place = np.empty(kernels.PLACE_SIZE)
-        status = kernels.place_tick(self.packed, t_s, place)
-        pose = place[: kernels.TURN_RATE].reshape(3, 4)
+        place = np.empty(PLACE_SIZE)
+        status = place_tick(self.packed, t_s, place)
+        pose = place[:TURN_RATE].reshape(3, 4)
         xyz = pose[:, :3] @ xyz_tracker_mm + pose[:, 3]
         if not np.isfinite(xyz_tracker_mm).all():
             place[:], xyz[:], status = math.nan, math.nan, Status.FAULT
         x, y, z = xyz.tolist()
-        u, v, w, a, b, c, phase, rate, sigma = place[kernels.TURN_RATE :].tolist()
+        u, v, w, a, b, c, phase, rate, sigma = place[TURN_RATE:].tolist()
         velocity = np.array([v * z - w * y + a, w * x - u * z + b, u * y - v * x + c])
         return PlaceInModel(xyz, velocity, phase, rate, sigma, Status(status))
 
@@ -164,14 +165,12 @@ class PoseAndPhase:
             broken = np.asarray(~np.isfinite(device).all(axis=(1, 2)))
             status[broken & (status == ok)] = int(Status.FAULT)
             frame, turn = DEVICE_FRAME, np.where(broken[:, None, None], np.eye(3), device)
-        out = np.empty((n, kernels.GUIDED_SIZE))
-        kernels.guided_batch(*self._kernel_arguments(evaluator), t, xyz, status, out)
+        out = np.empty((n, GUIDED_SIZE))
+        guided_batch(*self._kernel_arguments(evaluator), t, xyz, status, out)
         force, gradient = out[:, :3], out[:, 4:7]
         if turn is not None:
             force, gradient = (np.einsum("nji,nj->ni", turn, v) for v in (force, gradient))
-        return ForceSamples(
-            frame, force, out[:, 3], gradient, status, out[:, 7], out[:, kernels.DISTANCE_SIGMA]
-        )
+        return ForceSamples(frame, force, out[:, 3], gradient, status, out[:, 7], out[:, DISTANCE_SIGMA])
 
     def bind(self, evaluator: Evaluator) -> "BoundTick":
         """The same as one call per servo tick, without allocation, until the next event.
@@ -235,7 +234,7 @@ class BoundTick(partial[int]):
     __slots__ = ()
 
     def __new__(cls, coefficients: Any, fixture: FloatArray, packed: FloatArray) -> "BoundTick":
-        return super().__new__(cls, kernels.guided_tick, coefficients, fixture, packed)
+        return super().__new__(cls, guided_tick, coefficients, fixture, packed)
 
 
 def _points_and_times(xyz_mm: Any, t_s: Any) -> tuple[FloatArray, FloatArray]:

@@ -17,6 +17,7 @@ from .lanes import Float64x4, fma, multiply, pack, scale, unpack
 from .laws import direction_certainty, signed_potential
 from .phase import cubic_in_phase, phase_bracket
 from .spline import Cell, cell_value_gradient, find_cell, inside_box
+from .vectors import Vector
 
 BLEND_FORCE = 0
 BLEND_DISTANCE = 1
@@ -36,7 +37,6 @@ POWERS = 16
 WITHOUT_RATE = 7
 """Numbers in the output of a tick: force 3, distance, gradient 3; the distance rate may follow."""
 
-Vector = tuple[float, float, float]
 Output = tuple[int, Vector, float, Vector, float]
 """Status, force (N), distance (mm), gradient, distance rate (mm a cycle)."""
 

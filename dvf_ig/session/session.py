@@ -22,7 +22,7 @@ from dvf_ig.cardiac import retiming_curve
 from dvf_ig.core import InvalidInputError, PhaseState
 from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, Status, Supervisor, hazard_of
 from dvf_ig.guidance.fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, RATE, TICK_OUTPUT
-from dvf_ig.kernels.pose_and_phase import MODEL_PHASE, PLACE_SIZE, TURN_RATE, place_tick
+from dvf_ig.kernels.place import MODEL_PHASE, PLACE_SIZE, TURN_RATE, place_tick
 from dvf_ig.registration import SliceThreads
 
 from .events import EcgSamples, Event, Landmark, Rearm, ToolPose, TrackedFrame

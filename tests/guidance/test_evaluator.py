@@ -1,11 +1,13 @@
 """The evaluator against closed forms and its NumPy reference; continuity; what it refuses to push with."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dvf_ig.core import DvfModel, InvalidInputError
+from dvf_ig.core import DvfModel, FrameMismatchError, InvalidInputError, Rigid
 from dvf_ig.guidance import (
     DeviceLimits,
     Evaluator,
@@ -16,10 +18,12 @@ from dvf_ig.guidance import (
     blend_forces,
     static_force,
 )
+from dvf_ig.kernels.dynamic import force_tick
 from dvf_ig.kernels.spline import spline_batch
 
 CENTERS = np.array([[0.0, 0, 0], [2.0, 1, 0], [1.0, -1, 2], [0.5, 0, 1]])
 RADII = np.array([16.0, 13.0, 14.0, 15.5])
+POSE = Rigid.from_rotation_vector([0.4, -1.1, 0.7], [30.0, -80.0, 12.0], "mr", "tracker")
 LAWS = [Sigmoid(), Sigmoid(2.0, 0.5, 1.0), Gaussian(3.0, 1.0), Gaussian(2.0, 2.0, 0.4, -1.0)]
 
 
@@ -172,3 +176,42 @@ def test_a_law_beyond_the_device_is_refused_at_construction(ball):
         Evaluator(ball, Sigmoid(3.0))
     allowed = Evaluator(ball, Sigmoid(3.0), device=DeviceLimits(stiffness_n_per_m=1000.0))
     assert allowed.law == Sigmoid(3.0)
+
+
+def test_through_a_map_the_force_is_that_of_the_mapped_points(ball, shell_points):
+    evaluator, phi = Evaluator(ball, Sigmoid()), np.linspace(0, 1, len(shell_points))
+    direct = evaluator.force(shell_points, phi)
+    through = evaluator.force_through(POSE, POSE.inverse().apply_array(shell_points), phi)
+    np.testing.assert_allclose(through.force_n @ POSE.rotation.T, direct.force_n, atol=1e-9)
+    np.testing.assert_allclose(through.gradient @ POSE.rotation.T, direct.gradient, atol=1e-9)
+    assert (direct.frame, through.frame) == ("mr", "tracker")
+    with pytest.raises(FrameMismatchError, match=r"'ct'.*'mr'"):
+        evaluator.force_through(Rigid.identity("ct", "tracker"), shell_points, phi)
+
+
+@pytest.mark.parametrize("blend", ["force", "distance", "periodic"])
+def test_a_tick_is_the_batch(ball, shell_points, blend):
+    tip = POSE.inverse().apply_array(shell_points)
+    evaluator = Evaluator(ball, Sigmoid(), blend=blend)
+    batch = evaluator.force_through(POSE, tip, 0.7)
+    tick, out = partial(force_tick, *evaluator.kernel_arguments(POSE)), np.empty(8)
+    for k in range(0, len(tip), 17):
+        assert tick(tip[k], 0.7, int(Status.OK), out) == Status.OK
+        assert np.array_equal(out[:3], batch.force_n[k])
+        assert out[3] == batch.distance_mm[k]
+        assert np.array_equal(out[4:7], batch.gradient[k])
+        assert out[7] == batch.rate_mm_per_cycle[k]
+
+
+def test_no_force_where_the_input_is_not_valid(ball, shell_points):
+    tip, evaluator = POSE.inverse().apply_array(shell_points), Evaluator(ball, Sigmoid())
+    given_status = np.where(np.arange(len(tip)) % 3 == 0, Status.OK, Status.STALE_TOOL)
+    tip[given_status != Status.OK] = np.nan
+    samples = evaluator.force_through(POSE, tip, 0.2, given_status)
+    np.testing.assert_array_equal(samples.status, given_status)
+    assert not samples.force_n[given_status != Status.OK].any()
+    tick, out = partial(force_tick, *evaluator.kernel_arguments(POSE)), np.ones(7)
+    for refusal in [s for s in Status if s is not Status.OK]:
+        assert tick(tip[0], 0.1, int(refusal), out) == refusal
+        assert not out[:3].any()
+        assert np.isnan(out[3:]).all()
