@@ -13,9 +13,9 @@ from time import perf_counter
 
 import numpy as np
 
-from dvf_ig.cardiac import PhaseTracking, track_phase
+from dvf_ig.cardiac import PhaseTracking, RetimeMode, track_phase
 from dvf_ig.core import BoolArray, DvfModel, FloatArray, Rigid, Scenario, Stop, read_only_arrays
-from dvf_ig.guidance import ForceSamples
+from dvf_ig.guidance import FORBIDDEN_SURFACE, Fixtures, FixtureSet, ForceSamples
 from dvf_ig.registration import RegistrationResult, SliceThreads
 
 from .beat_evaluation import BEAT_COMPUTE_S
@@ -51,6 +51,7 @@ class Replay:
         model_phase: (n,) retimed phase; valid where `phase_tracking.track.valid`.
         samples: force in frame "tracker", distance, gradient and status.
         valid: (n,) ticks with tracked tool, locked phase, a usable pose and the tool inside the model's box.
+        fixtures: what gave the force.
         seconds: computing time of the whole.
     """
 
@@ -65,6 +66,7 @@ class Replay:
     model_phase: FloatArray
     samples: ForceSamples
     valid: BoolArray
+    fixtures: FixtureSet
     seconds: float
 
     @property
@@ -76,6 +78,8 @@ def run_replay(
     scenario: Scenario,
     *,
     model: DvfModel | None = None,
+    fixtures: FixtureSet = FORBIDDEN_SURFACE,
+    retiming: RetimeMode = "two-segment",
     seed: int = 0,
     progress: Progress | None = None,
     clock: Clock = perf_counter,
@@ -84,6 +88,8 @@ def run_replay(
 
     Args:
         model: this patient's fixture model, where it was built before; else it is built here.
+        fixtures: what acts on the tool.
+        retiming: law that places a moment of a beat in the model's cycle, of ultrasound and of force alike.
         seed: of the random choices in calibration and registration.
         clock: times the computing; no estimate depends on it.
     Raises:
@@ -100,7 +106,8 @@ def run_replay(
     phase_tracking = track_phase(scenario.ecg, t_s)
     require_heart_beats(phase_tracking, scenario)
     heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.05 + 0.35 * f))
-    recording = _recording(scenario, heart, phase_tracking, calibrations)
+    bound = Fixtures(heart.model, fixtures)
+    recording = _recording(scenario, heart, phase_tracking, calibrations, retiming)
     monitor = RegistrationMonitor(heart.center_mm, landmark_pose(scenario))
     timing = Timing(_first_event_s(scenario, calibrations), float(t_s[-1]), BEAT_COMPUTE_S)
     with SliceThreads() as threads:
@@ -110,10 +117,10 @@ def run_replay(
         )
     poses = pose_schedule(history.updates, heart.center_mm)
     track = phase_tracking.track
-    model_phase = retimed(heart.model, track.phi, track.rr_s)
+    model_phase = retimed(heart.model, track.phi, track.rr_s, retiming)
     tip = predict_tip(scenario.tool, calibrations.pivot.tip.xyz_mm[0], t_s)
     suspended = suspended_at(history.updates, t_s)
-    samples, valid = force_samples(heart, poses, suspended, tip, model_phase, track.valid)
+    samples, valid = force_samples(bound, poses, suspended, tip, model_phase, track.valid)
     report_progress(1.0)
     return Replay(
         scenario=scenario,
@@ -127,15 +134,20 @@ def run_replay(
         model_phase=model_phase,
         samples=samples,
         valid=valid,
+        fixtures=fixtures,
         seconds=clock() - began,
     )
 
 
 def _recording(
-    scenario: Scenario, heart: Heart, phase_tracking: PhaseTracking, calibrations: Calibrations
+    scenario: Scenario,
+    heart: Heart,
+    phase_tracking: PhaseTracking,
+    calibrations: Calibrations,
+    retiming: RetimeMode = "two-segment",
 ) -> UltrasoundRecording:
     lag_s, probe_from_image = calibrations.latency.lag_s, calibrations.probe.probe_from_image
-    return UltrasoundRecording(scenario, heart, phase_tracking.peaks, lag_s, probe_from_image)
+    return UltrasoundRecording(scenario, heart, phase_tracking.peaks, lag_s, probe_from_image, retiming)
 
 
 def _first_event_s(scenario: Scenario, calibrations: Calibrations) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.cardiac import RPeak, beat_phase, retime
+from dvf_ig.cardiac import RetimeMode, RPeak, beat_phase, retime
 from dvf_ig.core import (
     BoolArray,
     DvfModel,
@@ -43,6 +43,7 @@ class UltrasoundRecording:
         peaks: R peaks in time order.
         lag_s: t_tracker(event) = t_video + lag_s.
         probe_from_image: image calibration.
+        retiming: law that places frames in the model's cycle.
     """
 
     scenario: Scenario
@@ -50,6 +51,7 @@ class UltrasoundRecording:
     peaks: tuple[RPeak, ...]
     lag_s: float
     probe_from_image: ImageMap
+    retiming: RetimeMode
 
     @property
     def images(self) -> NDArray[np.uint8]:
@@ -124,7 +126,7 @@ def gate_recording(
     by_s = until_s if known_s is None else known_s
     known = np.array([p.t_s for p in recording.peaks if p.detected_at_s <= by_s])
     beat = beat_phase(known, event_s[here])
-    model_phase = retimed(model, beat.phi, beat.rr_s)
+    model_phase = retimed(model, beat.phi, beat.rr_s, recording.retiming)
     gated = gate_frames(
         model_phase,
         recording.heart.fine.fractions,
@@ -137,10 +139,10 @@ def gate_recording(
     return GatedFrames(first, gated, used, event_s[here], model_phase, rotations, translations)
 
 
-def retimed(model: DvfModel, phi: FloatArray, rr_s: FloatArray) -> FloatArray:
+def retimed(model: DvfModel, phi: FloatArray, rr_s: FloatArray, mode: RetimeMode) -> FloatArray:
     """(n,) place in the model's cycle; moments without a known RR are placed as at the model's own rate."""
     known = np.where(np.isfinite(rr_s), rr_s, model.timing.rr_s)
-    return retime(phi, known, model.timing.rr_s, model.es_fraction, mode="two-segment")
+    return retime(phi, known, model.timing.rr_s, model.es_fraction, mode)
 
 
 def ultrasound_mask(recording: UltrasoundRecording, frames: GatedFrames) -> BoolArray:

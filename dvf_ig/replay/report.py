@@ -131,7 +131,9 @@ def _ticks(replay: Replay, true_phase: FloatArray | None) -> TickTrace:
     distance = force = error = None
     if true_phase is not None:
         distance, true_force = true_contact(replay)
-        force = np.linalg.norm(true_force, axis=1)
+        force = None if true_force is None else np.linalg.norm(true_force, axis=1)
+        if replay.fixtures.fixtures[0].path is not None:
+            distance = None  # ours is the distance to the path
         error = 100 * ((track.phi - true_phase + 0.5) % 1.0 - 0.5)
     return TickTrace(
         t_s=track.t_s,

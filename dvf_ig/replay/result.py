@@ -9,8 +9,7 @@ import numpy as np
 
 from dvf_ig.cardiac import frame_period_s
 from dvf_ig.core import FloatArray, InvalidInputError, summarise_errors
-from dvf_ig.guidance import Sigmoid, Status
-from dvf_ig.guidance.blend import static_force
+from dvf_ig.guidance import Status, force_at_distance
 from dvf_ig.registration import RegistrationResult, least_constrained_direction, target_errors_mm
 
 from .engine import Replay
@@ -196,13 +195,14 @@ def _errors(replay: Replay) -> dict[str, Any]:
         out["model_phase_error_mm"] = {"mean": score.surface_mm_mean, "p95": score.surface_mm_p95}
     distance, true_force = true_contact(replay)
     contact = distance >= CONTACT_MM
-    force = score_force(replay.samples.force_n, valid, true_force, contact)
+    known = np.zeros_like(replay.samples.force_n) if true_force is None else true_force
+    force = score_force(replay.samples.force_n, valid, known, contact)
     out["contact"] = {
         "ticks": int(contact.sum()),
         "share": float(contact.mean()),
         "served_share": force.force_ticks / force.contact_ticks if force else 0.0,
     }
-    if force is not None:
+    if force is not None and true_force is not None:
         out["force_error_n"] = {"median": force.error_n_median, "p95": force.error_n_p95}
     return out
 
@@ -216,15 +216,21 @@ def true_phases(replay: Replay) -> tuple[FloatArray, FloatArray]:
     return truth.tool.phi[nearest], truth.tool.model_phase[nearest]
 
 
-def true_contact(replay: Replay) -> tuple[FloatArray, FloatArray]:
-    """(n,) true distance and (n, 3) true force in the tracker's frame at each tick."""
+def true_contact(replay: Replay) -> tuple[FloatArray, FloatArray | None]:
+    """(n,) true distance and (n, 3) true force in the tracker's frame at each tick.
+
+    The force is that of the replay's own fixtures at the true distance; None where one of them is a path, to
+    which the truth knows no distance.
+    """
     truth = replay.scenario.truth
     if truth is None:
         raise InvalidInputError("the scenario carries no truth")
     t_s = replay.phase_tracking.track.t_s
     nearest = _nearest(truth.tool.t_s, t_s)
     distance, normal = truth.tool.distance_mm[nearest], truth.tool.normal[nearest]
-    force_mr = static_force(Sigmoid(), distance, normal)
+    force_mr = force_at_distance(replay.fixtures, distance, normal)
+    if force_mr is None:
+        return distance, None
     force = np.empty_like(force_mr)
     for start_s, pose in truth.mr_from_tracker:
         later = t_s >= start_s

@@ -1,14 +1,11 @@
 """Force at each tick: only from a pose in use, a valid phase and a tracked tool, each as they were then."""
 
-from typing import cast
-
 import numpy as np
 import pytest
 
 from dvf_ig.core import BoolArray, DvfModel, FloatArray, Rigid
-from dvf_ig.guidance import Evaluator, ForceSamples, Sigmoid, Status
+from dvf_ig.guidance import Evaluator, Fixtures, ForceSamples, Sigmoid, Status
 from dvf_ig.replay.forces import force_samples
-from dvf_ig.replay.heart import Heart
 from dvf_ig.replay.tool_tip import TipTrack
 
 T_S = np.arange(8) / 1000.0
@@ -19,19 +16,12 @@ FIRST = Rigid.identity("mr", "tracker")
 SECOND = Rigid.from_rotation_vector([0.0, 0.0, 0.3], [1.0, -2.0, 0.5], "mr", "tracker")
 
 
-class BallHeart:
-    """As much of a heart as forces need."""
-
-    def __init__(self, model: DvfModel) -> None:
-        self.model = model
-
-
 def forces(
     ball: DvfModel, suspended: BoolArray, tracked: BoolArray, phase_valid: BoolArray
 ) -> tuple[ForceSamples, BoolArray]:
     tip = TipTrack(T_S, TIP_MM, tracked)
     poses = ((0.0, FIRST), (0.004, SECOND))
-    return force_samples(cast(Heart, BallHeart(ball)), poses, suspended, tip, PHASE, phase_valid)
+    return force_samples(Fixtures(ball), poses, suspended, tip, PHASE, phase_valid)
 
 
 def expected_n(ball: DvfModel, pose: Rigid, tick: int) -> FloatArray:
