@@ -1,8 +1,8 @@
 """`dvf-ig force`: forces of a fixture at given points and one phase."""
 
 import csv
+import dataclasses
 import math
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,25 +10,22 @@ import typer
 
 from dvf_ig.core import FloatArray, UnreadableFileError
 
+from .fixture_options import (
+    BlendOption,
+    CapOption,
+    DeltaOption,
+    DepthOption,
+    ExponentOption,
+    FixturesFileOption,
+    GammaOption,
+    InsideOption,
+    LawOption,
+    chosen_fixtures,
+)
 from .shell import JsonFlag, command, emit, warn
 
 if TYPE_CHECKING:
-    from dvf_ig.guidance import DeviceLimits, ForceSamples, Gaussian, Law
-
-
-class LawName(StrEnum):
-    """Force laws by name."""
-
-    sigmoid = "sigmoid"
-    gaussian = "gaussian"
-
-
-class BlendName(StrEnum):
-    """How two phases are blended."""
-
-    force = "force"
-    distance = "distance"
-    periodic = "periodic"
+    from dvf_ig.guidance import DeviceLimits, FixtureSet, ForceSamples
 
 
 def force(
@@ -40,18 +37,18 @@ def force(
     phase: Annotated[
         float, typer.Option("--phase", help="Phase of the model's cycle, 0 at the R peak, modulo 1.")
     ],
-    law: Annotated[LawName, typer.Option("--law", help="Force law.")] = LawName.sigmoid,
-    gamma: Annotated[float, typer.Option("--gamma", help="Sigmoid: steepness in 1/mm.")] = 1.0,
-    delta_mm: Annotated[float, typer.Option("--delta-mm", help="Gaussian: width in mm.")] = 3.0,
-    exponent: Annotated[float, typer.Option("--m", help="Gaussian: exponent.")] = 1.0,
-    cap_n: Annotated[float, typer.Option("--cap-n", help="Largest force in N.")] = 0.6,
-    depth_mm: Annotated[float, typer.Option("--depth-mm", help="Depth of the guarded surface in mm.")] = 0.0,
-    inside: Annotated[
-        bool, typer.Option("--inside", help="Sigmoid: confine inside the surface instead of keeping out.")
-    ] = False,
+    law: LawOption = None,
+    gamma: GammaOption = None,
+    delta: DeltaOption = None,
+    m: ExponentOption = None,
+    cap_n: CapOption = None,
+    depth_mm: DepthOption = None,
+    inside: InsideOption = False,
+    blend: BlendOption = None,
+    fixtures: FixturesFileOption = None,
     free_zone_mm: Annotated[
         float | None,
-        typer.Option("--free-zone-mm", help="Gaussian: choose width and exponent for this zone …"),
+        typer.Option("--free-zone-mm", help="Guidance: choose --delta and --m for this zone …"),
     ] = None,
     detection_threshold_n: Annotated[
         float,
@@ -59,7 +56,6 @@ def force(
             "--felt-below-n", help="… in which the force stays below this detection threshold, in N."
         ),
     ] = 0.05,
-    blend: Annotated[BlendName, typer.Option("--blend", help="How phases are blended.")] = BlendName.force,
     stiffness: Annotated[
         float, typer.Option("--device-stiffness", help="Stiffest wall the device renders, in N/m.")
     ] = 400.0,
@@ -73,36 +69,38 @@ def force(
     with command():
         if not math.isfinite(phase):
             raise typer.BadParameter(f"--phase is {phase}; needed a finite number")
-        from dvf_ig.guidance import Confinement, DeviceLimits, Evaluator, Gaussian, Sigmoid
+        from dvf_ig.core import Rigid
+        from dvf_ig.guidance import DeviceLimits, Fixtures
         from dvf_ig.io import read_model
 
         limits = DeviceLimits(stiffness_n_per_m=stiffness, damping_n_s_per_m=damping)
-        chosen: Law
-        if law is LawName.sigmoid:
-            if free_zone_mm is not None:
-                raise typer.BadParameter("--free-zone-mm goes with --law gaussian; a sigmoid has none")
-            chosen = (Confinement if inside else Sigmoid)(gamma, cap_n, depth_mm)
-        elif inside:
-            raise typer.BadParameter("--inside goes with --law sigmoid; a Gaussian pulls from both sides")
-        elif free_zone_mm is not None:
-            chosen = _for_free_zone(free_zone_mm, detection_threshold_n, cap_n, depth_mm, limits)
-        else:
-            chosen = Gaussian(delta_mm, exponent, cap_n, depth_mm)
+        given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
+        given |= {"inside": inside, "blend": blend}
         model = read_model(model_file)
+        options, _ = chosen_fixtures(given, fixtures, model.frame)
+        if free_zone_mm is not None:
+            if law != "guidance" or delta is not None or m is not None:
+                raise typer.BadParameter(
+                    "--free-zone-mm goes with --law guidance and chooses its --delta and --m"
+                )
+            options = _with_free_zone(options, free_zone_mm, detection_threshold_n, limits)
         xyz_mm = _read_points(points)
-        samples = Evaluator(model, chosen, blend=blend.value, device=limits).force(xyz_mm, phase)
+        here = Rigid.identity(model.frame, model.frame)
+        samples = Fixtures(model, options, device=limits).evaluate(here, xyz_mm, phase)
         _print(samples, xyz_mm, as_json)
 
 
-def _for_free_zone(
-    half_width_mm: float, detection_threshold_n: float, cap_n: float, depth_mm: float, limits: "DeviceLimits"
-) -> "Gaussian":
-    from dvf_ig.guidance import FreeZone, gaussian_for_free_zone
+def _with_free_zone(
+    options: "FixtureSet", half_width_mm: float, detection_threshold_n: float, limits: "DeviceLimits"
+) -> "FixtureSet":
+    """The one fixture with the width and the exponent that the zone asks for."""
+    from dvf_ig.guidance import FixtureSet, FreeZone, gaussian_for_free_zone
 
+    (one,) = options.fixtures
     zone = FreeZone(half_width_mm, detection_threshold_n)
-    law = gaussian_for_free_zone(zone, cap_n=cap_n, depth_mm=depth_mm, device=limits)
-    warn(f"the free zone gives --delta-mm {law.delta_mm:.4g} --m {law.m:g}")
-    return law
+    law = gaussian_for_free_zone(zone, cap_n=one.law.cap_n, depth_mm=one.law.depth_mm, device=limits)
+    warn(f"the free zone gives --delta {law.delta_mm:.4g} --m {law.m:g}")
+    return FixtureSet((dataclasses.replace(one, law=law),))
 
 
 def _print(samples: "ForceSamples", xyz_mm: FloatArray, as_json: bool) -> None:

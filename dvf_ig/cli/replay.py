@@ -5,6 +5,20 @@ from typing import Annotated
 
 import typer
 
+from .fixture_options import (
+    BlendOption,
+    CapOption,
+    DeltaOption,
+    DepthOption,
+    ExponentOption,
+    FixturesFileOption,
+    GammaOption,
+    InsideOption,
+    LawOption,
+    RetimingOption,
+    chosen_fixtures,
+    chosen_retiming,
+)
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
 
 
@@ -14,6 +28,16 @@ def replay(
     model: Annotated[
         Path | None, typer.Option("--model", help="This patient's model, if `dvf-ig model build` made one.")
     ] = None,
+    law: LawOption = None,
+    gamma: GammaOption = None,
+    delta: DeltaOption = None,
+    m: ExponentOption = None,
+    cap_n: CapOption = None,
+    depth_mm: DepthOption = None,
+    inside: InsideOption = False,
+    blend: BlendOption = None,
+    fixtures: FixturesFileOption = None,
+    retiming: RetimingOption = None,
     as_json: JsonFlag = False,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,
@@ -21,7 +45,7 @@ def replay(
     """Replay a recorded or synthetic intervention from raw streams to force, in time order.
 
     Calibrates tool, probe and latency, detects heart beats, registers ultrasound to the model and evaluates
-    the fixture at the tool tip every millisecond. Where the folder holds the truth, every error is printed.
+    the fixtures at the tool tip every millisecond. Where the folder holds the truth, every error is printed.
     Exits 7 after writing its evidence when no registration could be used.
     """
     with command(threads):
@@ -30,13 +54,19 @@ def replay(
         from dvf_ig.replay import result_of, run_replay, table
         from dvf_ig.replay.report import report_html
 
+        given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
+        given |= {"inside": inside, "blend": blend}
+        options, of_file = chosen_fixtures(given, fixtures)
+        mode = chosen_retiming(retiming, of_file)
         recorded = read_scenario(scenario)
         patient = recorded.preop.patient_id
         built = read_model(model, patient_id=patient) if model is not None else None
         result_path, report_path = out / "result.json", out / "report.html"
         with output_folder(out):
             with progress("replay") as report:
-                done = run_replay(recorded, model=built, seed=seed, progress=report)
+                done = run_replay(
+                    recorded, model=built, fixtures=options, retiming=mode, seed=seed, progress=report
+                )
             result = result_of(done)
             write_text(report_path, report_html(done, result))
             write_json(result_path, result)

@@ -132,6 +132,8 @@ def _ticks(replay: Replay, true_phase: FloatArray | None) -> TickTrace:
     if true_phase is not None:
         distance, true_force = true_contact(replay)
         force = None if true_force is None else np.linalg.norm(true_force, axis=1)
+        if replay.setup.fixtures.fixtures[0].path is not None:
+            distance = None  # ours is the distance to the path
         error = 100 * ((track.phi - true_phase + 0.5) % 1.0 - 0.5)
     return TickTrace(
         t_s=track.t_s,

@@ -10,8 +10,7 @@ import numpy as np
 
 from dvf_ig.cardiac import frame_period_s
 from dvf_ig.core import FloatArray, InvalidInputError, ScenarioTruth, summarise_errors
-from dvf_ig.guidance import Status, summarise_supervision
-from dvf_ig.guidance.fixtures import force_at_distance
+from dvf_ig.guidance import Status, force_at_distance, summarise_supervision
 from dvf_ig.registration import RegistrationResult, least_constrained_direction, target_errors_mm
 from dvf_ig.session import Attempt
 
@@ -210,13 +209,14 @@ def _errors(replay: Replay) -> dict[str, Any]:
         out["model_phase_error_mm"] = {"mean": score.surface_mm_mean, "p95": score.surface_mm_p95}
     distance, true_force = true_contact(replay)
     contact = distance >= CONTACT_MM
-    force = None if true_force is None else score_force(ticks.force_n, valid, true_force, contact)
+    known = np.zeros_like(ticks.force_n) if true_force is None else true_force
+    force = score_force(ticks.force_n, valid, known, contact)
     out["contact"] = {
         "ticks": int(contact.sum()),
         "share": float(contact.mean()),
         "served_share": force.force_ticks / force.contact_ticks if force else 0.0,
     }
-    if force is not None:
+    if force is not None and true_force is not None:
         out["force_error_n"] = {"median": force.error_n_median, "p95": force.error_n_p95}
     return out
 

@@ -10,6 +10,12 @@ from typer.testing import CliRunner
 from dvf_ig.cli.force import force
 from dvf_ig.io import write_model
 
+
+def plain(text):
+    """A usage error without the frame around it and its line breaks."""
+    return " ".join(text.replace("│", " ").split())
+
+
 app = typer.Typer()
 app.command("force")(force)
 
@@ -40,9 +46,12 @@ def test_inside_confines(run):
 
 
 def test_a_free_zone_is_felt_at_its_border_only(run):
-    result = run("--law", "gaussian", "--free-zone-mm", 2.0, "--felt-below-n", 0.05)
+    result = run("--law", "guidance", "--free-zone-mm", 2.0, "--felt-below-n", 0.05)
     np.testing.assert_allclose(outward(result), [-0.05, 0.0, 0.05], atol=0.005)
-    assert "the free zone gives --delta-mm" in result.stderr
+    assert "the free zone gives --delta" in result.stderr
+    said = dict(zip(*[iter(result.stderr.split("gives ")[1].split())] * 2, strict=True))
+    again = run("--law", "guidance", *(word for pair in said.items() for word in pair))
+    np.testing.assert_allclose(outward(again), outward(result), atol=1e-3)
 
 
 def test_a_law_that_is_not_passive_exits_3(run):
@@ -51,6 +60,69 @@ def test_a_law_that_is_not_passive_exits_3(run):
     assert "150 N/m at its steepest, at most 100 N/m allowed by passivity at 1000 Hz (b 0.05" in result.stderr
 
 
-@pytest.mark.parametrize("options", [("--law", "gaussian", "--inside"), ("--free-zone-mm", 1.0)])
-def test_options_of_the_other_law_are_usage_errors(run, options):
-    assert run(*options).exit_code == 2
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (("--law", "guidance", "--inside"), "--law guidance does not take --inside; it takes --delta, --m"),
+        (("--delta", 2.0), "--law forbidden does not take --delta; it takes --gamma, --cap-n"),
+        (("--law", "guidance", "--gamma", 2.0), "--law guidance does not take --gamma"),
+        (("--free-zone-mm", 1.0), "--free-zone-mm goes with --law guidance"),
+        (("--law", "guidance", "--delta", 2.0, "--free-zone-mm", 1.0), "chooses its --delta and --m"),
+        (("--law", "sigmoid"), "sigmoid is now called forbidden"),
+        (("--law=gaussian",), "gaussian is now called guidance"),
+        (("--law", "path"), "describe it in a file and give that with --fixtures"),
+        (("--law", "cubic"), "'cubic' is not a law; needed forbidden or guidance"),
+        (("--delta-mm", 2.0), "No such option: --delta-mm"),
+        (("--blend", "nearest"), "'nearest' is not one of"),
+    ],
+)
+def test_options_that_do_not_fit_are_usage_errors(run, options, complaint):
+    done = run(*options)
+    assert done.exit_code == 2
+    assert complaint in plain(done.stderr)
+
+
+def test_a_former_option_says_the_new_one(run):
+    assert "--delta" in plain(run("--delta-mm", 2.0).stderr).replace("--delta-mm", "")
+
+
+def test_guidance_pulls_from_both_sides(run):
+    pull = 0.5 * -np.expm1(-((2.0 / 4.0) ** 4))
+    options = ("--law", "guidance", "--delta", 4.0, "--m", 2.0, "--cap-n", 0.5)
+    np.testing.assert_allclose(outward(run(*options)), [-pull, 0.0, pull], atol=0.005)
+    deeper = outward(run(*options, "--depth-mm", 2.0))
+    assert deeper[2] == pytest.approx(0.0, abs=0.005)
+    assert deeper[1] == pytest.approx(-pull, abs=0.005)
+
+
+def test_several_fixtures_from_a_file(run, tmp_path):
+    """Above the ball's top a path pulls to the side, and the forbidden surface pushes out first."""
+    file = tmp_path / "fixtures.yaml"
+    file.write_text(
+        "cap_n: 0.5\nretiming: uniform\nfixtures:\n"
+        "  - {law: forbidden, name: ball}\n"
+        "  - {law: path, delta: 4.0, path: [[5, -50, 16], [5, 50, 16]]}\n",
+        encoding="utf-8",
+    )
+    result = run("--fixtures", file)
+    assert result.exit_code == 0, result.output
+    force_n = np.array(json.loads(result.stdout)["force_n"])
+    np.testing.assert_allclose(force_n[1], [0.2, 0.0, 0.3], atol=0.01)
+    np.testing.assert_allclose(json.loads(result.stdout)["distance_mm"], [-2.0, 0.0, 2.0], atol=0.02)
+
+
+def test_a_file_of_fixtures_excludes_the_options_of_one(run, tmp_path):
+    file = tmp_path / "fixtures.yaml"
+    file.write_text("fixtures: [{law: forbidden}]\n", encoding="utf-8")
+    done = run("--fixtures", file, "--law", "guidance", "--cap-n", 0.5, "--inside")
+    assert done.exit_code == 2
+    assert "--fixtures describes every fixture; leave out --law, --cap-n, --inside" in plain(done.stderr)
+    assert run("--fixtures", file, "--free-zone-mm", 1.0).exit_code == 2
+
+
+def test_a_faulty_file_is_one_sentence(run, tmp_path):
+    file = tmp_path / "fixtures.yaml"
+    file.write_text("fixtures: [{law: forbidden, gama: 1.0}]\n", encoding="utf-8")
+    done = run("--fixtures", file)
+    assert done.exit_code == 3
+    assert f"error: {file}: fixtures.0: unknown key gama; needed some of" in done.stderr

@@ -119,8 +119,9 @@ def force_figure(ticks: TickTrace) -> Figure:
         (ticks.true_force_n, ticks.true_distance_mm, TRUTH, "ground truth"),
         (ticks.force_n, ticks.distance_mm, ESTIMATE, "estimated"),
     ):
-        if force is not None and distance is not None:
+        if force is not None:
             upper.plot(t_s, force[THIN], color=color, lw=0.8, label=label)
+        if distance is not None:
             lower.plot(t_s, distance[THIN], color=color, lw=0.8)
     upper.set(ylabel="force, N", ylim=(0, LARGEST_SHOWN_N))
     lower.set(ylabel="distance, mm\n(inside > 0)", xlabel="time, s", ylim=(-15, 5))

@@ -1,0 +1,128 @@
+"""Options that describe virtual fixtures, shared by the commands that evaluate them."""
+
+from collections.abc import Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from dvf_ig.cardiac import RetimeMode
+    from dvf_ig.guidance import FixtureSet
+
+LAW_NAMES = ("forbidden", "guidance")
+FORMER_LAWS = {"sigmoid": "forbidden", "gaussian": "guidance"}
+
+
+class BlendName(StrEnum):
+    """How two phases are blended."""
+
+    force = "force"
+    distance = "distance"
+    periodic = "periodic"
+
+
+class RetimingName(StrEnum):
+    """How the phase of a beat becomes the phase of the model."""
+
+    uniform = "uniform"
+    two_segment = "two-segment"
+
+
+def _law(name: str) -> str:
+    if name in FORMER_LAWS:
+        raise typer.BadParameter(f"{name} is now called {FORMER_LAWS[name]}")
+    if name == "path":
+        raise typer.BadParameter("a path has points; describe it in a file and give that with --fixtures")
+    if name not in LAW_NAMES:
+        raise typer.BadParameter(f"'{name}' is not a law; needed {' or '.join(LAW_NAMES)}")
+    return name
+
+
+# A default of None tells that an option was not given; the defaults shown are those of `dvf_ig.io.fixtures`.
+LawOption = Annotated[
+    str | None,
+    typer.Option(
+        "--law",
+        parser=_law,
+        metavar="[forbidden|guidance]",
+        help="forbidden: keep out of the organ. guidance: pull to its surface.",
+        show_default="forbidden",
+    ),
+]
+GammaOption = Annotated[
+    float | None, typer.Option("--gamma", help="Forbidden: steepness in 1/mm.", show_default="1.0")
+]
+DeltaOption = Annotated[
+    float | None, typer.Option("--delta", help="Guidance: width in mm.", show_default="3.0")
+]
+ExponentOption = Annotated[float | None, typer.Option("--m", help="Guidance: exponent.", show_default="1.0")]
+CapOption = Annotated[float | None, typer.Option("--cap-n", help="Largest force in N.", show_default="0.6")]
+DepthOption = Annotated[
+    float | None,
+    typer.Option("--depth-mm", help="Depth of the surface below the organ's, in mm.", show_default="0.0"),
+]
+InsideOption = Annotated[
+    bool, typer.Option("--inside", help="Forbidden: confine inside the surface instead of keeping out.")
+]
+BlendOption = Annotated[
+    BlendName | None, typer.Option("--blend", help="How phases are blended.", show_default="force")
+]
+FixturesFileOption = Annotated[
+    Path | None,
+    typer.Option("--fixtures", help="YAML of one or several fixtures, in place of the options of one."),
+]
+RetimingOption = Annotated[
+    RetimingName | None,
+    typer.Option(
+        "--retiming",
+        help="uniform: the cycle stretches as a whole. two-segment: systole shortens less than diastole.",
+        show_default="two-segment",
+    ),
+]
+
+
+def chosen_fixtures(
+    given: Mapping[str, Any], file: Path | None, frame: str = "mr"
+) -> "tuple[FixtureSet, RetimeMode | None]":
+    """The fixtures that the user described, and the file's law of retiming where it gives one.
+
+    Args:
+        given: options of a single fixture by their keys in YAML (`dvf_ig.io.fixtures`); None or False: not
+            given.
+        file: of several.
+        frame: of the model.
+    Raises:
+        typer.BadParameter: options beside a file, or one that does not go with the law.
+        DvfIgError: a number out of range, or a file that does not fit.
+    """
+    from dvf_ig.guidance import FixtureSet
+    from dvf_ig.io.fixtures import LAWS, fixture_options, read_fixtures
+
+    asked = {key: value for key, value in given.items() if value is not None and value is not False}
+    if file is not None:
+        if asked:
+            raise typer.BadParameter(f"--fixtures describes every fixture; leave out {_options(asked)}")
+        return read_fixtures(file, frame)
+    law = asked.setdefault("law", "forbidden")
+    unfit = [key for key in asked if key not in LAWS[law].model_fields]
+    if unfit:
+        fit = [key for key in given if key in LAWS[law].model_fields and key != "law"]
+        raise typer.BadParameter(f"--law {law} does not take {_options(unfit)}; it takes {_options(fit)}")
+    return FixtureSet((fixture_options(asked),)), None
+
+
+def chosen_retiming(asked: RetimingName | None, of_file: "RetimeMode | None") -> "RetimeMode":
+    """The law of retiming: the option's or the file's, else two-segment.
+
+    Raises:
+        typer.BadParameter: both are given.
+    """
+    if asked is not None and of_file is not None:
+        raise typer.BadParameter("the file of --fixtures gives the law of retiming; leave out --retiming")
+    return of_file or (asked or RetimingName.two_segment).value
+
+
+def _options(keys: Any) -> str:
+    return ", ".join(f"--{key.replace('_', '-')}" for key in keys)
