@@ -59,18 +59,20 @@ def with_failure(
         return images
     out = images.copy()
     if spec.shows == "noise":
-        for image in out[first:]:
-            image[:] = noise_image(probe, rng)
+        out[first:] = noise_images(probe, len(images) - first, rng)
     else:
         out[first:] = 0 if spec.shows == "black" else images[max(first - 1, 0)]
     return out
 
 
-def noise_image(probe: SectorProbe, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """(rows, columns) receiver noise of mean power NOISE_DB, independent from line to line."""
+def noise_images(probe: SectorProbe, count: int, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """(count, rows, columns) receiver noise of mean power NOISE_DB, independent from line to line."""
     sigma = probe.axial_fwhm_mm / FWHM_PER_SIGMA / probe.step_mm
-    parts = gaussian_filter1d(rng.standard_normal((2, probe.lines, probe.samples)), sigma, axis=2)
-    power = (parts**2).sum(axis=0)
-    level_db = NOISE_DB + 10 * np.log10(power / power.mean() + 1e-12)
-    converter = ScanConverter.of(probe.polar, probe.pixels)
-    return converter(log_compressed(level_db.astype(np.float32), probe))
+    convert = ScanConverter.of(probe.polar, probe.pixels)
+    out = np.empty((count, probe.rows, probe.columns), dtype=np.uint8)
+    for image in out:
+        parts = gaussian_filter1d(rng.standard_normal((2, probe.lines, probe.samples)), sigma, axis=2)
+        power = (parts**2).sum(axis=0)
+        level_db = NOISE_DB + 10 * np.log10(power / power.mean() + 1e-12)
+        image[:] = convert(log_compressed(level_db.astype(np.float32), probe))
+    return out

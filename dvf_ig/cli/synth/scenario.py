@@ -17,6 +17,13 @@ if TYPE_CHECKING:
 SURFACES = ("EPICARDIAL", "LV_ENDOCARDIAL", "RV_ENDOCARDIAL")
 """Read from --surfaces; all but the first where present."""
 
+PRESET_NAMES = (
+    "calm, tachycardia, ectopy, line-of-sight-loss, probe-slip, patient-shift, poor-image, "
+    "wrong-calibration, lost-ultrasound, noise-ultrasound, black-ultrasound, frozen-ultrasound, frozen-tool, "
+    "tool-clock-restart, late-ecg"
+)
+"""Written out: the synthetic world itself is loaded only where a scenario is made."""
+
 
 class Anatomy(StrEnum):
     """Whose heart beats."""
@@ -41,7 +48,7 @@ def scenario(
         typer.Option("--anatomy", help="The four-chamber phantom (default), or real surfaces."),
     ] = None,
     preset: Annotated[
-        str | None, typer.Option("--preset", help="Rhythm, noise and disturbances (default: calm).")
+        str | None, typer.Option("--preset", help=f"What is disturbed: {PRESET_NAMES} (default: calm).")
     ] = None,
     motion: Annotated[
         str | None, typer.Option("--motion", help="Phantom only: paper5mm (default) or physiological.")

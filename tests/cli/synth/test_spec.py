@@ -6,6 +6,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+import dvf_ig
 import dvf_ig.cli.synth.scenario as scenario_command
 from data_synth import PRESETS, ScenarioSpec, describe_faults
 from dvf_ig.cli.synth.commands import app
@@ -32,6 +33,12 @@ def test_every_preset_reads_back_equal(tmp_path: Path, preset: str) -> None:
         "physiological",
         0.5,
     )
+
+
+def test_the_help_and_the_guide_name_every_preset() -> None:
+    assert scenario_command.PRESET_NAMES.split(", ") == list(PRESETS)
+    rows = (Path(dvf_ig.__file__).parent / "docs" / "guide" / "main-job.md").read_text().splitlines()
+    assert [row.split("`")[1] for row in rows if row.startswith("| `")] == list(PRESETS)
 
 
 def test_few_keys_change_a_preset_and_nothing_else(tmp_path: Path) -> None:

@@ -28,6 +28,23 @@ def test_the_steps_follow_the_motion(over_s: float) -> None:
         assert np.linalg.norm(near - held.translation_mm) < 0.5
 
 
+def test_ranges_are_drawn_and_a_fixed_change_stays_to_the_last_bit() -> None:
+    ranged = Displacement(shift_mm=8.0, shift_up_to_mm=15.0, over_s=0.5, wait_s=(2.0, 10.0))
+    drawn = [ranged.drawn(np.random.default_rng(seed)) for seed in range(200)]
+    sizes, waits = np.array([d.shift_mm for d in drawn]), np.array([d.wait_s[0] for d in drawn])
+    for values, low, high in ((sizes, 8.0, 15.0), (waits, 2.0, 10.0)):
+        assert low <= values.min() < low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) < values.max() <= high
+    assert all(d.wait_s[0] == d.wait_s[1] for d in drawn)
+    assert ranged.drawn(np.random.default_rng(5)) == ranged.drawn(np.random.default_rng(5))
+    fixed = Displacement(0.25, 9.0, 5.0, 0.5)
+    assert fixed.drawn(np.random.default_rng(1)) == fixed
+    before = Rigid.identity("mr", "tracker")
+    pose = displaced(before, drawn[0], np.zeros(3), 40.0, np.random.default_rng(1))
+    assert pose.start_s == 20.0 + waits[0]
+    assert np.linalg.norm(pose.shift_mm) == pytest.approx(sizes[0])
+
+
 def test_losses_are_placed_in_contact() -> None:
     t_s = np.arange(0.0, 60.0, 0.001)
     distance = np.where((t_s > 20) & (t_s < 30), 1.0, -5.0)

@@ -18,6 +18,7 @@ from dvf_ig.io import (
     describe,
     read_image_map,
     write_coordinate_definitions,
+    write_poses,
     write_sequence,
 )
 from dvf_ig.io.describe.sequence import clock_facts, frame_tree
@@ -68,6 +69,30 @@ def test_a_sequence_as_text(tmp_path: Path) -> None:
         "├─ probe      tracker_from_probe: 15.0% INVALID, frozen for 35%, moves 16.0 x 0.0 x 0.0 mm" in text
     )
     assert "6 x 4 px, orientation MFA, 5.0% INVALID" in text
+
+
+def test_a_restarted_clock_is_told_once_and_in_the_facts(tmp_path: Path) -> None:
+    path = tmp_path / "s.igs.mha"
+    turns = np.tile(np.eye(3), (5, 1, 1))
+    first, second = (
+        PoseStream("tracker", "tool", t_s, turns, np.ones((5, 3)), np.ones(5, bool))
+        for t_s in (np.arange(5) / 10.0, np.arange(5) / 10.0 - 0.3)
+    )
+    write_poses(first, path, second)
+    facts = describe(str(path)).facts
+    assert facts["frames"] == 5
+    assert facts["clock_restart"] == {
+        "frame": 5,
+        "at_s": pytest.approx(-0.3),
+        "back_s": pytest.approx(0.7),
+        "unused_frames": 5,
+    }
+    done = CliRunner().invoke(app, ["inspect", str(path)])
+    row = "jumps back by 0.700 s at frame 5: the 5 frames from there on are not used"
+    assert row in done.stdout
+    assert done.stderr.count("note: ") == 1
+    assert "split the file there, or record again" in done.stderr
+    assert describe(str(sequence(path))).facts["clock_restart"] is None
 
 
 def test_frame_tree_of_several_groups_and_rings() -> None:

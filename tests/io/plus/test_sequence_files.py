@@ -65,21 +65,27 @@ def test_image_maps_are_not_poses(tmp_path: Path) -> None:
     assert list(read_sequence(path).poses) == ["tracker_from_probe"]
 
 
-def test_repeated_and_reordered_time_stamps(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def stamped(path: Path, stamps: list[float]) -> Path:
+    """Frames in this order; the tool of frame i is i mm along x, its one pixel 10 + i."""
     lines = []
-    for i, t in enumerate([1.0, 2.0, 2.0, 1.5, 3.0]):
+    for i, t in enumerate(stamps):
         matrix = f"1 0 0 {i} 0 1 0 0 0 0 1 0 0 0 0 1"
         lines += [f"Seq_Frame000{i}_ToolToTrackerTransform = {matrix}", f"Seq_Frame000{i}_Timestamp = {t}"]
-    header = metafile("\n".join(lines) + "\n", size="1 1 5")
-    path = tmp_path / "a.igs.mha"
-    path.write_bytes(header.encode() + bytes([10, 11, 12, 13, 14]))
+    header = metafile("\n".join(lines) + "\n", size=f"1 1 {len(stamps)}")
+    path.write_bytes(header.encode() + bytes(range(10, 10 + len(stamps))))
+    return path
+
+
+def test_repeated_and_reordered_time_stamps(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = stamped(tmp_path / "a.igs.mha", [1.0, 1.1, 1.1, 1.05, 1.2])
     with caplog.at_level(logging.WARNING, "dvf_ig.io"):
         sequence = read_sequence(path)
-    assert sequence.t_s.tolist() == [1.0, 1.5, 2.0, 3.0]
+    assert sequence.t_s.tolist() == [1.0, 1.05, 1.1, 1.2]
     assert sequence.images is not None
     assert sequence.images.ravel().tolist() == [10, 13, 11, 14]
     assert sequence.poses["tracker_from_tool"].translations_mm[:, 0].tolist() == [0, 3, 1, 4]
     assert "dropped 1 of 5 frames" in caplog.text
+    assert "jumps back" not in caplog.text
 
 
 def test_frozen_poses_are_kept(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dvf_ig.core import InvalidInputError, OutputError, Preop, Scenario, UnreadableFileError
-from dvf_ig.io import read_scenario, write_scenario
+from dvf_ig.io import ScenarioNotes, read_scenario, write_scenario
 
 Make = Callable[..., Scenario]
 Same = Callable[..., None]
@@ -26,6 +26,21 @@ def test_round_trip_is_exact(
     folder = tmp_path_factory.mktemp("case") / "scenario"
     write_scenario(scenario, folder)
     assert_same(read_scenario(folder), scenario)
+
+
+def test_a_restarted_tool_clock_is_in_the_file_and_readers_leave_it_out(
+    tmp_path: Path, make_scenario: Make, assert_same: Same
+) -> None:
+    whole = make_scenario(4)
+    late = whole.tool
+    later = replace(late, t_s=late.t_s - 0.5)
+    write_scenario(replace(whole, tool_after_restart=later), tmp_path / "s", ScenarioNotes())
+    text = (tmp_path / "s" / "tool.igs.mha").read_text()
+    assert f"DimSize = 0 0 {len(late) + len(later)}\n" in text
+    stamps = [float(line.split(" = ")[1]) for line in text.splitlines() if "_Timestamp = " in line]
+    assert stamps == [*late.t_s.tolist(), *later.t_s.tolist()]
+    assert f"{len(late) + len(later)} poses of the tool" in (tmp_path / "s" / "README.md").read_text()
+    assert_same(read_scenario(tmp_path / "s"), whole)
 
 
 def test_without_optional_parts(tmp_path: Path, make_scenario: Make, assert_same: Same) -> None:

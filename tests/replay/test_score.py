@@ -1,0 +1,52 @@
+"""Scores on arrays with known answers."""
+
+import numpy as np
+import pytest
+
+from dvf_ig.core import FloatArray
+from dvf_ig.replay.score import HAZARD_FORCE_N, HAZARD_MM, HazardScore, score_hazard
+
+TICK_S = 0.25
+
+
+def force(*sizes_n: float) -> FloatArray:
+    """(n, 3) forces of these sizes, each in another direction."""
+    directions = np.random.default_rng(0).standard_normal((len(sizes_n), 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    return np.array(sizes_n)[:, None] * directions
+
+
+def test_only_a_force_on_a_far_off_pose_is_a_hazard() -> None:
+    given = force(0.5, 0.5, 0.0, 0.0, 0.5)
+    error_mm = np.array([4.0, 6.0, 4.0, 6.0, 9.0])
+    assert score_hazard(given, error_mm, TICK_S) == HazardScore(total_s=0.5, longest_s=0.25)
+
+
+def test_the_limits_themselves_are_no_hazard() -> None:
+    at_limit = np.array([[HAZARD_FORCE_N, 0.0, 0.0], [1.0, 0.0, 0.0], [1.01 * HAZARD_FORCE_N, 0.0, 0.0]])
+    error_mm = np.array([9.0, HAZARD_MM, 9.0])
+    assert score_hazard(at_limit, error_mm, TICK_S) == HazardScore(0.25, 0.25)
+
+
+def test_the_longest_stretch_is_without_a_break() -> None:
+    hazard = np.array([1, 1, 0, 1, 1, 1, 0, 0, 1], dtype=np.float64)
+    score = score_hazard(force(*hazard), np.full(9, 8.0), TICK_S)
+    assert score == HazardScore(total_s=6 * TICK_S, longest_s=3 * TICK_S)
+    by_error = score_hazard(force(*np.ones(9)), np.where(hazard > 0, 8.0, 1.0), TICK_S)
+    assert by_error == score
+    assert score_hazard(force(*np.ones(4)), np.full(4, 8.0), TICK_S) == HazardScore(1.0, 1.0)
+
+
+def test_without_a_pose_or_a_finite_force_nothing_counts() -> None:
+    with_pose = score_hazard(force(1.0, 1.0, 1.0), np.array([np.nan, 8.0, np.nan]), TICK_S)
+    assert with_pose == HazardScore(0.25, 0.25)
+    assert score_hazard(np.full((2, 3), np.nan), np.full(2, 8.0), TICK_S) == HazardScore(0.0, 0.0)
+    assert score_hazard(np.zeros((0, 3)), np.zeros(0), TICK_S) == HazardScore(0.0, 0.0)
+
+
+def test_a_minute_of_ticks_adds_up() -> None:
+    n = 60_000
+    error_mm = np.where(np.arange(n) >= 30_000, 11.0, 1.0)
+    score = score_hazard(np.tile([0.0, 0.3, 0.0], (n, 1)), error_mm, 0.001)
+    assert score.total_s == pytest.approx(30.0)
+    assert score.longest_s == pytest.approx(30.0)
