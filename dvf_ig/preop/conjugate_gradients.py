@@ -57,20 +57,21 @@ def conjugate_gradients(
     """
     x, residual = np.zeros_like(right), right
     conditioned = preconditioner(residual)
-    direction, power = conditioned, _inner(residual, conditioned)
+    direction, power = conditioned.copy(), _inner(residual, conditioned)
     enough = tolerance**2 * power
     count = 0
     while count < max_iterations and not power <= enough:
         image = operator(direction)
         step = power / _inner(direction, image)
-        x = x + step * direction
+        x += step * direction
         residual = residual - step * image
         conditioned = preconditioner(residual)
         previous, power = power, _inner(residual, conditioned)
-        direction = conditioned + (power / previous) * direction
+        direction *= power / previous
+        direction += conditioned
         count += 1
         if on_iteration is not None:
-            on_iteration(x)
+            on_iteration(x.copy())
     return Solution(x, Stop.CONVERGED if power <= enough else Stop.MAX_ITERATIONS, count)
 
 

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
-from dvf_ig.kernels.closest import DEPTH, closest_batch
-
-LEAF_SIZE = 4
+from dvf_ig.kernels.closest import DEPTH, FRAME_ROWS, LEAF_SIZE, closest_batch, fill_leaf_frames
+from dvf_ig.kernels.median_tree import fill_boxes, split_at_medians
 
 
 @read_only_arrays
@@ -19,12 +18,14 @@ class TriangleTree:
         boxes: (2l − 1, 6) lower and upper corner of each node, mm.
         leaf_start: (l + 1,) first triangle of each leaf.
         corners: (t, 9) triangle corners in leaf order, mm.
+        frames: (l, 17, 8) the triangles of each leaf in their own frames; see `kernels.closest`.
         order: (t,) index in the mesh of each triangle in leaf order.
     """
 
     boxes: FloatArray
     leaf_start: IntArray
     corners: FloatArray
+    frames: FloatArray
     order: IntArray
 
     def distance_mm(self, xyz_mm: FloatArray) -> FloatArray:
@@ -42,9 +43,8 @@ class TriangleTree:
         """Distances, and the index of the nearest triangle in leaf order."""
         points = np.array(xyz_mm, dtype=np.float64, order="C")
         distance_mm, place = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
-        pending, bound = np.empty(DEPTH, dtype=np.int64), np.empty(DEPTH)
-        tree = (self.boxes, self.leaf_start, self.corners)
-        closest_batch(*tree, points, pending, bound, distance_mm, place)
+        work = (np.empty(DEPTH, dtype=np.int64), np.empty(DEPTH), np.empty(LEAF_SIZE))
+        closest_batch(self.boxes, self.leaf_start, self.frames, points, *work, distance_mm, place)
         return distance_mm, place
 
 
@@ -106,42 +106,16 @@ def _perpendicular_weights(corners: FloatArray, xyz_mm: FloatArray) -> FloatArra
 
 def build_triangle_tree(vertices_mm: FloatArray, triangles: IntArray) -> TriangleTree:
     """Tree over (t, 3) triangles: every node is split at the median along its longest side."""
-    corners = vertices_mm[triangles]
-    centers = corners.mean(axis=1)
+    corners = vertices_mm[triangles].reshape(-1, 9)
     count = len(triangles)
     levels = max(0, int(np.ceil(np.log2(count / LEAF_SIZE))))
+    centers = (corners[:, :3] + corners[:, 3:6] + corners[:, 6:]) / 3.0
     order = np.arange(count)
-    for level in range(levels):
-        start = _starts(count, 1 << level)[:-1]
-        node = np.repeat(np.arange(1 << level), np.diff(np.append(start, count)))
-        sorted_centers = centers[order]
-        extent = np.maximum.reduceat(sorted_centers, start) - np.minimum.reduceat(sorted_centers, start)
-        along = np.argmax(extent, axis=1)[node]
-        order = order[np.lexsort((sorted_centers[np.arange(count), along], node))]
-    leaf_start = _starts(count, 1 << levels)
-    return TriangleTree(
-        _boxes(corners[order], leaf_start), leaf_start, corners[order].reshape(count, 9), order
-    )
-
-
-def _starts(count: int, nodes: int) -> IntArray:
-    """(nodes + 1,) first item of each of `nodes` nearly equal parts of `count` items; levels nest."""
-    return (np.arange(nodes + 1, dtype=np.int64) * count) // nodes
-
-
-def _boxes(corners: FloatArray, leaf_start: IntArray) -> FloatArray:
-    """Boxes from the leaves up to the root."""
-    first = leaf_start[:-1]
-    level = np.hstack(
-        [
-            np.minimum.reduceat(corners.min(axis=1), first),
-            np.maximum.reduceat(corners.max(axis=1), first),
-        ]
-    )
-    levels = [level]
-    while len(level) > 1:
-        level = np.hstack(
-            [np.minimum(level[::2, :3], level[1::2, :3]), np.maximum(level[::2, 3:], level[1::2, 3:])]
-        )
-        levels.append(level)
-    return np.ascontiguousarray(np.vstack(levels[::-1]))
+    split_at_medians(centers, levels, order, np.empty(count))
+    corners = corners[order]
+    leaf_start = (np.arange((1 << levels) + 1, dtype=np.int64) * count) // (1 << levels)
+    boxes = np.empty((2 * (1 << levels) - 1, 6))
+    fill_boxes(corners, leaf_start, boxes)
+    frames = np.empty((1 << levels, FRAME_ROWS, LEAF_SIZE))
+    fill_leaf_frames(corners, leaf_start, frames)
+    return TriangleTree(boxes, leaf_start, corners, frames, order)

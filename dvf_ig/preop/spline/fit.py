@@ -11,11 +11,14 @@ in `dvf_ig.study.training`, which compares the three ways to the minimum.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.sparse import csr_array
+from scipy.linalg import cholesky_banded
 
-from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
+from dvf_ig.core import FloatArray, IntArray, InvalidInputError, read_only_arrays
+from dvf_ig.kernels.scattered import AxisRows, add_from_nodes, values_at_nodes
+from dvf_ig.kernels.separable import solve_axis
 from dvf_ig.preop.conjugate_gradients import conjugate_gradients
+
+from .axes import BandedRows, by_axis
 
 SAMPLES_PER_KNOT = 2
 
@@ -25,46 +28,57 @@ SIGMA_KNOTS = 0.3
 FAR_WEIGHT = 0.01
 """Weight far from the surface: it keeps the field defined there and bounds the number of iterations."""
 
+WEIGHTED_KNOTS = SIGMA_KNOTS * float(np.sqrt(-2.0 * np.log(FAR_WEIGHT)))
+"""Samples farther from the surface than this many knots (0.91) all have FAR_WEIGHT."""
+
 TOLERANCE = 0.05
 MAX_ITERATIONS = 40
 
 
-def cubic_basis(cells: int, samples_per_knot: int = SAMPLES_PER_KNOT) -> csr_array:
+def cubic_basis(cells: int, samples_per_knot: int = SAMPLES_PER_KNOT) -> BandedRows:
     """(cells·s + 1, cells + 3) values of the cubic B-splines at u = 0, 1/s, …, cells."""
     u = np.arange(cells * samples_per_knot + 1) / samples_per_knot
     cell = np.minimum(u.astype(np.int64), cells - 1)
     t = u - cell
     values = np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3], axis=1)
-    rows = np.repeat(np.arange(len(u)), 4)
-    columns = (cell[:, None] + np.arange(4)).ravel()
-    return csr_array((values.ravel() / 6.0, (rows, columns)), shape=(len(u), cells + 3))
+    return BandedRows(cell, values / 6.0, cells + 3)
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisSolver:
-    """Least squares along one axis: coefficients = (AᵀA)⁻¹ Aᵀ samples."""
+    """Least squares along one axis: coefficients = (AᵀA)⁻¹ Aᵀ samples.
 
-    basis: csr_array
-    transposed: csr_array
+    Attributes:
+        basis: A; normal: AᵀA.
+        factor: (4, c) banded Cholesky factor of AᵀA, its diagonal inverted.
+    """
+
+    basis: BandedRows
+    normal: BandedRows
     factor: FloatArray
 
     @classmethod
     def of(cls, cells: int) -> "AxisSolver":
         basis = cubic_basis(cells)
-        normal = (basis.T @ basis).toarray()
+        dense = basis.dense()
+        normal = dense.T @ dense
         banded = np.zeros((4, len(normal)))
         for below in range(4):
             banded[below, : len(normal) - below] = np.diagonal(normal, -below)
-        return cls(basis, basis.T.tocsr(), cholesky_banded(banded, lower=True))
+        factor = cholesky_banded(banded, lower=True)
+        factor[0] = 1.0 / factor[0]
+        return cls(basis, _banded_rows(normal, 7), factor)
 
-    def solve(self, samples: FloatArray) -> FloatArray:
-        """(s, k) samples to (c, k) coefficients."""
-        return self.solve_normal(self.transposed @ samples)
-
-    def solve_normal(self, right: FloatArray) -> FloatArray:
-        """(AᵀA)⁻¹ of (c, k)."""
-        return np.asarray(cho_solve_banded((self.factor, True), right, check_finite=False))
+    def solve_normal(self, axis: int, right: FloatArray) -> None:
+        """(AᵀA)⁻¹ along one axis of a contiguous array, in place."""
+        flat, _ = by_axis(right, axis)
+        if flat.shape[2] > 1:
+            solve_axis(self.factor.copy(), flat)
+            return
+        turned = np.ascontiguousarray(flat[:, :, 0].T)
+        solve_axis(self.factor.copy(), turned[None])
+        flat[:, :, 0] = turned.T
 
 
 AxisSolvers = tuple[AxisSolver, AxisSolver, AxisSolver]
@@ -72,9 +86,9 @@ AxisSolvers = tuple[AxisSolver, AxisSolver, AxisSolver]
 
 def fit_coefficients(samples: FloatArray, solvers: AxisSolvers) -> FloatArray:
     """(sx, sy, sz) samples to (cx, cy, cz) coefficients that minimise the sum of squared residuals."""
-    for solver in solvers:
-        samples = _next_axis(solver.solve(_flat(samples)), samples)
-    return samples
+    for axis, solver in enumerate(solvers):
+        samples = solver.basis.transposed_along(axis, samples)
+    return _solved(samples, solvers)
 
 
 def surface_weights(distance_mm: FloatArray, knot_spacing_mm: float) -> FloatArray:
@@ -83,7 +97,10 @@ def surface_weights(distance_mm: FloatArray, knot_spacing_mm: float) -> FloatArr
     What pulls an unweighted fit off the surface are the creases of the distance map: its medial axis, and the
     grooves of the surface, where that axis touches it.
     """
-    return np.maximum(np.exp(-0.5 * (distance_mm / (SIGMA_KNOTS * knot_spacing_mm)) ** 2), FAR_WEIGHT)
+    weights = np.full(distance_mm.shape, FAR_WEIGHT)
+    near = np.abs(distance_mm) < WEIGHTED_KNOTS * knot_spacing_mm
+    weights[near] = np.exp(-0.5 * (distance_mm[near] / (SIGMA_KNOTS * knot_spacing_mm)) ** 2)
+    return weights
 
 
 def fit_weighted(samples: FloatArray, weights: FloatArray, solvers: AxisSolvers) -> FloatArray:
@@ -92,6 +109,9 @@ def fit_weighted(samples: FloatArray, weights: FloatArray, solvers: AxisSolvers)
     Conjugate gradients on AᵀWA c = AᵀW d, preconditioned with (AᵀA)⁻¹ and started from the unweighted fit;
     the eigenvalues lie between the smallest and the largest weight. Ends when the preconditioned residual has
     fallen to 5 % of what the unweighted fit leaves, or after 40 steps.
+
+    Most samples have the smallest weight w₀: AᵀWA = w₀ AᵀA + Bᵀ(W − w₀)B with B the rows of A of the others,
+    and the unweighted residual r has Aᵀr = 0, so that a step visits the samples near the surface only.
 
     Args:
         weights: (sx, sy, sz) positive.
@@ -104,42 +124,55 @@ def fit_weighted(samples: FloatArray, weights: FloatArray, solvers: AxisSolvers)
             "every weight positive and finite"
         )
     unweighted = fit_coefficients(samples, solvers)
+    smallest = float(weights.min())
+    at = np.nonzero(weights > smallest)
+    near = _NearSamples(solvers, np.stack(at), unweighted.shape)
+    extra = weights[at] - smallest
     change = conjugate_gradients(
-        lambda c: _adjoint(weights * grid_values(c, solvers), solvers),
-        _adjoint(weights * (samples - grid_values(unweighted, solvers)), solvers),
-        lambda r: _preconditioned(r, solvers),
+        lambda c: smallest * _normal(c, solvers) + near.adjoint(extra * near.values(c)),
+        near.adjoint(extra * (samples[at] - near.values(unweighted))),
+        lambda r: _solved(r.copy(), solvers),
         tolerance=TOLERANCE,
         max_iterations=MAX_ITERATIONS,
     )
     return np.asarray(unweighted + change.x)
 
 
-def grid_values(coefficients: FloatArray, solvers: AxisSolvers) -> FloatArray:
-    """A c: (cx, cy, cz) coefficients to the (sx, sy, sz) values at the samples."""
-    for solver in solvers:
-        coefficients = _next_axis(solver.basis @ _flat(coefficients), coefficients)
+class _NearSamples:
+    """The rows of A that belong to some of the samples: values of the spline there, and the adjoint."""
+
+    def __init__(self, solvers: AxisSolvers, nodes: IntArray, shape: tuple[int, ...]) -> None:
+        x, y, z = (AxisRows(s.basis.first.copy(), s.basis.weights.copy()) for s in solvers)
+        self._axes, self._nodes, self._shape = (x, y, z), nodes, shape
+
+    def values(self, coefficients: FloatArray) -> FloatArray:
+        out = np.empty(self._nodes.shape[1])
+        values_at_nodes(*self._axes, coefficients, self._nodes, out)
+        return out
+
+    def adjoint(self, values: FloatArray) -> FloatArray:
+        out = np.zeros(self._shape)
+        add_from_nodes(*self._axes, values, self._nodes, out)
+        return out
+
+
+def _normal(coefficients: FloatArray, solvers: AxisSolvers) -> FloatArray:
+    """AᵀA c."""
+    for axis, solver in enumerate(solvers):
+        coefficients = solver.normal.along(axis, coefficients)
     return coefficients
 
 
-def _adjoint(samples: FloatArray, solvers: AxisSolvers) -> FloatArray:
-    """Aᵀ r."""
-    for solver in solvers:
-        samples = _next_axis(solver.transposed @ _flat(samples), samples)
-    return samples
+def _solved(right: FloatArray, solvers: AxisSolvers) -> FloatArray:
+    """(AᵀA)⁻¹ of an array that is overwritten."""
+    for axis, solver in enumerate(solvers):
+        solver.solve_normal(axis, right)
+    return right
 
 
-def _preconditioned(residual: FloatArray, solvers: AxisSolvers) -> FloatArray:
-    """(AᵀA)⁻¹ r."""
-    for solver in solvers:
-        residual = _next_axis(solver.solve_normal(_flat(residual)), residual)
-    return residual
-
-
-def _flat(array: FloatArray) -> FloatArray:
-    """(n, …) as (n, k)."""
-    return array.reshape(len(array), -1)
-
-
-def _next_axis(flat: FloatArray, before: FloatArray) -> FloatArray:
-    """The first axis, just processed, moved to the end: three such steps restore the order."""
-    return np.ascontiguousarray(np.moveaxis(flat.reshape(-1, *before.shape[1:]), 0, -1))
+def _banded_rows(matrix: FloatArray, window: int) -> BandedRows:
+    """A square banded matrix by its rows, each with the `window` entries about the diagonal."""
+    count = len(matrix)
+    width = min(window, count)
+    first = np.clip(np.arange(count) - window // 2, 0, count - width)
+    return BandedRows(first, np.take_along_axis(matrix, first[:, None] + np.arange(width), axis=1), count)

@@ -46,7 +46,7 @@ def test_cubic_polynomials_are_reproduced_with_their_gradient(seed):
 def test_the_fit_is_the_full_least_squares_minimum():
     samples = np.random.default_rng(3).normal(size=[2 * n + 1 for n in CELLS])
     got = fit_coefficients(samples, SOLVERS)
-    x, y, z = (cubic_basis(n).toarray() for n in CELLS)
+    x, y, z = (cubic_basis(n).dense() for n in CELLS)
     full = np.kron(x, np.kron(y, z))
     expected = np.linalg.lstsq(full, samples.ravel(), rcond=None)[0]
     np.testing.assert_allclose(got.ravel(), expected, atol=1e-9)
@@ -59,7 +59,7 @@ def test_the_weighted_fit_is_the_weighted_minimum(monkeypatch):
     samples = rng.normal(size=[2 * n + 1 for n in CELLS])
     weights = rng.uniform(0.05, 1.0, size=samples.shape)
     got = fit_weighted(samples, weights, SOLVERS)
-    x, y, z = (cubic_basis(n).toarray() for n in CELLS)
+    x, y, z = (cubic_basis(n).dense() for n in CELLS)
     root = np.sqrt(weights).ravel()
     full = np.kron(x, np.kron(y, z)) * root[:, None]
     expected = np.linalg.lstsq(full, root * samples.ravel(), rcond=None)[0]

@@ -1,0 +1,53 @@
+"""Banded matrices along the axes of an array, as values: the building blocks of every separable method here."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, IntArray, read_only_arrays
+from dvf_ig.kernels.separable import multiply_axis, multiply_axis_transposed
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class BandedRows:
+    """A matrix of which each row is one short window of weights.
+
+    Attributes:
+        first: (r,) column at which the window of each row begins.
+        weights: (r, k) the window.
+        columns: of the matrix.
+    """
+
+    first: IntArray
+    weights: FloatArray
+    columns: int
+
+    def along(self, axis: int, values: FloatArray) -> FloatArray:
+        """A v along one axis of (…, columns, …); the axis gets as many entries as A has rows."""
+        flat, shape = by_axis(values, axis)
+        out = np.empty((flat.shape[0], len(self.first), flat.shape[2]))
+        multiply_axis(self.first.copy(), self.weights.copy(), flat, out)
+        return out.reshape(*shape[:axis], len(self.first), *shape[axis + 1 :])
+
+    def transposed_along(self, axis: int, values: FloatArray) -> FloatArray:
+        """Aᵀ v along one axis of (…, rows, …)."""
+        flat, shape = by_axis(values, axis)
+        out = np.empty((flat.shape[0], self.columns, flat.shape[2]))
+        multiply_axis_transposed(self.first.copy(), self.weights.copy(), flat, out)
+        return out.reshape(*shape[:axis], self.columns, *shape[axis + 1 :])
+
+    def dense(self) -> FloatArray:
+        """(r, columns)."""
+        out = np.zeros((len(self.first), self.columns))
+        columns = self.first[:, None] + np.arange(self.weights.shape[1])
+        np.add.at(out, (np.arange(len(out))[:, None], columns), self.weights)
+        return out
+
+
+def by_axis(values: FloatArray, axis: int) -> tuple[FloatArray, tuple[int, ...]]:
+    """A contiguous, writable array as (before, along, after) about one axis, and its shape."""
+    shape = values.shape
+    flat = np.require(values, dtype=np.float64, requirements=["C", "W"])
+    before, after = int(np.prod(shape[:axis])), int(np.prod(shape[axis + 1 :]))
+    return flat.reshape(before, shape[axis], after), shape
