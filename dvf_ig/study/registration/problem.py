@@ -43,7 +43,7 @@ from dvf_ig.registration import (
     root_amplitude,
     target_from_labels,
 )
-from dvf_ig.replay.heart import label_map
+from dvf_ig.session.heart import label_map
 
 GATED = (0.0, 0.35, 0.75)
 """Gated phases: end-diastole, end-systole, diastasis, where the heart moves least."""
