@@ -51,7 +51,7 @@ class Replay:
         model_phase: (n,) retimed phase; valid where `phase_tracking.track.valid`.
         samples: force in frame "tracker", distance, gradient and status.
         valid: (n,) ticks with tracked tool, locked phase, a usable pose and the tool inside the model's box.
-        fixtures: what gave the force.
+        fixtures, retiming: what gave the force, and the law that placed each moment in the model's cycle.
         seconds: computing time of the whole.
     """
 
@@ -67,6 +67,7 @@ class Replay:
     samples: ForceSamples
     valid: BoolArray
     fixtures: FixtureSet
+    retiming: RetimeMode
     seconds: float
 
     @property
@@ -135,6 +136,7 @@ def run_replay(
         samples=samples,
         valid=valid,
         fixtures=fixtures,
+        retiming=retiming,
         seconds=clock() - began,
     )
 

@@ -80,6 +80,22 @@ def test_defaults_are_those_of_the_values(tmp_path: Path) -> None:
     assert fixture_options({"law": "guidance", "m": 2.0}) == FixtureOptions(Gaussian(m=2.0))
 
 
+@pytest.mark.parametrize(
+    "one",
+    [
+        FixtureOptions(Sigmoid(2.0, 0.5, 1.0), "distance", name="wall"),
+        FixtureOptions(Confinement(1.5, depth_mm=-2.0)),
+        FixtureOptions(Gaussian(4.0, 2.0, 0.4, 1.0), "periodic"),
+    ],
+)
+def test_a_fixture_is_described_by_the_keys_that_make_it(one: FixtureOptions) -> None:
+    assert fixture_options(one.described()) == one
+    path = PathTarget.static("mr", CURVE)
+    of_path = FixtureOptions(Gaussian(4.0), path=path, name="incision").described()
+    again = fixture_options({**of_path, "path": CURVE.tolist()})
+    assert (again.law, again.name) == (Gaussian(4.0), "incision")
+
+
 def test_two_fixtures_are_what_compose_makes_of_them(ball: DvfModel, tmp_path: Path, curve: Path) -> None:
     path = written(
         tmp_path,
