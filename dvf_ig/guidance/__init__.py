@@ -21,10 +21,10 @@ from .fixture import FORBIDDEN_SURFACE as FORBIDDEN_SURFACE
 from .fixture import FixtureOptions as FixtureOptions
 from .fixture import FixtureSet as FixtureSet
 from .fixtures import Fixtures as Fixtures
-from .fixtures import force_at_distance as force_at_distance
 from .free_zone import FreeZone as FreeZone
 from .free_zone import gaussian_for_free_zone as gaussian_for_free_zone
 from .free_zone import tightest_gaussian as tightest_gaussian
+from .joint_force import force_at_distance as force_at_distance
 from .laws import Confinement as Confinement
 from .laws import Gaussian as Gaussian
 from .laws import Law as Law
