@@ -1,5 +1,6 @@
 """Fixtures in YAML: every key reaches its value, two of them are composed, and what is wrong is named."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,15 @@ fixtures:
     assert incision.law == Gaussian()
     assert incision.path is not None
     np.testing.assert_allclose(incision.path.points_mm[0], CURVE, atol=1e-12)
+
+
+def test_the_guide_s_example_is_read(tmp_path: Path, curve: Path) -> None:
+    page = Path(__file__).resolve().parents[2] / "dvf_ig/docs/guide/own-recordings.md"
+    (example,) = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    options, retiming = read_fixtures(written(tmp_path, example))
+    assert (options.cap_n, retiming) == (0.6, "two-segment")
+    assert options.fixtures[0] == FixtureOptions(Sigmoid(depth_mm=2.0), name="epicardium")
+    assert options.fixtures[1].law == Gaussian(4.0)
 
 
 def test_defaults_are_those_of_the_values(tmp_path: Path) -> None:

@@ -109,7 +109,7 @@ def test_what_a_replay_is_given_reaches_it(
     with pytest.raises(InvalidInputError, match=r"fixture 'epicardium': .*450 N/m at its steepest"):
         run_replay(scenario, model=replay.heart.model, fixtures=stiff)
     with pytest.raises(InvalidInputError, match="retiming 'linear' is unknown"):
-        run_replay(scenario, model=replay.heart.model, retiming="linear")  # type: ignore[arg-type]
+        run_replay(scenario, model=replay.heart.model, retiming="linear")
 
 
 def test_ultrasound_is_placed_by_the_same_law_of_retiming(replay: Replay) -> None:
