@@ -46,7 +46,7 @@ class ModelOptions:
 
     knot_spacing_mm: float = 3.0
     margin_mm: float = 15.0
-    band_mm: float = 4.0
+    band_mm: float = 3.0
     threads: int = 2
     accuracy_mm: float | None = None
 

@@ -211,7 +211,7 @@ def _step(
 
     right = -level.lattice.adjoint(scattered(slope * residual[:, None])) - bend
     diagonal = level.lattice.adjoint_of_squares(scattered(slope * slope))
-    diagonal = diagonal + options.stiffness_mm2 * bending.diagonal()
+    diagonal = diagonal + options.stiffness_mm2 * bending.diagonal(level.lattice)
     solution = conjugate_gradients(
         normal,
         right,
