@@ -37,10 +37,13 @@ def register_frames(
     seed: int,
     clock: Callable[[], float],
     warm: bool = False,
+    landmarks: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
     """Register gated frames to the model from `start`; `warm` relies on it and skips displaced starts.
 
+    Args:
+        landmarks: touched landmarks, if any, take part; not once a pose was doubted after they were touched.
     Raises:
         InvalidInputError: the recording has no images.
         NoOverlapError: too few frames passed the gate; says why.
@@ -54,7 +57,12 @@ def register_frames(
     )
     return register_rigid(
         RegistrationData(
-            coarse, fine, heart.center_mm, _boundary(recording, frames, mask), _prior(recording.scenario)
+            coarse,
+            fine,
+            heart.center_mm,
+            _boundary(recording, frames, mask),
+            _prior(recording.scenario) if landmarks else None,
+            _usual_rr_s(recording, frames),
         ),
         start,
         rng=np.random.default_rng(seed),
@@ -66,6 +74,14 @@ def register_frames(
         ),
         progress=progress,
     )
+
+
+def _usual_rr_s(recording: UltrasoundRecording, frames: GatedFrames) -> float:
+    """Median interval of the R peaks about the used frames; the model's own where there are none."""
+    begin, end = frames.event_s[frames.used][[0, -1]]
+    peaks = np.array([p.t_s for p in recording.peaks])
+    near = peaks[(peaks > begin - 2.0) & (peaks < end)]
+    return float(np.median(np.diff(near))) if len(near) > 1 else recording.heart.model.timing.rr_s
 
 
 def _boundary(recording: UltrasoundRecording, frames: GatedFrames, mask: BoolArray) -> Boundary | None:

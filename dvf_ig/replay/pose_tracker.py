@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray, Rigid, Stop
 from dvf_ig.registration import PoseEstimate, RegistrationResult
 
 from .beat_evaluation import BeatEvaluation
@@ -54,9 +54,13 @@ class UltrasoundSource(Protocol):
     """The ultrasound that has arrived, as a tracker of the pose asks for it."""
 
     def register(
-        self, from_s: float, until_s: float, start: Rigid, *, warm: bool
+        self, from_s: float, until_s: float, start: Rigid, *, warm: bool, landmarks: bool
     ) -> tuple[GatedFrames, RegistrationResult | None]:
-        """Register the frames in [from_s, until_s) from `start`; no result where they are too few."""
+        """Register the frames in [from_s, until_s) from `start`; no result where they are too few.
+
+        Args:
+            warm: rely on the start; landmarks: touched landmarks, if any, take part.
+        """
         ...
 
     def beat(self, last: int) -> ComparableBeat | None:
@@ -155,7 +159,9 @@ class PoseTracker:
             return
         start, warm = self._registration_start()
         since_s = max(self._frames_from_s, now_s - MEMORY_S)
-        frames, result = self._source.register(since_s, now_s, start, warm=warm)
+        frames, result = self._source.register(
+            since_s, now_s, start, warm=warm, landmarks=not self._monitor.doubted
+        )
         self._attempts.append(Attempt(now_s, now_s + COMPUTE_S, frames, result))
         self._next_result_s = now_s + COMPUTE_S
 
@@ -178,7 +184,10 @@ class PoseTracker:
     def _take_result(self, now_s: float) -> None:
         self._next_result_s, attempt = np.inf, self._attempts[-1]
         self._next_start_s = attempt.asked_s + RETRY_S
-        if attempt.result is None or not attempt.result.stop.usable:
+        if attempt.result is None:
+            return
+        if not attempt.result.stop.usable:
+            self._take_refusal(attempt.result.stop, now_s)
             return
         result, frames = attempt.result, attempt.frames
         middle_s = float(frames.event_s[frames.used].mean())
@@ -196,6 +205,16 @@ class PoseTracker:
                     self._compare(beat, now_s)
         elif self._monitor.in_use:
             self._next_start_s = attempt.asked_s + self._refresh_s(attempt.asked_s)
+
+    def _take_refusal(self, stop: Stop, now_s: float) -> None:
+        """A registration refused by its own evidence speaks against the pose in use."""
+        before = self._monitor
+        self._monitor = before.after_refusal(stop)
+        self._record_update(before, now_s)
+        if before.in_use and not self._monitor.in_use:
+            asked_s = self._attempts[-1].asked_s
+            self._frames_from_s = max(self._frames_from_s, asked_s)
+            self._next_start_s = max(now_s, asked_s + RECOVER_S)
 
     def _compare(self, beat: ComparableBeat, now_s: float) -> None:
         """Compare a beat with the pose under test, and draw the consequences."""

@@ -27,13 +27,21 @@ class RecordedUltrasound:
     threads: SliceThreads
 
     def register(
-        self, from_s: float, until_s: float, start: Rigid, *, warm: bool
+        self, from_s: float, until_s: float, start: Rigid, *, warm: bool, landmarks: bool
     ) -> tuple[GatedFrames, RegistrationResult | None]:
         """Register the frames in [from_s, until_s) from `start`; no result where they are too few."""
         frames = gate_recording(self.recording, from_s=from_s, until_s=until_s)
         if not frames.enough:
             return frames, None
-        result = register_frames(self.recording, frames, start, seed=self.seed, clock=self.clock, warm=warm)
+        result = register_frames(
+            self.recording,
+            frames,
+            start,
+            seed=self.seed,
+            clock=self.clock,
+            warm=warm,
+            landmarks=landmarks,
+        )
         return frames, result
 
     def beat(self, last: int) -> BeatSlices | None:

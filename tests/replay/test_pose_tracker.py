@@ -54,6 +54,7 @@ class KnownBeat:
             similarity=0.4,
             best_similarity=0.6,
             log_likelihood_ratio=float(0.5 * offset @ information @ offset),
+            wrong_pose_log_ratio=12.0,
             moved_mm=mean_displacement_mm(pose, self.pose, center_mm),
             overlap=1.0,
             evaluations=1,
@@ -94,7 +95,7 @@ class KnownUltrasound:
     blind: bool
 
     def register(
-        self, from_s: float, until_s: float, start: Rigid, *, warm: bool
+        self, from_s: float, until_s: float, start: Rigid, *, warm: bool, landmarks: bool
     ) -> tuple[GatedFrames, RegistrationResult | None]:
         event_s = np.arange(from_s, until_s, 1 / 12)
         n = len(event_s)
