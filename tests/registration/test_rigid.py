@@ -19,6 +19,7 @@ from dvf_ig.core import (
     summarise_errors,
 )
 from dvf_ig.registration import (
+    FrameInformation,
     LandmarkPrior,
     Level,
     RegistrationData,
@@ -160,11 +161,15 @@ def test_gate_counts_each_reason_once() -> None:
         image_valid=good,
         pose_valid=tracked,
         beat_valid=np.array([True, True, False, True, True, True]),
+        information=FrameInformation(np.ones(6), np.zeros(6, dtype=bool), np.ones(6)),
         window=0.02,
     )
     np.testing.assert_array_equal(gated.index, [0, 3, 5])
     assert gated.rejected == {
         "image marked invalid": 0,
+        "image dark": 0,
+        "image frozen": 0,
+        "image without structure": 0,
         "probe not tracked": 1,
         "irregular or unfinished beat": 1,
         "between model phases": 1,

@@ -52,8 +52,7 @@ class Lattice:
     def thinned(self, step: tuple[int, int, int]) -> "Lattice":
         """The same control points, evaluated on every step-th voxel along each axis."""
         x, y, z = (
-            BandedRows(b.first[::s], b.weights[::s], b.columns)
-            for b, s in zip(self.basis, step, strict=True)
+            BandedRows(b.first[::s], b.weights[::s], b.columns) for b, s in zip(self.basis, step, strict=True)
         )
         shape = (len(x.first), len(y.first), len(z.first))
         spacing = self.grid.spacing_mm * step

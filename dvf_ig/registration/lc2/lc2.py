@@ -193,6 +193,14 @@ class Lc2:
         weight = max(out[:, SLICE_WEIGHT].sum(), 1e-300)
         return Score(float(out[:, SLICE_SCORE].sum() / weight), float(out[:, SLICE_OVERLAP].mean()))
 
+    def similarity_at_shift(self, target_from_source: Rigid, shift: float) -> float:
+        """Similarity if every slice belonged `shift` of a cycle later in the model's cycle than was taken."""
+        model, _ = self._placed(target_from_source)
+        phases = self._model.nearest_phase((self._slices.model_phase + shift) % 1.0)
+        out = np.empty((len(self._slices), 3))
+        self._run(lc2_slices, (self._patched, model._replace(phases=phases), self._values, self._tables, out))
+        return float(out[:, SLICE_SCORE].sum() / max(out[:, SLICE_WEIGHT].sum(), 1e-300))
+
     def normal_equations(self, target_from_source: Rigid, center_mm: FloatArray) -> NormalEquations:
         """How the score changes with small motions about `center_mm` (3,), target frame."""
         sums = self._step_sums(target_from_source, center_mm).sum(axis=0)
