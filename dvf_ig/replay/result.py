@@ -131,9 +131,15 @@ def _pose_updates(replay: Replay) -> dict[str, Any]:
         "update_seconds": None
         if done.update_s_median is None
         else {"median": done.update_s_median, "p95": done.update_s_p95},
-        "withheld_s": done.withheld_s,
+        "withheld_s": _withheld_s(replay.ticks),
         "doubts_s": [list(span) for span in done.suspended_s],
     }
+
+
+def _withheld_s(ticks: Ticks) -> float:
+    """Seconds after the first pose in which none could be used: suspended, or confirmed by no beat."""
+    posed = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
+    return float(np.count_nonzero(np.maximum.accumulate(posed) & ~posed)) / RATE_HZ
 
 
 def _pose_age(ticks: Ticks) -> dict[str, float] | None:
