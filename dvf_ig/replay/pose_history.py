@@ -40,7 +40,7 @@ class Attempt:
         """How it ended, as a user reads it."""
         if self.refused is not None:
             return self.refused.sentence
-        return self.result.stop.value if self.result is not None else self.frames.shortage
+        return self.result.sentence if self.result is not None else self.frames.shortage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
