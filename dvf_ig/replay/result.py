@@ -167,6 +167,7 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
 def evidence_of(result: RegistrationResult) -> dict[str, Any]:
     """What speaks for or against a registration, under the names every command uses."""
     finite = bool(np.isfinite(result.covariance).all())
+    offset = result.evidence.phase_offset
     return {
         "success_probability": result.success_probability,
         "covariance": result.covariance.tolist() if finite else None,
@@ -181,6 +182,7 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
         "phase_disagreement_mm": _finite(result.evidence.phase_mm),
         "part_disagreement_mm": _finite(result.evidence.half_volume_mm),
         "edge_disagreement_mm": _finite(result.evidence.boundary_mm),
+        "phase_offset_s": None if offset is None else offset.offset_s,
         "moved_mm": result.moved_mm,
         "slices": result.slices,
         "seconds": round(result.seconds, 3),
