@@ -146,6 +146,7 @@ def register_scenario(
     scenario: Scenario,
     start: Rigid | None = None,
     *,
+    model: DvfModel | None = None,
     seed: int = 0,
     progress: Progress | None = None,
     clock: Clock = perf_counter,
@@ -154,6 +155,8 @@ def register_scenario(
 
     It ends in DISAGREEMENT where landmarks were touched and lie elsewhere (see `registration_monitor`).
 
+    Args:
+        model: as `run_replay`.
     Raises:
         NoOverlapError: too few frames can be compared with the model.
         InvalidInputError, QualityGateError: as `run_replay`.
@@ -164,7 +167,7 @@ def register_scenario(
     calibrations = calibrate(scenario, seed)
     phase_tracking = track_phase(scenario.ecg, tick_times(scenario))
     require_heart_beats(phase_tracking, scenario)
-    heart = build_heart(scenario.preop, progress=lambda f: report_progress(0.6 * f))
+    heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.6 * f))
     recording = _recording(scenario, heart, phase_tracking, calibrations)
     result = register_frames(
         recording,
