@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import BoolArray, FloatArray, IntArray
+from dvf_ig.core import BoolArray, FloatArray
 
 from .compiled import kernel
 

@@ -12,6 +12,7 @@ from dvf_ig.core import FloatArray, IntArray
 
 from .compiled import kernel
 
+
 @kernel
 def multiply_axis(first: IntArray, weights: FloatArray, values: FloatArray, out: FloatArray) -> None:
     """A v along the middle axis.

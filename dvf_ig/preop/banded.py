@@ -1,4 +1,4 @@
-"""Banded matrices along the axes of an array, as values: the building blocks of every separable method here."""
+"""Banded matrices along the axes of an array, as values."""
 
 import math
 from dataclasses import dataclass

@@ -31,7 +31,7 @@ def test_products_along_an_axis(axis: int, window: int) -> None:
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_any_memory_order_and_read_only_arrays(order: str) -> None:
     rng = np.random.default_rng(3)
-    values = np.array(rng.normal(size=SHAPE), order=order)  # type: ignore[call-overload]
+    values = np.array(rng.normal(size=SHAPE), order=order)
     values.setflags(write=False)
     matrix = banded(4, SHAPE[1], 3, rng)
     expected = np.einsum("rc,acb->arb", matrix.dense(), values)
@@ -56,10 +56,10 @@ def test_values_and_adjoint_at_some_nodes() -> None:
     shape = (len(x.first), len(y.first), len(z.first))
     nodes = np.stack(np.unravel_index(rng.permutation(np.prod(shape))[:60], shape))
     rows = full[np.ravel_multi_index(tuple(nodes), shape)]
-    axes = tuple(AxisRows(b.first.copy(), b.weights.copy()) for b in (x, y, z))
+    a, b, c = (AxisRows(s.first.copy(), s.weights.copy()) for s in (x, y, z))
     coefficients, out = rng.normal(size=(6, 7, 8)), np.empty(60)
-    values_at_nodes(*axes, coefficients, nodes, out)
+    values_at_nodes(a, b, c, coefficients, nodes, out)
     np.testing.assert_allclose(out, rows @ coefficients.ravel(), atol=1e-12)
     back = np.zeros((6, 7, 8))
-    add_from_nodes(*axes, out, nodes, back)
+    add_from_nodes(a, b, c, out, nodes, back)
     np.testing.assert_allclose(back.ravel(), rows.T @ out, atol=1e-12)

@@ -24,8 +24,8 @@ def signed_distance_mm(mesh: Mesh, grid: Grid, band_mm: float) -> FloatArray:
 
     Computed on every fourth sample along each axis, then refined twice: samples that the refinement puts
     within twice the band, and in the last step within the band, are computed exactly; the others are
-    interpolated by cubics. The sign is that of the winding number at every sample: where interpolation disagrees with it,
-    the sample is computed.
+    interpolated by cubics. The sign is that of the winding number at every sample: where interpolation
+    disagrees with it, the sample is computed.
 
     Args:
         mesh: closed surface, outward orientation, in the grid's frame.
