@@ -1,6 +1,7 @@
 """What the pre-operative data give: the fixture model and the channels that ultrasound is compared with."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from dvf_ig.core import (
     VolumeSeries,
     read_only_arrays,
 )
+from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.preop import close_surface, model_from_preop, rasterise
 from dvf_ig.registration import (
     BLOOD,
@@ -89,11 +91,15 @@ def build_heart(
     center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     labels = label_map(preop)
     seen = bool((labels.values == BLOOD).any())
-    surface = target_from_labels(labels, labels.timing.fractions) if seen else None
+    with ThreadPoolExecutor(thread_count()) as pool:
+        target = pool.submit(target_from_labels, labels, labels.timing.fractions) if seen else None
+        if preop.mr is not None:
+            channels = channels_from_mr(preop.mr, smoothing_mm=MR_SMOOTHING_MM)
+        else:
+            channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
+        surface = target.result() if target is not None else None
     if preop.mr is not None:
-        channels = channels_from_mr(preop.mr, smoothing_mm=MR_SMOOTHING_MM)
         return Heart(model, channels, channels, center, surface, MR_BOUNDARY_SHARE)
-    channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
     return Heart(model, channels, channels, center, surface, LABEL_BOUNDARY_SHARE, False, normalised_grey)
 
 
