@@ -6,7 +6,7 @@ import typer
 
 from dvf_ig.cli.shell import JsonFlag, command, cores_or, emit, progress, wrote
 
-from .options import FirstSeedOption, FolderOption, SchedulerOption, SeedsOption, WorkersOption
+from .options import FirstSeedOption, FolderOption, MotionName, SchedulerOption, SeedsOption, WorkersOption
 
 if TYPE_CHECKING:
     from dvf_ig.study.replay.summary import PresetSummary
@@ -17,7 +17,9 @@ def replay(
     preset: Annotated[
         list[str] | None, typer.Option("--preset", help="One preset; may be repeated (default: all).")
     ] = None,
-    motion: Annotated[str, typer.Option("--motion", help="paper5mm or physiological.")] = "paper5mm",
+    motion: Annotated[
+        MotionName, typer.Option("--motion", help="How far the heart moves.")
+    ] = MotionName.paper5mm,
     seconds: Annotated[float, typer.Option("--seconds", help="Length of each intervention.")] = 60.0,
     seeds: SeedsOption = 10,
     seed: FirstSeedOption = 1,
@@ -40,7 +42,7 @@ def replay(
         from dvf_ig.study.trials import Study, run_trials
 
         presets = list(dict.fromkeys(preset_name(name) for name in preset)) if preset else list(PRESETS)
-        checked = ScenarioSpec(preset=presets[0], motion=motion, seconds=seconds, seed=seed)
+        checked = ScenarioSpec(preset=presets[0], motion=motion.value, seconds=seconds, seed=seed)
         settings = {"presets": presets, "motion": checked.motion, "seconds": checked.seconds}
         study = Study("replay", settings, replay_trial)
         with output_folder(out), progress("replays") as report:

@@ -1,4 +1,4 @@
-"""What the replays of each preset say together; the unit is the seed, which draws heart, patient and noise."""
+"""What the replays of each preset say together; the unit is the seed: it draws heart, patient and noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
