@@ -105,10 +105,10 @@ def frame_events(until_s: float, *, patient: Patient = still) -> list[TrackedFra
 
 
 def tool_events(until_s: float, *, at: Callable[[float], FloatArray] | None = None) -> list[ToolPose]:
-    """TOOL_HZ poses of a tool whose tip stays some 5 mm inside the ball, never quite at rest."""
+    """TOOL_HZ poses of a tool whose tip stays deep inside the ball, never quite at rest."""
 
     def inside(t_s: float) -> FloatArray:
-        return CENTER + np.array([8.0, 0.3 * np.sin(3.0 * t_s), 0.3 * np.cos(2.0 * t_s)])
+        return CENTER + np.array([0.3 * np.sin(3.0 * t_s), 6.0, 0.3 * np.cos(2.0 * t_s)])
 
     tip_mr = at or inside
     events = []
