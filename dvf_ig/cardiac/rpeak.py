@@ -110,7 +110,7 @@ class RPeakDetector:
                 "order of time and once only"
             )
         if offset > 1.5:
-            self._changes.append(LeadChange(expected, False))
+            self._changes.append(LeadChange(start_s, False))  # nobody knew of the gap before
             self._changes.append(LeadChange(start_s, True))
             self._on = True
             self._restart()

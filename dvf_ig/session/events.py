@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
-from dvf_ig.core.arrays import check_shape, frozen_floats
+from dvf_ig.core.arrays import frozen_floats
 
 
 @read_only_arrays
@@ -55,7 +55,8 @@ class TrackedFrame:
                 f"the image of a tracked frame has shape {self.image.shape} and type {self.image.dtype}; "
                 "needed (rows, columns) of uint8"
             )
-        _check_pose(self.tracker_from_probe, "tracker_from_probe")
+        if self.tracker_from_probe is not None:
+            object.__setattr__(self, "tracker_from_probe", _pose(self.tracker_from_probe, "probe"))
 
 
 @read_only_arrays
@@ -73,7 +74,8 @@ class ToolPose:
 
     def __post_init__(self) -> None:
         _require_finite(self.t_s, "a tool pose")
-        _check_pose(self.tracker_from_tool, "tracker_from_tool")
+        if self.tracker_from_tool is not None:
+            object.__setattr__(self, "tracker_from_tool", _pose(self.tracker_from_tool, "tool"))
 
 
 @read_only_arrays
@@ -115,6 +117,6 @@ def _require_finite(t_s: float, what: str) -> None:
         raise InvalidInputError(f"{what} is stamped {t_s} s; needed a finite time")
 
 
-def _check_pose(matrix: FloatArray | None, name: str) -> None:
-    if matrix is not None:
-        check_shape(matrix, name, (4, 4))
+def _pose(matrix: FloatArray, source: str) -> FloatArray:
+    """A session judges for itself what is finite and rigid."""
+    return frozen_floats(matrix, f"tracker_from_{source}", (4, 4), finite=False)

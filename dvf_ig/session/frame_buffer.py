@@ -45,10 +45,14 @@ class FrameBuffer:
         if not self.order.accepts(frame.t_s):
             return False
         self._frames.append(frame)
-        while self._frames[0].t_s < frame.t_s - KEEP_S:
+        return True
+
+    def advance(self, now_s: float) -> None:
+        """Forget what nobody will ask for from now on; times in order."""
+        self.order.advance(now_s)
+        while self._frames and self._frames[0].t_s < now_s - KEEP_S:
             self._frames.popleft()
             self._first_number += 1
-        return True
 
     def between(self, from_s: float, until_s: float) -> tuple[TrackedSequence, int] | None:
         """Frames recorded in [from_s, until_s], as many around them as poses are interpolated over.

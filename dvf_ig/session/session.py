@@ -11,9 +11,10 @@ events give the same bits however they are cut into pieces or interleaved, as lo
 state at or after its stamp is asked for; one that comes later counts from then on.
 """
 
-from collections import deque
+from bisect import insort
 from collections.abc import Callable
 from math import inf
+from operator import attrgetter
 from types import TracebackType
 
 import numpy as np
@@ -89,7 +90,7 @@ class Session:
         self._tool = ToolTracker(setup.calibrations.tip)
         self._fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
         self._supervisor = Supervisor(setup.device)
-        self._actions: deque[Landmark | Rearm] = deque()
+        self._actions: list[Landmark | Rearm] = []
         self._place, self._out = np.empty(PLACE_SIZE), np.empty(TICK_OUTPUT)
         self._model_from_tracker = self._place[:TURN_RATE].reshape(3, 4)
         self._point = np.empty(3)
@@ -124,7 +125,7 @@ class Session:
             if self._frames.push(event) and first:
                 self._pose.begin(event.t_s + self.setup.calibrations.lag_s)
         else:
-            self._actions.append(event)
+            insort(self._actions, event, key=attrgetter("t_s"))
 
     def state(self, now_s: float) -> GuidanceState:
         """What is known at `now_s`, and the force to send then; the supervisor takes a step.
@@ -139,6 +140,7 @@ class Session:
             )
         stepped_s, self._now_s = self._now_s, now_s
         self._advance(now_s, stepped_s)
+        self._frames.advance(now_s)
         self._update_transform(now_s)
         tool = self._tool.at(now_s)
         hazards = self._hazards(now_s, tool.hazard)
@@ -177,7 +179,7 @@ class Session:
             if input_s > self._pose.next_s:
                 self._pose.step()
             elif action_s == input_s:
-                self._act(self._actions.popleft(), stepped_s)
+                self._act(self._actions.pop(0), stepped_s)
             else:
                 self._take_peak()
 

@@ -79,6 +79,7 @@ class ToolTracker:
 
     def at(self, now_s: float) -> ToolReading:
         """The tool as known at `now_s`, from the poses stamped until then; times in order."""
+        self.order.advance(now_s)
         while self._waiting and self._waiting[0].t_s <= now_s:
             self._latencies.append(now_s - self._waiting[0].t_s)
             self._take(self._waiting.popleft())

@@ -107,14 +107,7 @@ class ArrivedUltrasound:
         recording = self._recording(peaks, peaks[-2].t_s, known_s)
         if recording is None:
             return answered(ComparedBeat(None, None, irregular=False))
-        return self.executor.submit(lambda: self._compare(recording, pose, in_use))
-
-    def _compare(self, recording: UltrasoundRecording, pose: Rigid | None, in_use: bool) -> ComparedBeat:
-        """A beat whose images cannot be compared confirms nothing."""
-        try:
-            return compare_beat(recording, pose, self.clock, self.threads, in_use=in_use)
-        except _FAILURES:
-            return ComparedBeat(None, None, irregular=False)
+        return self.executor.submit(lambda: self._compare(recording, pose, in_use=in_use))
 
     def _register(
         self, recording: UltrasoundRecording, frames: GatedFrames, request: RegistrationRequest
@@ -132,6 +125,13 @@ class ArrivedUltrasound:
         except _FAILURES as error:
             return RegistrationAnswer(frames, None, str(error))
         return RegistrationAnswer(frames, result)
+
+    def _compare(self, recording: UltrasoundRecording, pose: Rigid | None, *, in_use: bool) -> ComparedBeat:
+        """Black images, for example, are refused: such a beat confirms nothing."""
+        try:
+            return compare_beat(recording, pose, self.clock, self.threads, in_use=in_use)
+        except _FAILURES:
+            return ComparedBeat(None, None, irregular=False)
 
     def _recording(
         self, peaks: tuple[RPeak, ...], from_s: float, known_s: float

@@ -1,0 +1,66 @@
+"""Landmarks touched one by one: a fit from three on, a prior from five on, and a fresh start after a doubt."""
+
+import numpy as np
+import pytest
+from toy_session import HOME
+
+from dvf_ig.core import FloatArray
+from dvf_ig.registration.start import LEAST_SIGMA_MM, MIN_FOR_PRIOR
+from dvf_ig.session import Landmark
+from dvf_ig.session.touched_landmarks import TouchedLandmarks
+
+POINTS = np.array(
+    [[40.0, 0.0, 0.0], [0.0, 35.0, 5.0], [0.0, -10.0, 50.0], [-30.0, 5.0, 8.0], [5.0, -40.0, 9.0]]
+)
+
+
+def touched(k: int, off_mm: FloatArray | None = None, name: str | None = None) -> Landmark:
+    tracker = HOME.inverse().apply_array(POINTS[k : k + 1])[0]
+    return Landmark(float(k), name or f"point {k}", POINTS[k], tracker + (0.0 if off_mm is None else off_mm))
+
+
+def test_three_points_give_a_fit_and_five_a_prior() -> None:
+    landmarks = TouchedLandmarks()
+    for k in range(5):
+        assert (landmarks.fit is None) == (k < 3)
+        assert landmarks.prior is None
+        landmarks.add(touched(k))
+    assert landmarks.fit is not None
+    np.testing.assert_allclose(landmarks.fit.matrix, HOME.matrix, atol=1e-9)
+    assert MIN_FOR_PRIOR == 5
+    assert landmarks.prior is not None
+    assert landmarks.prior.sigma_mm == LEAST_SIGMA_MM
+
+
+def test_a_point_that_is_touched_again_replaces_the_older() -> None:
+    landmarks = TouchedLandmarks()
+    landmarks.add(touched(0, np.array([9.0, 0.0, 0.0])))
+    for k in (1, 2, 0):
+        landmarks.add(touched(k))
+    assert landmarks.fit is not None
+    np.testing.assert_allclose(landmarks.fit.matrix, HOME.matrix, atol=1e-9)
+
+
+def test_points_on_one_line_are_no_fit_yet() -> None:
+    landmarks = TouchedLandmarks()
+    for k in range(3):
+        on_line = np.array([10.0 * k, 5.0 * k, 0.0])
+        landmarks.add(Landmark(0.0, f"point {k}", on_line, on_line))
+    assert landmarks.fit is None
+    assert landmarks.prior is None
+    landmarks.add(Landmark(0.0, "beside", np.array([0.0, 30.0, 5.0]), np.array([0.0, 30.0, 5.0])))
+    assert landmarks.fit is not None
+    np.testing.assert_allclose(landmarks.fit.matrix, np.eye(4), atol=1e-9)
+
+
+def test_after_a_doubt_only_points_touched_since_count() -> None:
+    landmarks = TouchedLandmarks()
+    for k in range(5):
+        landmarks.add(touched(k, np.array([5.0, 0.0, 0.0])))
+    landmarks.forget()
+    assert landmarks.fit is None
+    assert landmarks.prior is None
+    for k in range(3):
+        landmarks.add(touched(k))
+    assert landmarks.fit is not None
+    assert landmarks.fit.apply_array(touched(4).tracker_mm[None])[0] == pytest.approx(POINTS[4], abs=1e-9)
