@@ -102,7 +102,7 @@ def _payload(result: "RegistrationResult", name: str, seed: int) -> dict[str, An
     return {
         name: result.target_from_source.matrix.tolist(),
         "stop": result.stop.name,
-        "reason": result.stop.value,
+        "reason": result.sentence,
         **evidence_of(result),
         "threads": thread_count(),
         "seed": seed,
@@ -125,7 +125,7 @@ def _rows(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
     rotation, shift = np.degrees(sd[:3]), sd[3:]
     return [
         (name, " ".join(f"{v:.3f}" for v in result.target_from_source.matrix[:3].ravel())),
-        ("outcome", result.stop.value),
+        ("outcome", result.sentence),
         ("success probability", f"{result.success_probability:.2f}"),
         ("moved from start", f"{result.moved_mm:.1f} mm"),
         ("similarity", f"{result.start_similarity:.3f} at the start, {result.similarity:.3f} now"),
@@ -157,8 +157,8 @@ def _judge(result: "RegistrationResult") -> None:
     from dvf_ig.core import NoOverlapError, NotConvergedError, QualityGateError, Stop
 
     if result.stop is Stop.MAX_ITERATIONS:
-        raise NotConvergedError(f"the registration must not be used: {result.stop.value}")
+        raise NotConvergedError(f"the registration must not be used: {result.sentence}")
     if result.stop is Stop.LOW_OVERLAP:
-        raise NoOverlapError(f"the registration must not be used: {result.stop.value}")
+        raise NoOverlapError(f"the registration must not be used: {result.sentence}")
     if not result.stop.usable:
-        raise QualityGateError(f"the registration must not be used: {result.stop.value}")
+        raise QualityGateError(f"the registration must not be used: {result.sentence}")

@@ -47,7 +47,7 @@ from .simulated_device import SimulatedDevice as SimulatedDevice
 from .status import Status as Status
 from .supervision_summary import SupervisionSummary as SupervisionSummary
 from .supervision_summary import summarise_supervision as summarise_supervision
-from .supervisor import Rearm as Rearm
+from .supervisor import RearmAnswer as RearmAnswer
 from .supervisor import SupervisedForce as SupervisedForce
 from .supervisor import Supervisor as Supervisor
 from .supervisor import SupervisorState as SupervisorState

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from dvf_ig.cardiac import RetimeMode, RPeak
 from dvf_ig.core import DvfIgError, Fan, Rigid
 from dvf_ig.registration import LandmarkPrior, RegistrationResult, SliceThreads
@@ -15,6 +17,9 @@ from .frame_buffer import FrameBuffer
 from .frame_registration import register_frames
 from .gated_frames import GatedFrames, UltrasoundRecording, gate_recording
 from .heart import Heart
+
+_FAILURES = (DvfIgError, np.linalg.LinAlgError)
+"""What a registration or a comparison of unfit images may end with."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,9 +107,14 @@ class ArrivedUltrasound:
         recording = self._recording(peaks, peaks[-2].t_s, known_s)
         if recording is None:
             return answered(ComparedBeat(None, None, irregular=False))
-        return self.executor.submit(
-            lambda: compare_beat(recording, pose, self.clock, self.threads, in_use=in_use)
-        )
+        return self.executor.submit(lambda: self._compare(recording, pose, in_use))
+
+    def _compare(self, recording: UltrasoundRecording, pose: Rigid | None, in_use: bool) -> ComparedBeat:
+        """A beat whose images cannot be compared confirms nothing."""
+        try:
+            return compare_beat(recording, pose, self.clock, self.threads, in_use=in_use)
+        except _FAILURES:
+            return ComparedBeat(None, None, irregular=False)
 
     def _register(
         self, recording: UltrasoundRecording, frames: GatedFrames, request: RegistrationRequest
@@ -119,7 +129,7 @@ class ArrivedUltrasound:
                 warm=request.warm,
                 prior=request.prior,
             )
-        except DvfIgError as error:
+        except _FAILURES as error:
             return RegistrationAnswer(frames, None, str(error))
         return RegistrationAnswer(frames, result)
 

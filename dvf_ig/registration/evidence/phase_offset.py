@@ -21,8 +21,8 @@ SHIFTS = 20
 """As many as a model has phases, as a rule: slices are compared with the volume nearest in the cycle."""
 SUSPICIOUS_S = 0.08
 SUSPICIOUS_LOG_RATIO = 2.0
-"""Of 27 undisturbed registrations on tuning seeds 101 to 104 (calm, ectopy, poor images, both motions) the best
-shift is within 0.05 of the cycle, its ratio at most 0.6. An ECG 300 ms late gives 9.7 to 15.4 with 5 mm of
+"""Of 27 undisturbed registrations on tuning seeds 101 to 104 (calm, ectopy, poor images, both motions) the
+best shift is within 0.05 of the cycle, its ratio at most 0.6. An ECG 300 ms late gives 9.7 to 15.4 with 5 mm of
 motion, 1.5 to 5.2 with poor images besides; 120 ms gives 3.1 to 5.6."""
 
 

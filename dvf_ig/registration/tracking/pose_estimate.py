@@ -42,7 +42,8 @@ WRONG_DIRECTIONS = np.vstack([np.eye(6)[3:], -np.eye(6)[3:]])
 """(6, 6) translations along and against the axes."""
 INFORMATIVE_LOG_RATIO = 1.5
 """Mean log-likelihood ratio of a beat's optimum against wrong poses, from which on the beat can confirm a
-pose."""
+pose. On tuning seeds 101 to 103 good poses have 4.1 or more (poor images; calm 14), black images 0, noise and
+speckle of any grain up to 0.35."""
 BEAT_OPTIMISER = OptimiserOptions(steps=10, cap_mm=5.0, tolerance_mm=0.1)
 
 
