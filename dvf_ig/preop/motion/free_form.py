@@ -81,7 +81,7 @@ class Lattice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bending:
-    """Bending energy cᵀHc = ∫ Σ_ab (∂²u/∂a∂b)² dV of a lattice's displacement, from differences of coefficients.
+    """Bending energy cᵀHc = ∫ Σ_ab (∂²u/∂a∂b)² dV of a displacement, from differences of coefficients.
 
     Attributes:
         matrix: H of one component, control points in the order of the lattice.
@@ -96,9 +96,9 @@ class Bending:
         for count, pitch in zip(lattice.shape, lattice.pitch_mm.tolist(), strict=True):
             first = diags_array([-1.0, 1.0], offsets=[0, 1], shape=(count - 1, count)) / pitch
             second = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(count - 2, count)) / pitch**2
-            one.append(eye_array(count))
-            slope.append(first.T @ first)
-            curve.append(second.T @ second)
+            one.append(csr_array(eye_array(count)))
+            slope.append(csr_array(first.T @ first))
+            curve.append(csr_array(second.T @ second))
         terms = (
             _product(curve[0], one[1], one[2]),
             _product(one[0], curve[1], one[2]),

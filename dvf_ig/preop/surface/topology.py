@@ -40,7 +40,7 @@ def directed_edges(triangles: IntArray) -> IntArray:
 
 
 def count_edges(triangles: IntArray) -> EdgeCensus:
-    """Numbers of wrong edges, from one sort of all edges as single numbers: smaller vertex, larger, direction."""
+    """Numbers of wrong edges: one sort of numbers that hold smaller vertex, larger vertex and direction."""
     edges = directed_edges(triangles)
     forward = edges[:, 0] < edges[:, 1]
     vertices = int(triangles.max()) + 1
