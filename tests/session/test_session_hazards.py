@@ -86,9 +86,7 @@ def arrhythmia(streams: Streams, from_s: float, until_s: float) -> None:
 
 
 def no_images(streams: Streams, from_s: float, until_s: float) -> None:
-    streams.frames = [
-        replace(f, image=None) if from_s <= f.t_s < until_s else f for f in streams.frames
-    ]
+    streams.frames = [replace(f, image=None) if from_s <= f.t_s < until_s else f for f in streams.frames]
 
 
 def lost_probe(streams: Streams, from_s: float, until_s: float) -> None:
@@ -196,9 +194,7 @@ def test_the_force_fades_and_comes_back(
     assert {s.supervisor for s, b in zip(states, back, strict=True) if b} <= {OK, DEGRADED}
 
 
-@pytest.mark.parametrize(
-    "disturb", [no_images, lost_probe, no_frames], ids=_name
-)
+@pytest.mark.parametrize("disturb", [no_images, lost_probe, no_frames], ids=_name)
 def test_a_pose_is_used_for_five_seconds_at_most_when_no_beat_ends(disturb: Disturbance) -> None:
     """Neither ultrasound nor R peaks: the phase is lost first, and the pose has aged when it returns."""
 
