@@ -1,7 +1,7 @@
 """Shared by all tests: where the real recordings are, one short synthetic intervention, and its replay."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from toy_sphere import beating_sphere_series, sphere
 from data_synth.scenario.presets import ScenarioSpec
 from data_synth.scenario.recording import phantom_scenario
 from dvf_ig.core import DvfModel, Scenario, SurfaceSeries
+from dvf_ig.io import write_scenario
 from dvf_ig.replay import Replay, run_replay
 
 settings.register_profile("dvf_ig", deadline=None, derandomize=True)
@@ -31,6 +32,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         item.add_marker(pytest.mark.xdist_group(group))
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """No test reads or writes a user's cache; processes that a test starts inherit this."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DVF_IG_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder of real recordings; a test that needs it is skipped where it is absent."""
@@ -44,6 +53,14 @@ def data_dir() -> Path:
 def scenario() -> Scenario:
     """17 s of the synthetic operating room: long enough to register and to touch."""
     return phantom_scenario(ScenarioSpec(preset="calm", motion="paper5mm", seconds=17.0, seed=77))
+
+
+@pytest.fixture(scope="session")
+def written(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scenario's folder, for tests that only read it."""
+    folder = tmp_path_factory.mktemp("written") / "scenario"
+    write_scenario(scenario, folder)
+    return folder
 
 
 @pytest.fixture(scope="session")

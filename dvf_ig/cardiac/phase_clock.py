@@ -115,7 +115,7 @@ class PhaseClock:
         Raises:
             InvalidInputError: `now_s` lies before an event or an earlier query.
         """
-        if now_s < self._now_s:
+        if not now_s >= self._now_s:
             raise InvalidInputError(
                 f"phase at {now_s:.4f} s was requested after {self._now_s:.4f} s; needed times in order"
             )
@@ -134,7 +134,7 @@ class PhaseClock:
             deadline_s = self._forecast.until_s
             self._expire()
             self._update_forecast(deadline_s)
-        self._now_s = max(t_s, self._now_s)
+        self._now_s = max(self._now_s, t_s)
 
     def _update_forecast(self, t_s: float) -> None:
         """Phase goes on from where it is at `t_s`, towards the target that is known now."""

@@ -1,4 +1,4 @@
-"""`dvf-ig force`: forces of a fixture at given points and one phase."""
+"""`dvf-ig force`: forces of fixtures at given points and one phase."""
 
 import csv
 import dataclasses
@@ -65,7 +65,7 @@ def force(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Evaluate a dynamic fixture; a point outside the model's box gets no force and status OUT_OF_VOLUME."""
+    """Evaluate dynamic fixtures; a point outside the model's box gets no force and status OUT_OF_VOLUME."""
     with command():
         if not math.isfinite(phase):
             raise typer.BadParameter(f"--phase is {phase}; needed a finite number")

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .patient_model import patient_model
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
 
 if TYPE_CHECKING:
@@ -17,6 +18,9 @@ def register(
     ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder, or a .tfm file, for the transform.")
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option("--model", help="This patient's model, if `dvf-ig model build` made one.")
     ] = None,
     fixed: Annotated[Path | None, typer.Option("--fixed", help="3-D ultrasound image.")] = None,
     moving: Annotated[Path | None, typer.Option("--moving", help="3-D MR or CT image.")] = None,
@@ -38,11 +42,13 @@ def register(
             raise typer.BadParameter("say where to write: -o OUT")
         if (scenario is None) == (fixed is None and moving is None):
             raise typer.BadParameter("give either a scenario folder, or --fixed US and --moving MR")
+        if scenario is None and model is not None:
+            raise typer.BadParameter("--model belongs to a scenario folder; an image pair has no model")
         name = "mr_from_tracker" if scenario is not None else "moving_from_fixed"
         transform, evidence = _files(out, name)
         with output_folder(transform.parent):
             if scenario is not None:
-                result = _scenario(scenario, init, seed)
+                result = _scenario(scenario, model, init, seed)
             else:
                 result = _pair(fixed, moving, init, mask, seed)
             payload = _payload(result, name, seed)
@@ -54,13 +60,15 @@ def register(
         _judge(result)
 
 
-def _scenario(folder: Path, init: Path | None, seed: int) -> "RegistrationResult":
+def _scenario(folder: Path, model: Path | None, init: Path | None, seed: int) -> "RegistrationResult":
     from dvf_ig.io import read_scenario, read_transform
     from dvf_ig.replay import register_scenario
 
     start = read_transform(init, target="mr", source="tracker") if init is not None else None
+    recorded = read_scenario(folder)
+    built = patient_model(recorded.preop, model)
     with progress("register") as report:
-        return register_scenario(read_scenario(folder), start, seed=seed, progress=report)
+        return register_scenario(recorded, start, model=built, seed=seed, progress=report)
 
 
 def _pair(
@@ -102,7 +110,7 @@ def _payload(result: "RegistrationResult", name: str, seed: int) -> dict[str, An
     return {
         name: result.target_from_source.matrix.tolist(),
         "stop": result.stop.name,
-        "reason": result.stop.value,
+        "reason": result.sentence,
         **evidence_of(result),
         "threads": thread_count(),
         "seed": seed,
@@ -125,7 +133,7 @@ def _rows(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
     rotation, shift = np.degrees(sd[:3]), sd[3:]
     return [
         (name, " ".join(f"{v:.3f}" for v in result.target_from_source.matrix[:3].ravel())),
-        ("outcome", result.stop.value),
+        ("outcome", result.sentence),
         ("success probability", f"{result.success_probability:.2f}"),
         ("moved from start", f"{result.moved_mm:.1f} mm"),
         ("similarity", f"{result.start_similarity:.3f} at the start, {result.similarity:.3f} now"),
@@ -157,8 +165,8 @@ def _judge(result: "RegistrationResult") -> None:
     from dvf_ig.core import NoOverlapError, NotConvergedError, QualityGateError, Stop
 
     if result.stop is Stop.MAX_ITERATIONS:
-        raise NotConvergedError(f"the registration must not be used: {result.stop.value}")
+        raise NotConvergedError(f"the registration must not be used: {result.sentence}")
     if result.stop is Stop.LOW_OVERLAP:
-        raise NoOverlapError(f"the registration must not be used: {result.stop.value}")
+        raise NoOverlapError(f"the registration must not be used: {result.sentence}")
     if not result.stop.usable:
-        raise QualityGateError(f"the registration must not be used: {result.stop.value}")
+        raise QualityGateError(f"the registration must not be used: {result.sentence}")

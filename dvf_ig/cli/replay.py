@@ -19,6 +19,7 @@ from .fixture_options import (
     chosen_fixtures,
     chosen_retiming,
 )
+from .patient_model import patient_model
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
 
 
@@ -50,7 +51,7 @@ def replay(
     """
     with command(threads):
         from dvf_ig.core import QualityGateError
-        from dvf_ig.io import output_folder, read_model, read_scenario, write_json, write_text
+        from dvf_ig.io import output_folder, read_scenario, write_json, write_text
         from dvf_ig.replay import result_of, run_replay, table
         from dvf_ig.replay.report import report_html
 
@@ -59,10 +60,9 @@ def replay(
         options, of_file = chosen_fixtures(given, fixtures)
         mode = chosen_retiming(retiming, of_file)
         recorded = read_scenario(scenario)
-        patient = recorded.preop.patient_id
-        built = read_model(model, patient_id=patient) if model is not None else None
         result_path, report_path = out / "result.json", out / "report.html"
         with output_folder(out):
+            built = patient_model(recorded.preop, model)
             with progress("replay") as report:
                 done = run_replay(
                     recorded, model=built, fixtures=options, retiming=mode, seed=seed, progress=report

@@ -21,7 +21,6 @@ from .fixture import FORBIDDEN_SURFACE as FORBIDDEN_SURFACE
 from .fixture import FixtureOptions as FixtureOptions
 from .fixture import FixtureSet as FixtureSet
 from .fixtures import Fixtures as Fixtures
-from .fixtures import force_at_distance as force_at_distance
 from .free_zone import FreeZone as FreeZone
 from .free_zone import gaussian_for_free_zone as gaussian_for_free_zone
 from .free_zone import tightest_gaussian as tightest_gaussian
@@ -33,6 +32,7 @@ from .hazards import Response as Response
 from .hazards import hazard_of as hazard_of
 from .hazards import hazards_that_latch as hazards_that_latch
 from .hazards import hazards_with as hazards_with
+from .joint_force import force_at_distance as force_at_distance
 from .laws import Confinement as Confinement
 from .laws import Gaussian as Gaussian
 from .laws import Law as Law
@@ -47,7 +47,7 @@ from .simulated_device import SimulatedDevice as SimulatedDevice
 from .status import Status as Status
 from .supervision_summary import SupervisionSummary as SupervisionSummary
 from .supervision_summary import summarise_supervision as summarise_supervision
-from .supervisor import Rearm as Rearm
+from .supervisor import RearmAnswer as RearmAnswer
 from .supervisor import SupervisedForce as SupervisedForce
 from .supervisor import Supervisor as Supervisor
 from .supervisor import SupervisorState as SupervisorState

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from dvf_ig.core import InvalidInputError
 
 from .blend import BLEND_CODES, Blend
-from .laws import Gaussian, Law, Sigmoid
+from .laws import Confinement, Gaussian, Law, Sigmoid
 from .targets import PathTarget
 
 
@@ -36,6 +36,19 @@ class FixtureOptions:
     def forbidden(self) -> bool:
         """Whether it comes before guidance in a composition."""
         return not isinstance(self.law, Gaussian)
+
+    def described(self) -> dict[str, str | float | bool]:
+        """Its law and numbers under the names of the command line's options; of a path not its points."""
+        law = self.law
+        numbers: dict[str, str | float | bool] = {"name": self.name, "cap_n": law.cap_n}
+        if isinstance(law, Gaussian):
+            numbers |= {"delta": law.delta_mm, "m": law.m}
+            if self.path is not None:
+                return {"law": "path", **numbers}
+        else:
+            numbers |= {"gamma": law.gamma_per_mm, "inside": isinstance(law, Confinement)}
+        name = "forbidden" if self.forbidden else "guidance"
+        return {"law": name, **numbers, "depth_mm": law.depth_mm, "blend": self.blend}
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,10 @@ import numpy as np
 from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError, Rigid, require_same_frame
 from dvf_ig.kernels.dynamic import POSE, TIMES, force_tick
 
-from .blend import static_force
-from .composition import Composed, Contribution, compose
 from .device import COMMON_DEVICE, DeviceLimits
 from .evaluator import Evaluator, ForceSamples, checked_query
 from .fixture import FORBIDDEN_SURFACE, FixtureOptions, FixtureSet
+from .joint_force import check_joint_stiffness, composed_force
 from .status import Status
 from .targets import PathFixture
 
@@ -63,9 +62,9 @@ class Fixtures:
     Args:
         model: this patient's model; every fixture on a surface is on its surface.
         options: the fixtures and their joint cap.
-        device: what the haptic device can render; each fixture is held to it alone.
+        device: what the haptic device can render: each fixture alone, and all on the surface together.
     Raises:
-        InvalidInputError: a law beyond the device's limits, or a path with an unfit law.
+        InvalidInputError: laws beyond the device's limits, or a path with an unfit law.
         FrameMismatchError: a path in another frame than the model.
     """
 
@@ -79,6 +78,7 @@ class Fixtures:
         self.model = model
         self.options = options
         self.parts = tuple(_bound(model, one, device) for one in options.fixtures)
+        check_joint_stiffness(options, device)
         self._ticks: tuple[Tick, ...] = tuple(
             SurfaceTick(part) if isinstance(part, Evaluator) else part.tick for part in self.parts
         )
@@ -160,27 +160,10 @@ class Fixtures:
                 out[...] = np.nan
                 out[FORCE], out[CONFLICT] = 0.0, 0.0
                 return found
-        together = _composed(self.options, self._parts_out[:, FORCE])
+        together = composed_force(self.options, self._parts_out[:, FORCE])
         out[...] = self._parts_out[0]
         out[FORCE], out[CONFLICT] = together.force_n, together.conflict
         return int(Status.OK)
-
-
-def force_at_distance(options: FixtureSet, distance_mm: FloatArray, normal: FloatArray) -> FloatArray | None:
-    """(n, 3) force where distance and direction are known otherwise, for example from ground truth.
-
-    Args:
-        distance_mm: (n,) signed distance to the organ's surface.
-        normal: (n, 3) its unit gradient.
-    Returns:
-        the force in the frame of `normal`; None for a set with a path, whose distance this is not.
-    """
-    if any(one.path is not None for one in options.fixtures):
-        return None
-    each = np.stack([static_force(one.law, distance_mm, normal) for one in options.fixtures], axis=1)
-    if not options.composed:
-        return np.asarray(each[:, 0])
-    return np.array([_composed(options, forces).force_n for forces in each]).reshape(-1, 3)
 
 
 def _bound(model: DvfModel, one: FixtureOptions, device: DeviceLimits) -> Evaluator | PathFixture:
@@ -193,13 +176,3 @@ def _bound(model: DvfModel, one: FixtureOptions, device: DeviceLimits) -> Evalua
         if not one.name:
             raise
         raise type(exc)(f"fixture '{one.name}': {exc}") from exc
-
-
-def _composed(options: FixtureSet, forces_n: FloatArray) -> Composed:
-    """All forces (k, 3) in one, k fixtures in the order of the set."""
-    forbidden: list[Contribution] = []
-    guidance: list[Contribution] = []
-    for one, force_n in zip(options.fixtures, forces_n, strict=True):
-        part = Contribution("query", force_n, one.law.cap_n)
-        (forbidden if one.forbidden else guidance).append(part)
-    return compose(forbidden, guidance, frame="query", cap_n=options.joint_cap_n)

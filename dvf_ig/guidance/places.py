@@ -69,4 +69,6 @@ class PlacesInModel:
             gradient, rate_mm_per_cycle: as in `distance_rate_mm_s`.
         """
         by_pose = np.einsum("ni,nij,nj->n", gradient, self.covariance_mm2, gradient)
-        return np.asarray(np.sqrt(by_pose + (rate_mm_per_cycle * self.sigma_model_phase) ** 2))
+        return np.asarray(
+            np.sqrt(np.maximum(by_pose, 0.0) + (rate_mm_per_cycle * self.sigma_model_phase) ** 2)
+        )

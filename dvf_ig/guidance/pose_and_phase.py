@@ -67,6 +67,7 @@ class PoseAndPhase:
         object.__setattr__(self, "center_mm", frozen_floats(self.center_mm, "centre of the heart", (3,)))
         if self.covariance_mm2 is not None:
             covariance = frozen_floats(self.covariance_mm2, "covariance of the pose", (6, 6))
+            _check_covariance(covariance)
             object.__setattr__(self, "covariance_mm2", covariance)
         if math.isnan(self.pose_until_s):
             raise InvalidInputError(
@@ -235,6 +236,18 @@ class BoundTick(partial[int]):
 
     def __new__(cls, coefficients: Any, fixture: FloatArray, packed: FloatArray) -> "BoundTick":
         return super().__new__(cls, guided_tick, coefficients, fixture, packed)
+
+
+def _check_covariance(covariance_mm2: FloatArray) -> None:
+    """Refuse what would make a distance look more certain than it is."""
+    tolerance = 1e-6 * float(np.abs(covariance_mm2).max())
+    skew = float(np.abs(covariance_mm2 - covariance_mm2.T).max())
+    least = float(np.linalg.eigvalsh(covariance_mm2)[0])
+    if skew > tolerance or least < -tolerance:
+        raise InvalidInputError(
+            f"the covariance of the pose is asymmetric by {skew:.2g} mm² and its least eigenvalue is "
+            f"{least:.2g} mm²; needed a symmetric matrix without negative eigenvalues"
+        )
 
 
 def _points_and_times(xyz_mm: Any, t_s: Any) -> tuple[FloatArray, FloatArray]:

@@ -41,7 +41,7 @@ class SupervisorState(IntEnum):
     """Nothing is sent until an operator re-arms."""
 
 
-class Rearm(Enum):
+class RearmAnswer(Enum):
     """Answer to a re-arm; each value is the sentence a user reads."""
 
     ACCEPTED = "re-armed; the force rises within half a second"
@@ -143,7 +143,7 @@ class Supervisor:
             _read_only(self._sent), self._state, self._hazards, self._cause, scale, clamped
         )
 
-    def rearm(self, t_s: float) -> Rearm:
+    def rearm(self, t_s: float) -> RearmAnswer:
         """An operator's wish to leave LATCHED; nothing else may call this, least of all a network message.
 
         It is judged by what the last step saw and dropped if refused: it has to be repeated. A wish that
@@ -154,16 +154,16 @@ class Supervisor:
         """
         age_s = self._elapsed_s(t_s, keep=False)
         if self._state is not SupervisorState.LATCHED:
-            return Rearm.NOT_LATCHED
+            return RearmAnswer.NOT_LATCHED
         if age_s > REARM_AGE_S:
-            return Rearm.NO_RECENT_STEP
+            return RearmAnswer.NO_RECENT_STEP
         if int(self._hazards) & _FADING:
-            return Rearm.HAZARD_ACTIVE
+            return RearmAnswer.HAZARD_ACTIVE
         if self._wanted_n >= REARM_BELOW_N:
-            return Rearm.FORCE_WANTED
+            return RearmAnswer.FORCE_WANTED
         self._rise_s = REARM_RISE_S
         self._begin_rise(t_s)
-        return Rearm.ACCEPTED
+        return RearmAnswer.ACCEPTED
 
     def _elapsed_s(self, t_s: float, *, keep: bool = True) -> float:
         """Time since the last step, 0 at the first."""

@@ -32,6 +32,8 @@ from .mesh.series import write_surface_series as write_surface_series
 from .model import model_digest as model_digest
 from .model import read_model as read_model
 from .model import write_model as write_model
+from .model_cache import CachedModel as CachedModel
+from .model_cache import cached_model as cached_model
 from .plus.feature_points import read_feature_points as read_feature_points
 from .plus.feature_points import read_target_recording as read_target_recording
 from .plus.feature_points import tracked_probe as tracked_probe

@@ -32,6 +32,11 @@ def write_model(model: DvfModel, path: Path | str) -> None:
     Raises:
         OutputError: not writable.
     """
+    write_bytes(Path(path), model_bytes(model))
+
+
+def model_bytes(model: DvfModel) -> list[bytes]:
+    """What `write_model` writes, in blocks."""
     header, arrays = _parts(model)
     header["sha256"] = _digest(header, arrays)
     buffer = io.BytesIO()
@@ -40,7 +45,7 @@ def write_model(model: DvfModel, path: Path | str) -> None:
     with zipfile.ZipFile(buffer, "a") as archive:
         archive.comment = _CHECKSUM + b"0" * 64
     body = buffer.getvalue()[:-64]
-    write_bytes(Path(path), [body, hashlib.sha256(body).hexdigest().encode("ascii")])
+    return [body, hashlib.sha256(body).hexdigest().encode("ascii")]
 
 
 def read_model(path: Path | str, patient_id: str | None = None) -> DvfModel:
@@ -53,8 +58,21 @@ def read_model(path: Path | str, patient_id: str | None = None) -> DvfModel:
         UnreadableFileError: absent, not a model, another schema, or any byte changed since it was written.
         InvalidInputError: the model of another patient.
     """
-    path = Path(path)
-    data = read_bytes(path, "a model file")
+    model = parse_model(read_bytes(Path(path), "a model file"), Path(path))
+    if patient_id is not None and model.patient_id != patient_id:
+        raise InvalidInputError(
+            f"{path} is the model of patient '{model.patient_id}', needed patient '{patient_id}'; "
+            "choose the right patient's model"
+        )
+    return model
+
+
+def parse_model(data: bytes, path: Path) -> DvfModel:
+    """Verify and unpack the bytes of a model file; `path` is named in errors.
+
+    Raises:
+        UnreadableFileError: as `read_model`.
+    """
     _check_checksum(path, data)
     with reading(path, "a model file"):
         header, arrays = _unpack(path, data)
@@ -67,13 +85,7 @@ def read_model(path: Path | str, patient_id: str | None = None) -> DvfModel:
             raise UnreadableFileError(
                 f"{path} was changed after it was written (SHA-256 differs); build it again"
             )
-        model = _model(path, header, arrays)
-    if patient_id is not None and model.patient_id != patient_id:
-        raise InvalidInputError(
-            f"{path} is the model of patient '{model.patient_id}', needed patient '{patient_id}'; "
-            "choose the right patient's model"
-        )
-    return model
+        return _model(path, header, arrays)
 
 
 def model_digest(model: DvfModel) -> str:

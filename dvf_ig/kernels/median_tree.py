@@ -1,4 +1,4 @@
-"""Median splits of triangles into a complete tree of bounding boxes; the readable form sorts, in the tests."""
+"""Median splits of triangles into a complete tree of bounding boxes."""
 
 from dvf_ig.core import FloatArray, IntArray
 

@@ -90,8 +90,9 @@ def guided_tick(
         swept, moved = cross(pose[4], at), pose[5]
         velocity = (swept[0] + moved[0], swept[1] + moved[1], swept[2] + moved[2])
         by_phase = out[WITHOUT_RATE] * phase[2]
+        variance = _distance_variance(packed, at, gradient)
         out[DISTANCE_RATE] = dot(gradient, velocity) + out[WITHOUT_RATE] * phase[1]
-        out[DISTANCE_SIGMA] = math.sqrt(_distance_variance(packed, at, gradient) + by_phase**2)
+        out[DISTANCE_SIGMA] = math.sqrt((0.0 if variance < 0.0 else variance) + by_phase**2)
     return status
 
 

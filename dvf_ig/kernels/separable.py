@@ -4,7 +4,7 @@ A row of a banded matrix is where its window of `weights` begins and the weights
 
     (A v)[r] = Σ_j weights[r, j] · v[first[r] + j].
 
-Arrays have three axes (before, along, after); `by_axis` in `preop.spline.axes` gives them that shape. The
+Arrays have three axes (before, along, after); `by_axis` in `preop.banded` gives them that shape. The
 readable forms are NumPy products with the dense matrix, in the tests.
 """
 

@@ -4,6 +4,7 @@ from .build import ModelOptions as ModelOptions
 from .build import border_distance_mm as border_distance_mm
 from .build import build_model as build_model
 from .build import model_from_labels as model_from_labels
+from .build import model_from_preop as model_from_preop
 from .build import model_from_surfaces as model_from_surfaces
 from .build import potential_at_border as potential_at_border
 from .check import ModelCheck as ModelCheck

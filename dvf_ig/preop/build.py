@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import (
+    LV_CAVITY,
     BoolArray,
     CycleTiming,
     DvfModel,
@@ -46,7 +47,7 @@ class ModelOptions:
 
     knot_spacing_mm: float = 3.0
     margin_mm: float = 15.0
-    band_mm: float = 4.0
+    band_mm: float = 3.0
     threads: int = 2
     accuracy_mm: float | None = None
 
@@ -134,6 +135,26 @@ def _fit_phases(
             coefficients.append(fitted)
             report(len(coefficients) / len(reference))
     return np.stack(coefficients)
+
+
+def model_from_preop(
+    preop: Preop, *, options: ModelOptions = ModelOptions(), progress: Progress | None = None
+) -> DvfModel:
+    """The patient's model: from labels where there are any, else from the surface named in the data.
+
+    Raises:
+        InvalidInputError: neither labels nor that surface, or what `build_model` refuses.
+    """
+    if preop.labels is not None:
+        return model_from_labels(preop, options=options, progress=progress)
+    by_name = {series.name: series for series in preop.surfaces}
+    if preop.surface not in by_name:
+        known = ", ".join(by_name) or "none"
+        raise InvalidInputError(
+            f"the pre-operative data have no surface '{preop.surface}'; they have {known}"
+        )
+    cavity = by_name.get(LV_CAVITY)
+    return model_from_surfaces(by_name[preop.surface], cavity=cavity, options=options, progress=progress)
 
 
 def model_from_surfaces(

@@ -25,6 +25,11 @@ from .evidence.checks import Evidence as Evidence
 from .evidence.checks import Limits as Limits
 from .evidence.least_constrained import LeastConstrained as LeastConstrained
 from .evidence.least_constrained import least_constrained_direction as least_constrained_direction
+from .evidence.phase_offset import PhaseOffset as PhaseOffset
+from .evidence.phase_offset import offset_of as offset_of
+from .evidence.phase_offset import phase_offset as phase_offset
+from .frame_information import FrameInformation as FrameInformation
+from .frame_information import frame_information as frame_information
 from .gating import PHASE_WINDOW as PHASE_WINDOW
 from .gating import FrameRejection as FrameRejection
 from .gating import Gated as Gated

@@ -45,8 +45,8 @@ def find_candidates(
         metric: LC2 on the coarse slices.
         rng: draws the displaced starts.
     """
-    if data.boundary is not None:
-        poses, evaluations = _boundary_fits(data.boundary, data, start, rng, options), 0
+    if data.visible_boundary is not None:
+        poses, evaluations = _boundary_fits(data.visible_boundary, data, start, rng, options), 0
     else:
         poses, evaluations = _displaced_optima(data, metric, start, rng, options, report_progress)
     optima = [optimise(metric, pose, data.center_mm, data.prior, COARSE) for pose in poses]

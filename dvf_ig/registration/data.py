@@ -75,8 +75,10 @@ class RegistrationData:
     Attributes:
         coarse, fine: the same slices and model at two resolutions.
         center_mm: (3,) centre of the heart box in the target frame, about which poses turn.
-        boundary: boundary points in the slices and the model's surface, where that is known.
+        boundary: boundary points in the slices, none where they show none, and the model's surface, where
+            that is known.
         prior: touched landmarks that the pose must also agree with, weighted by their spread.
+        rr_s: usual length of the beats in which the slices were taken; None for an organ that does not beat.
     """
 
     coarse: Level
@@ -84,3 +86,9 @@ class RegistrationData:
     center_mm: FloatArray
     boundary: Boundary | None = None
     prior: LandmarkPrior | None = None
+    rr_s: float | None = None
+
+    @property
+    def visible_boundary(self) -> Boundary | None:
+        """The boundary where the slices show one."""
+        return self.boundary if self.boundary is not None and len(self.boundary.points) else None

@@ -20,7 +20,8 @@ class Fused:
         pose: target_from_source.
         covariance: (6, 6) rad², mm²; NaN where the pose is no minimum.
         curvature: of LC2's cost about its own pose.
-        boundary: fit of the boundary from LC2's pose; None where the model's surface is not known.
+        boundary: fit of the boundary from LC2's pose; None where the model's surface is not known or the
+            slices show no boundary.
     """
 
     pose: Rigid
@@ -34,9 +35,9 @@ def fuse(data: RegistrationData, refined: Refined, options: RegistrationOptions)
     chart = PoseChart(refined.best.pose, data.center_mm)
     curvature = curvature_about(refined.inside, chart)
     covariance = curvature.covariance(refined.inside.information, data.prior)
-    if data.boundary is None:
+    if data.visible_boundary is None:
         return Fused(refined.best.pose, covariance, curvature, None)
-    boundary = fit_boundary(data.boundary, refined.best.pose, data.center_mm)
+    boundary = fit_boundary(data.visible_boundary, refined.best.pose, data.center_mm)
     share = options.boundary_share
     pose = chart.pose(share * chart.coordinates(boundary.pose))
     # as good as both together would be if they erred alike

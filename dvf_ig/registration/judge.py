@@ -10,6 +10,7 @@ from dvf_ig.registration.evidence.checks import (
     wrong_pose_z_score,
 )
 from dvf_ig.registration.evidence.half_volumes import half_volume_disagreement_mm
+from dvf_ig.registration.evidence.phase_offset import phase_offset
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.slices import within
 from dvf_ig.registration.lc2.threads import SliceThreads
@@ -36,14 +37,24 @@ def gather_evidence(
         coarse: LC2 on the coarse slices.
         rng: draws the wrong poses.
     """
-    best, boundary = refined.best.pose, fused.boundary
+    best = refined.best.pose
     return Evidence(
         z_score=wrong_pose_z_score(coarse, PoseChart(best, data.center_mm), rng),
         split_half_mm=split_half_disagreement_mm(fused.curvature),
         phase_mm=phase_disagreement_mm(fused.curvature, data.fine.slices.model_phase),
         half_volume_mm=_half_volumes(data, best, options, threads) if options.half_volumes else None,
-        boundary_mm=None if boundary is None else mean_displacement_mm(best, boundary.pose, data.center_mm),
+        boundary_mm=_boundary_distance_mm(data, best, fused),
+        phase_offset=None if data.rr_s is None else phase_offset(coarse, fused.pose, data.rr_s),
     )
+
+
+def _boundary_distance_mm(data: RegistrationData, pose: Rigid, fused: Fused) -> float | None:
+    """Distance of the boundary's pose; inf where the slices show none of the model's boundary."""
+    if data.boundary is None:
+        return None
+    if fused.boundary is None:
+        return float("inf")
+    return mean_displacement_mm(pose, fused.boundary.pose, data.center_mm)
 
 
 def _half_volumes(
@@ -91,6 +102,8 @@ def stop_of(
         return Stop.LOW_OVERLAP
     if evidence.z_score < options.limits.z_score:
         return Stop.POOR_MATCH
+    if evidence.phase_offset is not None and evidence.phase_offset.suspicious:
+        return Stop.PHASE_OFFSET
     if not refined.best.converged or moved_mm > options.bound_mm:
         return Stop.MAX_ITERATIONS
     if not np.isfinite(fused.covariance).all():

@@ -39,3 +39,10 @@ class RegistrationResult:
     evaluations: int
     seconds: float
     slices: int
+
+    @property
+    def sentence(self) -> str:
+        """How it ended, as a user reads it."""
+        if self.stop is Stop.PHASE_OFFSET and self.evidence.phase_offset is not None:
+            return self.evidence.phase_offset.sentence
+        return self.stop.value

@@ -157,6 +157,7 @@ def register_scenario(
     scenario: Scenario,
     start: Rigid | None = None,
     *,
+    model: DvfModel | None = None,
     seed: int = 0,
     progress: Progress | None = None,
     clock: Clock = perf_counter,
@@ -165,6 +166,8 @@ def register_scenario(
 
     It ends in DISAGREEMENT where landmarks were touched and lie elsewhere (see `registration_monitor`).
 
+    Args:
+        model: as `run_replay`.
     Raises:
         NoOverlapError: too few frames can be compared with the model.
         InvalidInputError, QualityGateError: as `run_replay`.
@@ -175,7 +178,7 @@ def register_scenario(
     calibrations = calibrate(scenario, seed)
     peaks, _ = stream_recording(scenario.ecg)
     require_heart_beats(peaks, scenario)
-    heart = build_heart(scenario.preop, progress=lambda f: report_progress(0.6 * f))
+    heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.6 * f))
     recording = UltrasoundRecording(
         scenario.ultrasound, 0, scenario.fan, heart, peaks, in_use(calibrations), "two-segment"
     )

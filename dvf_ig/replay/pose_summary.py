@@ -32,11 +32,6 @@ class PoseSummary:
     update_s_p95: float | None
     suspended_s: tuple[tuple[float, float], ...]
 
-    @property
-    def withheld_s(self) -> float:
-        """Seconds without a force after the first pose."""
-        return sum(end_s - begin_s for begin_s, end_s in self.suspended_s)
-
 
 def summarise_poses(history: SessionHistory, center_mm: FloatArray, end_s: float) -> PoseSummary:
     """Beats, drift, computing time and suspensions of a whole replay.

@@ -60,6 +60,9 @@ def result_of(replay: Replay) -> dict[str, Any]:
             "mean": float(magnitude[valid].mean()) if valid.any() else 0.0,
         },
         "seconds": round(replay.seconds, 3),
+        "fixtures": [one.described() for one in replay.setup.fixtures.fixtures],
+        "fixtures_cap_n": replay.setup.fixtures.joint_cap_n,
+        "retiming": replay.setup.retiming,
         "estimates": _estimates(replay),
         **_pose_updates(replay),
         "supervisor": asdict(summarise_supervision(ticks.t_s, ticks.supervisor, force)),
@@ -128,9 +131,15 @@ def _pose_updates(replay: Replay) -> dict[str, Any]:
         "update_seconds": None
         if done.update_s_median is None
         else {"median": done.update_s_median, "p95": done.update_s_p95},
-        "withheld_s": done.withheld_s,
+        "withheld_s": _withheld_s(replay.ticks),
         "doubts_s": [list(span) for span in done.suspended_s],
     }
+
+
+def _withheld_s(ticks: Ticks) -> float:
+    """Seconds after the first pose in which none could be used: suspended, or confirmed by no beat."""
+    posed = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
+    return float(np.count_nonzero(np.maximum.accumulate(posed) & ~posed)) / RATE_HZ
 
 
 def _pose_age(ticks: Ticks) -> dict[str, float] | None:
@@ -158,6 +167,7 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
 def evidence_of(result: RegistrationResult) -> dict[str, Any]:
     """What speaks for or against a registration, under the names every command uses."""
     finite = bool(np.isfinite(result.covariance).all())
+    offset = result.evidence.phase_offset
     return {
         "success_probability": result.success_probability,
         "covariance": result.covariance.tolist() if finite else None,
@@ -172,6 +182,7 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
         "phase_disagreement_mm": _finite(result.evidence.phase_mm),
         "part_disagreement_mm": _finite(result.evidence.half_volume_mm),
         "edge_disagreement_mm": _finite(result.evidence.boundary_mm),
+        "phase_offset_s": None if offset is None else offset.offset_s,
         "moved_mm": result.moved_mm,
         "slices": result.slices,
         "seconds": round(result.seconds, 3),

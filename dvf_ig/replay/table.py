@@ -25,6 +25,8 @@ def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         *_pose_rows(result),
         *_update_rows(result),
         *_force_rows(result),
+        _supervisor_row(result),
+        _supervisor_row(result),
         ("time", f"{result['seconds']:.1f} s", ""),
     ]
 
@@ -111,3 +113,19 @@ def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         share, served = 100 * contact["share"], 100 * contact["served_share"]
         rows.append(("contact", "", f"in {share:.0f} % of ticks, force given in {served:.0f} % of those"))
     return rows
+
+
+def _supervisor_row(result: dict[str, Any]) -> tuple[str, str, str]:
+    done, hazard_s = result["supervisor"], result["hazard_s"]
+    text = (
+        f"{done['fades']} fades, {done['latches']} latches ({done['latched_s']:.1f} s), "
+        f"largest step {done['largest_step_n']:.3f} N"
+    )
+    if hazard_s is None:
+        return ("supervisor", text, "")
+    longest_s = result["hazard_longest_s"]
+    return (
+        "supervisor",
+        text,
+        f"{hazard_s:.1f} s of force on a pose over 5 mm off, {longest_s:.1f} at a time",
+    )

@@ -56,7 +56,14 @@ def register_frames(
         for pitch, channels in ((COARSE_PITCH_MM, heart.coarse), (FINE_PITCH_MM, heart.fine))
     )
     return register_rigid(
-        RegistrationData(coarse, fine, heart.center_mm, _boundary(recording, frames, mask), prior),
+        RegistrationData(
+            coarse,
+            fine,
+            heart.center_mm,
+            _boundary(recording, frames, mask),
+            prior,
+            _usual_rr_s(recording, frames),
+        ),
         start,
         rng=np.random.default_rng(seed),
         clock=clock,
@@ -67,6 +74,14 @@ def register_frames(
         ),
         progress=progress,
     )
+
+
+def _usual_rr_s(recording: UltrasoundRecording, frames: GatedFrames) -> float:
+    """Median interval of the R peaks about the used frames; the model's own where there are none."""
+    begin, end = frames.event_s[frames.used][[0, -1]]
+    peaks = np.array([p.t_s for p in recording.peaks])
+    near = peaks[(peaks > begin - 2.0) & (peaks < end)]
+    return float(np.median(np.diff(near))) if len(near) > 1 else recording.heart.model.timing.rr_s
 
 
 def _boundary(recording: UltrasoundRecording, frames: GatedFrames, mask: BoolArray) -> Boundary | None:

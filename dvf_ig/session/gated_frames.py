@@ -1,6 +1,7 @@
 """Ultrasound frames that can be compared with the model: tracked, gated, and placed in its cycle."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from dvf_ig.registration import (
     SliceSet,
     TrackedImages,
     fan_mask_from_images,
+    frame_information,
     gate_frames,
     prepare_slices,
     subsample,
@@ -105,7 +107,7 @@ class GatedFrames:
         reasons = ", ".join(f"{count} {reason}" for reason, count in self.gated.rejected.items() if count)
         return (
             f"{len(self.used)} ultrasound frames can be compared with the model ({reasons}); "
-            f"needed at least {MIN_FRAMES}: check probe tracking and ECG"
+            f"needed at least {MIN_FRAMES}: check probe tracking, ultrasound images and ECG"
         )
 
 
@@ -129,6 +131,13 @@ def gate_recording(
     here = slice(first, last)
     rotations, translations, tracked = ultrasound.stream("tracker", "probe").at_many(event_s[here])
     by_s = until_s if known_s is None else known_s
+    images, mm = recording.images, recording.calibrations.probe_from_image.scale_mm_per_px
+    information = frame_information(
+        images[here],
+        _sector(recording, images[here]),
+        (float(mm[1]), float(mm[0])),
+        before=images[first - 1] if first else None,
+    )
     known = np.array([p.t_s for p in recording.peaks if p.detected_at_s <= by_s])
     beat = beat_phase(known, event_s[here])
     model_phase = retimed(recording.heart.model, beat.phi, beat.rr_s, recording.retiming)
@@ -138,6 +147,7 @@ def gate_recording(
         image_valid=ultrasound.image_valid[here],
         pose_valid=tracked,
         beat_valid=beat.regular,
+        information=information,
         window=window,
     )
     used = gated.index[subsample(len(gated.index), MAX_FRAMES)]
@@ -157,10 +167,23 @@ def ultrasound_mask(recording: UltrasoundRecording, frames: GatedFrames) -> Bool
     Raises:
         InvalidInputError: the recording has no images.
     """
-    images, fan = recording.images, recording.fan
+    return _sector(recording, recording.images[frames.first + frames.used])
+
+
+def _sector(recording: UltrasoundRecording, images: NDArray[np.uint8]) -> BoolArray:
+    """(rows, columns) sector, from the scanner's geometry, else from what these images show."""
+    fan = recording.fan
     if fan is not None:
-        return fan.mask(*images.shape[1:])
-    return fan_mask_from_images(images[frames.first + frames.used])
+        return fan_mask(fan, *images.shape[1:])
+    return fan_mask_from_images(images)
+
+
+@lru_cache(maxsize=4)
+def fan_mask(fan: Fan, rows: int, columns: int) -> BoolArray:
+    """Sector of a fan that every beat asks for anew."""
+    mask = fan.mask(rows, columns)
+    mask.setflags(write=False)
+    return mask
 
 
 def slices_of(

@@ -1,23 +1,23 @@
 """What the pre-operative data give: the fixture model and the channels that ultrasound is compared with."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import (
-    LV_CAVITY,
     DvfModel,
     FloatArray,
     Grid,
     InvalidInputError,
     Preop,
-    SurfaceSeries,
     VolumeSeries,
     read_only_arrays,
 )
-from dvf_ig.preop import close_surface, model_from_labels, model_from_surfaces, rasterise
+from dvf_ig.kernels.compiled import thread_count
+from dvf_ig.preop import close_surface, model_from_preop, rasterise
 from dvf_ig.registration import (
     BLOOD,
     WALL,
@@ -80,35 +80,27 @@ def build_heart(
     Raises:
         InvalidInputError: neither labels nor surfaces, no such surface, or another patient's model.
     """
-    if model is not None:
-        if model.patient_id != preop.patient_id:
-            raise InvalidInputError(
-                f"the model is of patient '{model.patient_id}', the scenario of '{preop.patient_id}'; "
-                "build a model from this patient's images"
-            )
-    elif preop.labels is not None:
-        model = model_from_labels(preop, progress=progress)
-    else:
-        cavity = next((s for s in preop.surfaces if s.name == LV_CAVITY), None)
-        model = model_from_surfaces(_fixture_surface(preop), cavity=cavity, progress=progress)
+    if model is None:
+        model = model_from_preop(preop, progress=progress)
+    elif model.patient_id != preop.patient_id:
+        raise InvalidInputError(
+            f"the model is of patient '{model.patient_id}', the scenario of '{preop.patient_id}'; "
+            "build a model from this patient's images"
+        )
     vertices = model.reference[model.ed_phase].vertices_mm
     center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     labels = label_map(preop)
     seen = bool((labels.values == BLOOD).any())
-    surface = target_from_labels(labels, labels.timing.fractions) if seen else None
+    with ThreadPoolExecutor(thread_count()) as pool:
+        target = pool.submit(target_from_labels, labels, labels.timing.fractions) if seen else None
+        if preop.mr is not None:
+            channels = channels_from_mr(preop.mr, smoothing_mm=MR_SMOOTHING_MM)
+        else:
+            channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
+        surface = target.result() if target is not None else None
     if preop.mr is not None:
-        channels = channels_from_mr(preop.mr, smoothing_mm=MR_SMOOTHING_MM)
         return Heart(model, channels, channels, center, surface, MR_BOUNDARY_SHARE)
-    channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
     return Heart(model, channels, channels, center, surface, LABEL_BOUNDARY_SHARE, False, normalised_grey)
-
-
-def _fixture_surface(preop: Preop) -> SurfaceSeries:
-    for series in preop.surfaces:
-        if series.name == preop.surface:
-            return series
-    known = ", ".join(s.name for s in preop.surfaces) or "none"
-    raise InvalidInputError(f"the pre-operative data have no surface '{preop.surface}'; they have {known}")
 
 
 def label_map(preop: Preop) -> VolumeSeries:

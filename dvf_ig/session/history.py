@@ -41,7 +41,7 @@ class Attempt:
         if self.refused is not None:
             return self.refused.sentence
         if self.result is not None:
-            return self.result.stop.value
+            return self.result.sentence
         if self.failure is not None or self.frames is None:
             return self.failure or "no ultrasound"
         return self.frames.shortage

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from math import inf
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import PoseMotion, Rigid
+from dvf_ig.core import PoseMotion, Rigid, Stop
 from dvf_ig.registration import PoseEstimate
 
 from .beat_evaluation import BEAT_COMPUTE_S, BeatEvaluation, ComparableBeat, ComparedBeat
@@ -23,7 +23,7 @@ from .events import Landmark
 from .executor import Job
 from .history import Attempt, PoseUpdate, SessionHistory
 from .refusal import Refusal, Refused
-from .registration_monitor import CONSISTENT_LOG_RATIO, RegistrationMonitor
+from .registration_monitor import RegistrationMonitor, confirms
 from .touched_landmarks import TouchedLandmarks
 from .ultrasound_source import RegistrationAnswer, RegistrationRequest, UltrasoundSource
 
@@ -191,6 +191,8 @@ class PoseTracker:
         self._next_start_s = asked.asked_s + RETRY_S
         if attempt.usable:
             self._take_pose(attempt, now_s)
+        elif attempt.result is not None:
+            self._take_refusal(attempt.result.stop, attempt.asked_s, now_s)
 
     def _take_pose(self, attempt: Attempt, now_s: float) -> None:
         """A registration whose own evidence allows its use meets the monitor."""
@@ -214,6 +216,16 @@ class PoseTracker:
                     self._compare(beat, now_s)
         elif self.monitor.in_use:
             self._next_start_s = attempt.asked_s + self._refresh_s(attempt.asked_s)
+
+    def _take_refusal(self, stop: Stop, asked_s: float, now_s: float) -> None:
+        """A registration refused by its own evidence speaks against the pose in use."""
+        before = self.monitor
+        self.monitor = before.after_refusal(stop)
+        self._record_update(before, now_s)
+        if before.in_use and not self.monitor.in_use:
+            self._landmarks.forget()
+            self._frames_from_s = max(self._frames_from_s, asked_s)
+            self._next_start_s = max(now_s, asked_s + RECOVER_S)
 
     def _refresh_s(self, asked_s: float) -> float:
         """A registration from little is repeated when there is twice as much."""
@@ -265,7 +277,7 @@ class PoseTracker:
         self.history.beats.append(evaluation)
         self.monitor = before.after_beat(evaluation.measurement)
         self._record_update(before, now_s)
-        if self.monitor.in_use and evaluation.measurement.log_likelihood_ratio <= CONSISTENT_LOG_RATIO:
+        if self.monitor.in_use and confirms(evaluation.measurement):
             self.confirmation = Confirmation(now_s)
         if before.in_use and not self.monitor.in_use:
             self._suspend(beat.end_s, evaluation.measurement.best, now_s)

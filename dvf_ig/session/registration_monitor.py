@@ -5,13 +5,15 @@ match the model well at some pose. What they do not leave alone is the place: la
 tool disagree at once, the next heart beat matches better at another pose, and after a slip no pose fits the
 views of several beats.
 
-    in use ── a beat that disagrees, or a registration elsewhere ──► suspended: no force
+    in use ── a beat that disagrees, a registration elsewhere, or two refused ones ──► suspended: no force
     suspended ── consecutive beats consistent with it, or with a registration made since ──► in use
 """
 
 from dataclasses import dataclass, replace
 
-from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+import numpy as np
+
+from dvf_ig.core import FloatArray, Rigid, Stop, read_only_arrays
 from dvf_ig.registration import BeatMeasurement, PoseEstimate, mean_displacement_mm
 
 from .refusal import Refusal, Refused
@@ -28,6 +30,15 @@ CONSISTENT_LOG_RATIO = 5.0
 CONFIRMING_BEATS, MAX_CONFIRMING_BEATS = 3, 10
 """Consecutive beats that confirm a pose, and twice as many after each registration that beats contradicted: a
 patient who moved lies still again, but a slipped marker is wrong in another way from view to view."""
+SUSPENDING_REFUSALS = 2
+"""Registrations in a row that their own evidence refuses, after which the pose in use is suspended."""
+REFUSAL_SIGMA_MM = 1.0
+"""Standard deviation per coordinate that one of them adds to the pose in use."""
+
+
+def confirms(measurement: BeatMeasurement) -> bool:
+    """Whether a beat says that the pose is right: it would have contradicted a wrong one, and did not."""
+    return measurement.informative and measurement.log_likelihood_ratio <= CONSISTENT_LOG_RATIO
 
 
 def landmark_disagreement_mm(pose: Rigid, landmarks: Rigid | None, center_mm: FloatArray) -> float | None:
@@ -49,6 +60,8 @@ class RegistrationMonitor:
         suspended: no force may come from `estimate`.
         consistent_beats: consecutive beats that agree with the pose under test.
         needed_beats: so many of them bring it into use.
+        refusals: registrations in a row that were refused by their own evidence while the pose was in use.
+        phase_doubted: ECG and images disagree; no beat confirms a pose until a registration is usable again.
     """
 
     center_mm: FloatArray
@@ -58,6 +71,8 @@ class RegistrationMonitor:
     suspended: bool = True
     consistent_beats: int = 0
     needed_beats: int = CONFIRMING_BEATS
+    refusals: int = 0
+    phase_doubted: bool = False
 
     @property
     def under_test(self) -> PoseEstimate | None:
@@ -74,12 +89,29 @@ class RegistrationMonitor:
     ) -> tuple["RegistrationMonitor", Refused | None]:
         """The next state, and why the registration is not in use yet; its middle is so many beats old."""
         if self.suspended or self.estimate is None:
-            return self._with_pending(found)
+            return replace(self, phase_doubted=False)._with_pending(found)
         off_mm = mean_displacement_mm(found.pose, self.estimate.pose, self.center_mm)
         if off_mm <= JUMP_MM:
-            return replace(self, estimate=self.estimate.update_with(found.predict(beats))), None
-        suspended = replace(self, pending=found, suspended=True, consistent_beats=0)
-        return suspended, Refused(Refusal.MOVED, off_mm)
+            updated = self.estimate.update_with(found.predict(beats))
+            return replace(self, estimate=updated, refusals=0), None
+        return replace(self._suspended(), pending=found), Refused(Refusal.MOVED, off_mm)
+
+    def after_refusal(self, stop: Stop) -> "RegistrationMonitor":
+        """The next state after a registration that its own evidence refused; `stop` says why.
+
+        The first makes the pose in use less certain, SUSPENDING_REFUSALS in a row suspend it. One suffices
+        where ECG and images disagree: at wrong phases no beat can tell a good pose from a wrong one.
+        """
+        if self.suspended or self.estimate is None:
+            return replace(self, phase_doubted=self.phase_doubted or stop is Stop.PHASE_OFFSET)
+        if stop is Stop.PHASE_OFFSET:
+            return replace(self._suspended(), phase_doubted=True)
+        if self.refusals + 1 >= SUSPENDING_REFUSALS:
+            return self._suspended()
+        return replace(self, estimate=_less_certain(self.estimate), refusals=self.refusals + 1)
+
+    def _suspended(self) -> "RegistrationMonitor":
+        return replace(self, suspended=True, consistent_beats=0, refusals=0)
 
     def _with_pending(self, found: PoseEstimate) -> tuple["RegistrationMonitor", Refused]:
         """Landmarks are compared with the first pose only: a patient who moved took them along."""
@@ -89,20 +121,32 @@ class RegistrationMonitor:
         return replace(self, pending=found, consistent_beats=0), Refused(Refusal.UNCONFIRMED)
 
     def after_beat(self, measurement: BeatMeasurement) -> "RegistrationMonitor":
-        """The next state after a beat that was compared with the pose under test."""
+        """The next state after a beat that was compared with the pose under test.
+
+        A beat without information neither confirms a pose nor moves it.
+        """
         tested = self.under_test
         if tested is None:
             return self
         if not self.suspended:
             if measurement.log_likelihood_ratio > SUSPEND_LOG_RATIO:
-                return replace(self, suspended=True, consistent_beats=0)
+                return self._suspended()
+            if not measurement.informative:
+                return replace(self, estimate=tested.predict(1.0))
             return replace(self, estimate=_updated(tested, measurement))
+        if self.phase_doubted:
+            return self
         if measurement.log_likelihood_ratio > CONSISTENT_LOG_RATIO:
             return self._contradicted()
+        if not measurement.informative:
+            return self
         if self.consistent_beats + 1 < self.needed_beats:
             return replace(self, consistent_beats=self.consistent_beats + 1)
         return RegistrationMonitor(
-            self.center_mm, self.landmarks, estimate=_updated(tested, measurement), suspended=False
+            self.center_mm,
+            self.landmarks,
+            estimate=_updated(tested, measurement),
+            suspended=False,
         )
 
     def _contradicted(self) -> "RegistrationMonitor":
@@ -110,6 +154,11 @@ class RegistrationMonitor:
             return replace(self, consistent_beats=0)
         needed = min(2 * self.needed_beats, MAX_CONFIRMING_BEATS)
         return replace(self, pending=None, consistent_beats=0, needed_beats=needed)
+
+
+def _less_certain(estimate: PoseEstimate) -> PoseEstimate:
+    wider = estimate.covariance_mm2 + REFUSAL_SIGMA_MM**2 * np.eye(6)
+    return PoseEstimate(estimate.pose, wider, estimate.center_mm)
 
 
 def _updated(tested: PoseEstimate, measurement: BeatMeasurement) -> PoseEstimate:

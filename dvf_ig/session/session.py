@@ -22,7 +22,7 @@ import numpy as np
 
 from dvf_ig.cardiac import retiming_curve
 from dvf_ig.core import InvalidInputError, PhaseState
-from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, Status, Supervisor, hazard_of
+from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, RearmAnswer, Status, Supervisor, hazard_of
 from dvf_ig.guidance.fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, RATE, TICK_OUTPUT
 from dvf_ig.kernels.place import MODEL_PHASE, PLACE_SIZE, TURN_RATE, place_tick
 from dvf_ig.registration import SliceThreads
@@ -42,6 +42,8 @@ from .ultrasound_source import ArrivedUltrasound
 REMEMBERED = 200
 """Registrations, beats and updates that a session remembers unless it is given a history of its own."""
 
+_FOUND_BY_FIXTURES = (Status.OUT_OF_VOLUME, Status.FAULT)
+"""What only the fixtures know; any other status has its hazard already."""
 _UNPOSED = np.zeros((3, 4))
 """The pose of a tick that gives no force."""
 
@@ -94,6 +96,7 @@ class Session:
         self._model_from_tracker = self._place[:TURN_RATE].reshape(3, 4)
         self._point = np.empty(3)
         self._known: tuple[object, object, object] = (None, None, None)
+        self._rearmed: RearmAnswer | None = None
         self._now_s = -inf
 
     def __enter__(self) -> "Session":
@@ -144,7 +147,9 @@ class Session:
         hazards = self._hazards(now_s, tool.hazard)
         status = self._evaluate(now_s, tool)
         wanted_n = self._out[FORCE]
-        supervised = self._supervisor.step(now_s, wanted_n, hazards | hazard_of(status))
+        if status in _FOUND_BY_FIXTURES:
+            hazards |= hazard_of(status)
+        supervised = self._supervisor.step(now_s, wanted_n, hazards)
         confirmation = self._pose.confirmation
         return GuidanceState(
             now_s=now_s,
@@ -162,6 +167,7 @@ class Session:
             rate_mm_per_cycle=float(self._out[RATE]),
             conflict=bool(self._out[CONFLICT]),
             supervised=supervised,
+            rearmed=self._rearmed,
         )
 
     def _advance(self, now_s: float, stepped_s: float) -> None:
@@ -182,7 +188,7 @@ class Session:
         if isinstance(action, Landmark):
             self._pose.add_landmark(action)
         else:
-            self._supervisor.rearm(max(action.t_s, stepped_s))
+            self._rearmed = self._supervisor.rearm(max(action.t_s, stepped_s))
 
     def _take_peak(self, stepped_s: float) -> None:
         """A peak whose samples came late is known from now on: nothing begins in the past."""

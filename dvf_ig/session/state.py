@@ -6,7 +6,7 @@ from math import nan
 import numpy as np
 
 from dvf_ig.core import FloatArray, PhaseReading, read_only_arrays
-from dvf_ig.guidance import PoseAndPhase, Status, SupervisedForce, SupervisorState
+from dvf_ig.guidance import PoseAndPhase, RearmAnswer, Status, SupervisedForce, SupervisorState
 from dvf_ig.registration import PoseEstimate
 
 from .calibrations import CalibrationsInUse
@@ -34,6 +34,7 @@ class GuidanceState:
         rate_mm_per_cycle: its change with the model's phase; NaN unless OK, and of a path.
         conflict: fixtures oppose each other.
         supervised: the force to send, and the supervisor's state with what it found.
+        rearmed: answer to the operator's last re-arm; None before any.
     """
 
     now_s: float
@@ -51,6 +52,7 @@ class GuidanceState:
     rate_mm_per_cycle: float
     conflict: bool
     supervised: SupervisedForce
+    rearmed: RearmAnswer | None
 
     @property
     def phase(self) -> PhaseReading:
@@ -79,6 +81,8 @@ class GuidanceState:
     def reasons(self) -> tuple[str, ...]:
         """Why the force is not given in full, a sentence each; none where it is."""
         found = self.supervised.sentences
+        if self.supervisor is SupervisorState.LATCHED and self.rearmed is not None:
+            found += (self.rearmed.value,)
         if self.registration is not None and not self.registration.usable:
             found += (f"last registration: {self.registration.reason}",)
         return found

@@ -16,6 +16,11 @@ MAX_AGE_S = 0.050
 MAX_AGE_FRAMES = 2.5
 VELOCITY_SPAN_S = 0.030
 """Velocity is the tip's displacement over about this long: three frames at 100 Hz."""
+LATE_S = 0.015
+LATE_POSES, JUDGED_POSES = 3, 5
+"""The latency has jumped where LATE_POSES of the last JUDGED_POSES came LATE_S later than is usual."""
+LATE_MM = 0.3
+"""A jump of latency matters where the tip moves further than this in it: the prediction may err as much."""
 FROZEN_POSES = 5
 """So many bit-identical poses in a row are one old pose, whatever their status says."""
 RATE_POSES = 32
@@ -65,6 +70,7 @@ class ToolTracker:
         self._tracked_s = float("-inf")
         self._velocity = np.zeros(3)
         self._limit_s = MAX_AGE_S
+        self._latencies: deque[float] = deque(maxlen=RATE_POSES)
 
     def push(self, pose: ToolPose) -> None:
         """Take one pose; one that is not later than all before is dropped."""
@@ -75,6 +81,7 @@ class ToolTracker:
         """The tool as known at `now_s`, from the poses stamped until then; times in order."""
         self.order.advance(now_s)
         while self._waiting and self._waiting[0].t_s <= now_s:
+            self._latencies.append(now_s - self._waiting[0].t_s)
             self._take(self._waiting.popleft())
         hazard = self._hazard(now_s)
         age_s = now_s - self._tracked_s
@@ -89,7 +96,17 @@ class ToolTracker:
         newest = self._samples[-1]
         if now_s - newest.t_s > self._limit_s:
             return Hazard.CLOCK_BACKWARDS if self.order.restarted else Hazard.STALE_TOOL
-        return newest.hazard
+        return newest.hazard or (Hazard.LATENCY_JUMP if self._delayed else Hazard.NONE)
+
+    @property
+    def _delayed(self) -> bool:
+        """Whether poses now come so much later than is usual that the predicted tip may be far off."""
+        if len(self._latencies) <= JUDGED_POSES:
+            return False
+        usual_s = sorted(self._latencies)[len(self._latencies) // 2]
+        recent = sorted(list(self._latencies)[-JUDGED_POSES:])
+        excess_s = recent[-LATE_POSES] - usual_s
+        return excess_s > LATE_S and float(np.linalg.norm(self._velocity)) * excess_s > LATE_MM
 
     def _take(self, pose: ToolPose) -> None:
         matrix, hazard = pose.tracker_from_tool, Hazard.NONE

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from dvf_ig.cardiac import RetimeMode, RPeak
 from dvf_ig.core import DvfIgError, Fan, Rigid
 from dvf_ig.registration import LandmarkPrior, RegistrationResult, SliceThreads
@@ -15,6 +17,9 @@ from .frame_buffer import FrameBuffer
 from .frame_registration import register_frames
 from .gated_frames import GatedFrames, UltrasoundRecording, gate_recording
 from .heart import Heart
+
+_FAILURES = (DvfIgError, np.linalg.LinAlgError)
+"""What a registration or a comparison of unfit images may end with."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +122,7 @@ class ArrivedUltrasound:
                 warm=request.warm,
                 prior=request.prior,
             )
-        except DvfIgError as error:
+        except _FAILURES as error:
             return RegistrationAnswer(frames, None, str(error))
         return RegistrationAnswer(frames, result)
 
@@ -125,7 +130,7 @@ class ArrivedUltrasound:
         """Black images, for example, are refused: such a beat confirms nothing."""
         try:
             return compare_beat(recording, pose, self.clock, self.threads, in_use=in_use)
-        except DvfIgError:
+        except _FAILURES:
             return ComparedBeat(None, None, irregular=False)
 
     def _recording(

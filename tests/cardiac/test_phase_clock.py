@@ -238,6 +238,8 @@ def test_refusals() -> None:
     clock.at(1.0)
     with pytest.raises(InvalidInputError, match="in order"):
         clock.at(0.5)
+    with pytest.raises(InvalidInputError, match="in order"):
+        clock.at(float("nan"))
     clock.add(RPeak(2.0, 2.1, 1.0))
     with pytest.raises(InvalidInputError, match="in order"):
         clock.add(RPeak(1.5, 2.2, 1.0))

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import dvf_ig
 from dvf_ig.cli.main import app
-from dvf_ig.core import Landmarks, Points, Preop, Rigid, Scenario
+from dvf_ig.core import DvfModel, Landmarks, Points, Preop, Rigid, Scenario
 from dvf_ig.io import read_coordinate_definitions, read_transform, write_landmarks, write_transform
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay import Replay
@@ -54,7 +54,7 @@ def test_doctor_names_what_is_needed() -> None:
 def test_register_writes_a_transform_that_evaluate_reads(
     scenario: Scenario, replay: Replay, written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def heart_of_the_same_images(preop: Preop, **_: object) -> Heart:
+    def heart_of_the_same_images(preop: Preop, _: DvfModel | None, **__: object) -> Heart:
         """The replay's: what was read back is what it was built from, and building it again takes long."""
         for read, made in ((preop.mr, scenario.preop.mr), (preop.labels, scenario.preop.labels)):
             assert read is not None

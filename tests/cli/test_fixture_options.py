@@ -1,13 +1,17 @@
 """Fixture options: the same names in every command and in YAML, the defaults that help shows, retiming."""
 
 import inspect
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import typer
 from click import Command
+from typer.testing import CliRunner
 
 from dvf_ig.cli.fixture_options import LAW_NAMES, RetimingName, chosen_fixtures, chosen_retiming
 from dvf_ig.cli.main import app
+from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance import Confinement, FixtureOptions, FixtureSet, Gaussian
 from dvf_ig.io.fixtures import LAWS
 from dvf_ig.replay import run_replay
@@ -54,3 +58,56 @@ def test_retiming_is_given_once() -> None:
     assert chosen_retiming(None, "uniform") == "uniform"
     with pytest.raises(typer.BadParameter, match="leave out --retiming"):
         chosen_retiming(RetimingName.uniform, "uniform")
+
+
+@pytest.mark.parametrize(
+    ("options", "fixtures", "mode"),
+    [
+        ((), FixtureSet(), "two-segment"),
+        (
+            ("--law", "guidance", "--delta", "4", "--m", "2", "--retiming", "uniform"),
+            FixtureSet((FixtureOptions(Gaussian(4.0, 2.0)),)),
+            "uniform",
+        ),
+        (
+            ("--inside", "--gamma", "2", "--depth-mm", "1", "--cap-n", "0.4", "--blend", "distance"),
+            FixtureSet((FixtureOptions(Confinement(2.0, 0.4, 1.0), "distance"),)),
+            "two-segment",
+        ),
+        (("--fixtures", "FILE"), FixtureSet((FixtureOptions(Gaussian(), name="guide"),), 0.5), "uniform"),
+    ],
+)
+def test_a_replay_is_given_what_the_user_asked_for(
+    options: tuple[str, ...],
+    fixtures: FixtureSet,
+    mode: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    file = tmp_path / "fixtures.yaml"
+    text = "{cap_n: 0.5, retiming: uniform, fixtures: [{law: guidance, name: guide}]}"
+    file.write_text(text, encoding="utf-8")
+    given: dict[str, object] = {}
+
+    def asked(scenario: object, **arguments: object) -> None:
+        given.update(arguments)
+        raise InvalidInputError("asked")
+
+    monkeypatch.setattr(
+        "dvf_ig.io.read_scenario", lambda _: SimpleNamespace(preop=SimpleNamespace(patient_id=""))
+    )
+    monkeypatch.setattr("dvf_ig.replay.run_replay", asked)
+    words = [str(file) if word == "FILE" else word for word in options]
+    done = CliRunner().invoke(app, ["replay", str(tmp_path), "-o", str(tmp_path / "run"), *words])
+    assert "error: asked" in done.stderr
+    assert given["fixtures"] == fixtures
+    assert given["retiming"] == mode
+
+
+@pytest.mark.parametrize(
+    "options", [("--fixtures", "no.yaml", "--law", "guidance"), ("--law", "sigmoid"), ("--retiming", "cubic")]
+)
+def test_bad_fixture_options_end_a_replay_with_2(options: tuple[str, ...], tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["replay", str(tmp_path), "-o", str(tmp_path / "run"), *options])
+    assert done.exit_code == 2
+    assert not (tmp_path / "run").exists()

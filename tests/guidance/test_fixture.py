@@ -191,6 +191,17 @@ def test_a_distance_to_the_organ_is_not_one_to_a_path():
     assert force_at_distance(SEVERAL["wall and path"], np.zeros(1), np.eye(3)[:1]) is None
 
 
+def test_fixtures_on_one_surface_are_held_to_the_device_together(ball):
+    """Two sigmoids of 240 N/m add up to 480 at one depth, and to little more than 240 far apart."""
+    one = FixtureOptions(Sigmoid(2.0, 0.48))
+    with pytest.raises(InvalidInputError, match=r"together are too stiff .*: 480 N/m .*at most 400 N/m"):
+        Fixtures(ball, FixtureSet((one, one), cap_n=1.0))
+    assert Fixtures(ball, FixtureSet((one, FixtureOptions(Sigmoid(2.0, 0.48, 5.0))), cap_n=1.0)).parts
+    assert Fixtures(ball, FixtureSet((one, one)), device=DeviceLimits(stiffness_n_per_m=500.0)).parts
+    on_a_path = FixtureOptions(Gaussian(1.5, 1.0, 0.48), path=PATH)
+    assert Fixtures(ball, FixtureSet((one, on_a_path))).parts
+
+
 def test_what_is_refused(ball):
     with pytest.raises(InvalidInputError, match="holds no fixture"):
         FixtureSet(())

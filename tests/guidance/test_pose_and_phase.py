@@ -301,5 +301,8 @@ def test_refusals(ball):
         STILL.at(np.zeros(3), 9.8)
     with pytest.raises(InvalidInputError, match="covariance of the pose has shape"):
         replace(STILL, covariance_mm2=np.eye(3))
+    for wrong in (-np.eye(6), np.triu(np.ones((6, 6)))):
+        with pytest.raises(InvalidInputError, match="without negative eigenvalues"):
+            replace(STILL, covariance_mm2=wrong)
     with pytest.raises(InvalidInputError, match="infinity for never"):
         replace(STILL, pose_until_s=math.nan)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from supervised_loop import CAP
 
-from dvf_ig.guidance import Hazard, Rearm, Response, Supervisor, SupervisorState, hazards_with
+from dvf_ig.guidance import Hazard, RearmAnswer, Response, Supervisor, SupervisorState, hazards_with
 
 OK, DEGRADED, FADE, LATCHED = SupervisorState
 
@@ -87,7 +87,7 @@ def test_what_holds_in_any_sequence_of_steps(seed):
         if active & fading:
             assert out.state in (FADE, LATCHED)
             assert out.sentences
-        rearmed = answer is Rearm.ACCEPTED
+        rearmed = answer is RearmAnswer.ACCEPTED
         if rearmed:
             assert wanted_n < 0.2
             assert not active & fading

@@ -7,7 +7,7 @@ import pytest
 from supervised_loop import CAP, NONE, TICK_S, WANTED, Loop, guiding, latched, sizes
 
 from dvf_ig.core import InvalidInputError
-from dvf_ig.guidance import HAZARD_RULES, DeviceLimits, Hazard, Rearm, Supervisor, SupervisorState
+from dvf_ig.guidance import HAZARD_RULES, DeviceLimits, Hazard, RearmAnswer, Supervisor, SupervisorState
 
 OK, DEGRADED, FADE, LATCHED = SupervisorState
 
@@ -71,7 +71,7 @@ def test_a_force_that_is_not_finite_fades_in_20_ms_and_latches(bad):
     assert np.isfinite([s.force_n for s in fade]).all()
     assert not fade[-1].force_n.any()
     assert fade[-1].state is LATCHED
-    assert loop.rearm() is Rearm.HAZARD_ACTIVE
+    assert loop.rearm() is RearmAnswer.HAZARD_ACTIVE
 
 
 def test_ten_cut_steps_within_a_second_latch():
@@ -89,7 +89,7 @@ def test_ten_cut_steps_within_a_second_latch():
     assert last[-1].sentences == (HAZARD_RULES[Hazard.FORCE_CLAMPED].sentence,)
     # counting starts again after a re-arm
     loop.steps(1, wanted=NONE)
-    assert loop.rearm() is Rearm.ACCEPTED
+    assert loop.rearm() is RearmAnswer.ACCEPTED
     loop.steps(700)
     again = loop.steps(2, wanted=0.7 * WANTED)
     assert again[0].clamped
@@ -109,7 +109,7 @@ def test_cut_steps_are_counted_over_one_second(apart, latches):
 
 def test_rearm_raises_the_force_over_half_a_second():
     loop = latched()
-    assert loop.rearm() is Rearm.ACCEPTED
+    assert loop.rearm() is RearmAnswer.ACCEPTED
     rise = loop.steps(700)
     expected = 0.5 * (1 - np.cos(np.pi * np.minimum(np.arange(1, 701) / 500, 1.0)))
     np.testing.assert_allclose([s.force_n for s in rise], expected[:, None] * WANTED, atol=1e-9)
@@ -121,7 +121,7 @@ def test_rearm_raises_the_force_over_half_a_second():
 
 def test_a_rise_after_a_rearm_begins_again_when_it_was_interrupted():
     loop = latched()
-    assert loop.rearm() is Rearm.ACCEPTED
+    assert loop.rearm() is RearmAnswer.ACCEPTED
     loop.steps(400)
     loop.steps(300, hazards=Hazard.NO_PHASE)
     again = sizes(loop.steps(520))
@@ -131,7 +131,7 @@ def test_a_rise_after_a_rearm_begins_again_when_it_was_interrupted():
 
 def test_the_slow_rise_belongs_to_the_rearm_alone():
     loop = latched()
-    assert loop.rearm() is Rearm.ACCEPTED
+    assert loop.rearm() is RearmAnswer.ACCEPTED
     loop.steps(700)
     loop.steps(300, hazards=Hazard.NO_PHASE)
     assert loop.steps(110)[-1].state is OK
@@ -139,25 +139,25 @@ def test_the_slow_rise_belongs_to_the_rearm_alone():
 
 def test_a_step_before_the_time_of_the_rearm_still_sends_nothing():
     loop = latched()
-    assert loop.supervisor.rearm(loop.now_s + 0.05) is Rearm.ACCEPTED
+    assert loop.supervisor.rearm(loop.now_s + 0.05) is RearmAnswer.ACCEPTED
     assert not sizes(loop.steps(50)).any()
     assert loop.steps(2)[-1].force_n.any()
 
 
 def test_rearm_is_refused_with_a_reason_and_then_dropped():
-    assert guiding().rearm() is Rearm.NOT_LATCHED
-    assert Loop().rearm() is Rearm.NOT_LATCHED
+    assert guiding().rearm() is RearmAnswer.NOT_LATCHED
+    assert Loop().rearm() is RearmAnswer.NOT_LATCHED
     loop = latched()
     loop.steps(1, wanted=[0.0, 0.2, 0.0])
-    assert loop.rearm() is Rearm.FORCE_WANTED
+    assert loop.rearm() is RearmAnswer.FORCE_WANTED
     assert {s.state for s in loop.steps(50, wanted=NONE)} == {LATCHED}, "a refused re-arm stayed pending"
     loop.steps(1, wanted=NONE, hazards=Hazard.NO_POSE)
-    assert loop.rearm() is Rearm.HAZARD_ACTIVE
+    assert loop.rearm() is RearmAnswer.HAZARD_ACTIVE
     assert {s.state for s in loop.steps(50, wanted=NONE)} == {LATCHED}
-    assert loop.supervisor.rearm(loop.now_s + 0.2) is Rearm.NO_RECENT_STEP
+    assert loop.supervisor.rearm(loop.now_s + 0.2) is RearmAnswer.NO_RECENT_STEP
     loop.steps(1, wanted=[0.0, 0.199, 0.0], hazards=Hazard.CLOCK_SKEW)
-    assert loop.rearm() is Rearm.ACCEPTED
-    assert loop.rearm() is Rearm.NOT_LATCHED
+    assert loop.rearm() is RearmAnswer.ACCEPTED
+    assert loop.rearm() is RearmAnswer.NOT_LATCHED
 
 
 def test_a_hazard_during_a_latch_is_not_remembered_after_the_rearm():
@@ -166,7 +166,7 @@ def test_a_hazard_during_a_latch_is_not_remembered_after_the_rearm():
     lost = loop.steps(1500, wanted=NONE, hazards=Hazard.TOOL_LOST)
     assert all(s.hazards == Hazard.TOOL_LOST and s.cause == Hazard.NOT_FINITE for s in lost)
     loop.steps(1, wanted=NONE)
-    assert loop.rearm() is Rearm.ACCEPTED
+    assert loop.rearm() is RearmAnswer.ACCEPTED
     loop.steps(10, wanted=NONE, hazards=Hazard.NO_PHASE)
     assert loop.steps(300)[-1].state is DEGRADED
 

@@ -1,5 +1,6 @@
 """Fixtures in YAML: every key reaches its value, two of them are composed, and what is wrong is named."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,15 @@ fixtures:
     np.testing.assert_allclose(incision.path.points_mm[0], CURVE, atol=1e-12)
 
 
+def test_the_guide_s_example_is_read(tmp_path: Path, curve: Path) -> None:
+    page = Path(__file__).resolve().parents[2] / "dvf_ig/docs/guide/own-recordings.md"
+    (example,) = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    options, retiming = read_fixtures(written(tmp_path, example))
+    assert (options.cap_n, retiming) == (0.6, "two-segment")
+    assert options.fixtures[0] == FixtureOptions(Sigmoid(depth_mm=2.0), name="epicardium")
+    assert options.fixtures[1].law == Gaussian(4.0)
+
+
 def test_defaults_are_those_of_the_values(tmp_path: Path) -> None:
     assert ForbiddenConfig().options() == FixtureOptions()
     assert ForbiddenConfig(inside=True).options().law == Confinement()
@@ -78,6 +88,22 @@ def test_defaults_are_those_of_the_values(tmp_path: Path) -> None:
     assert PathConfig(path=((0, 0, 0), (1, 0, 0))).options().law == Gaussian()
     assert FixturesConfig().fixture_set(tmp_path).fixtures == (FixtureOptions(),)
     assert fixture_options({"law": "guidance", "m": 2.0}) == FixtureOptions(Gaussian(m=2.0))
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        FixtureOptions(Sigmoid(2.0, 0.5, 1.0), "distance", name="wall"),
+        FixtureOptions(Confinement(1.5, depth_mm=-2.0)),
+        FixtureOptions(Gaussian(4.0, 2.0, 0.4, 1.0), "periodic"),
+    ],
+)
+def test_a_fixture_is_described_by_the_keys_that_make_it(one: FixtureOptions) -> None:
+    assert fixture_options(one.described()) == one
+    path = PathTarget.static("mr", CURVE)
+    of_path = FixtureOptions(Gaussian(4.0), path=path, name="incision").described()
+    again = fixture_options({**of_path, "path": CURVE.tolist()})
+    assert (again.law, again.name) == (Gaussian(4.0), "incision")
 
 
 def test_two_fixtures_are_what_compose_makes_of_them(ball: DvfModel, tmp_path: Path, curve: Path) -> None:

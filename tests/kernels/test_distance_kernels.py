@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dvf_ig.kernels.closest import triangle_squared_distance
+from dvf_ig.kernels.median_tree import split_at_medians
 from dvf_ig.kernels.winding import winding_numbers
 from dvf_ig.preop import build_triangle_tree
 
@@ -64,6 +65,51 @@ def test_tree_finds_what_brute_force_finds(count):
     flat = corners.reshape(-1, 9)
     expected = [min(triangle_squared_distance(flat, m, *p) for m in range(count)) for p in points]
     np.testing.assert_allclose(tree.distance_mm(points), np.sqrt(expected), rtol=1e-12)
+
+
+@pytest.mark.parametrize("collapse", ["point", "edge", "line", "beyond", "sliver"])
+def test_leaves_with_triangles_without_area(collapse):
+    """What `_fill_frame` makes of them is as far as the triangle itself."""
+    rng = np.random.default_rng(8)
+    corners = rng.normal(size=(24, 3, 3))
+    if collapse == "point":
+        corners[:, 1:] = corners[:, :1]
+    elif collapse == "edge":
+        corners[:, 1] = corners[:, 0]
+    elif collapse == "line":
+        corners[:, 2] = 0.3 * corners[:, 0] + 0.7 * corners[:, 1]
+    elif collapse == "beyond":
+        corners[:, 2] = 2.0 * corners[:, 1] - corners[:, 0]
+    else:
+        corners[:, 2] = corners[:, 1] + 1e-7 * rng.normal(size=(24, 3))
+    tree = build_triangle_tree(corners.reshape(-1, 3), np.arange(72).reshape(-1, 3))
+    points = 2.0 * rng.normal(size=(100, 3))
+    sides = [(corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]) for k in range(3)]
+    expected = []
+    for p in points:
+        squares = []
+        for a, side in sides:
+            length = np.maximum((side**2).sum(axis=1), 1e-300)
+            t = np.clip(((p - a) * side).sum(axis=1) / length, 0.0, 1.0)
+            squares.append(((a + t[:, None] * side - p) ** 2).sum(axis=1))
+        expected.append(np.sqrt(np.min(squares)))
+    np.testing.assert_allclose(tree.distance_mm(points), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [9, 64, 333])
+def test_nodes_are_split_at_the_median_along_their_longest_side(count):
+    rng = np.random.default_rng(count)
+    centers = np.round(rng.normal(size=(count, 3)) * [1, 3, 2], 1)  # with ties
+    order, levels = np.arange(count), 3
+    split_at_medians(centers, levels, order, np.empty(count))
+    assert sorted(order) == list(range(count))
+    for level in range(levels):
+        for k in range(1 << level):
+            first, last = (n * count // (1 << level) for n in (k, k + 1))
+            middle = (2 * k + 1) * count // (2 << level)
+            part = centers[order[first:last]]
+            along = part[:, np.argmax(np.ptp(part, axis=0))]
+            assert along[: middle - first].max() <= along[middle - first :].min()
 
 
 def test_cube_whose_faces_edges_and_corners_lie_on_grid_columns():

@@ -16,9 +16,16 @@ from dvf_ig.core import (
     Rigid,
     Stop,
     Volume,
+    VolumeSeries,
     summarise_errors,
 )
 from dvf_ig.registration import (
+    BLOOD,
+    WALL,
+    Boundary,
+    BoundaryPoints,
+    FrameInformation,
+    FrameRejection,
     LandmarkPrior,
     Level,
     RegistrationData,
@@ -32,6 +39,7 @@ from dvf_ig.registration import (
     register_rigid,
     start_from_landmarks,
     target_errors_mm,
+    target_from_labels,
 )
 
 QUICK = RegistrationOptions(starts=4)
@@ -149,6 +157,40 @@ def test_landmark_start_recovers_the_pose_and_reports_residuals() -> None:
         start_from_landmarks(Landmarks(names, Points("mr", mr)), few)
 
 
+def test_slices_that_show_none_of_the_models_boundary_end_in_disagreement() -> None:
+    mr = toy_mr()
+    labels = VolumeSeries(mr.grid, np.where(mr.values > 230, BLOOD, WALL).astype(np.uint8), mr.timing)
+    none = BoundaryPoints("tracker", np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+    boundary = Boundary(none, target_from_labels(labels, mr.timing.fractions))
+    data = RegistrationData(*_levels(0.1), CENTER_MM, boundary)
+    result = register_rigid(
+        data, _displaced(3.0, 2.0, 1), rng=np.random.default_rng(0), clock=perf_counter, options=QUICK
+    )
+    assert result.stop is Stop.DISAGREEMENT
+    assert result.evidence.boundary_mm == np.inf
+    assert result.success_probability < 0.01
+    assert _tre(result.target_from_source).mean() < 1.0
+
+
+def test_frames_without_information_are_counted_by_what_they_lack() -> None:
+    good = np.ones(4, dtype=bool)
+    gated = gate_frames(
+        np.zeros(4),
+        np.zeros(1),
+        image_valid=good,
+        pose_valid=good,
+        beat_valid=good,
+        information=FrameInformation(
+            np.array([0.0, 0.9, 0.9, 0.9]),
+            np.array([True, True, False, False]),
+            np.array([0.0, 0.6, 0.1, 0.6]),
+        ),
+    )
+    np.testing.assert_array_equal(gated.index, [3])
+    for reason in (FrameRejection.DARK_IMAGE, FrameRejection.REPEATED_IMAGE, FrameRejection.NOISE_IMAGE):
+        assert gated.rejected[reason] == 1
+
+
 def test_gate_counts_each_reason_once() -> None:
     model_phase = np.array([0.00, 0.02, 0.50, 0.51, 0.53, 0.99])
     good = np.ones(6, dtype=bool)
@@ -160,11 +202,15 @@ def test_gate_counts_each_reason_once() -> None:
         image_valid=good,
         pose_valid=tracked,
         beat_valid=np.array([True, True, False, True, True, True]),
+        information=FrameInformation(np.ones(6), np.zeros(6, dtype=bool), np.ones(6)),
         window=0.02,
     )
     np.testing.assert_array_equal(gated.index, [0, 3, 5])
     assert gated.rejected == {
         "image marked invalid": 0,
+        "image dark": 0,
+        "image frozen": 0,
+        "image without structure": 0,
         "probe not tracked": 1,
         "irregular or unfinished beat": 1,
         "between model phases": 1,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dvf_ig.core import Rigid
+from dvf_ig.core import Rigid, Stop
 from dvf_ig.registration import BeatMeasurement, PoseEstimate
 from dvf_ig.session.refusal import Refusal, Refused
 from dvf_ig.session.registration_monitor import (
@@ -21,7 +21,7 @@ def at(mm: float, sigma_mm: float = 0.4) -> PoseEstimate:
     return PoseEstimate(pose, sigma_mm**2 * np.eye(6), CENTER)
 
 
-def measured(log_ratio: float, *, off_mm: float = 0.0) -> BeatMeasurement:
+def measured(log_ratio: float, *, off_mm: float = 0.0, power: float = 12.0) -> BeatMeasurement:
     """A beat that matches best `off_mm` further along x, as precise as the pose is known."""
     information = np.eye(6) / 0.4**2
     offset = np.array([0, 0, 0, off_mm, 0, 0])
@@ -34,6 +34,7 @@ def measured(log_ratio: float, *, off_mm: float = 0.0) -> BeatMeasurement:
         similarity=0.5,
         best_similarity=0.6,
         log_likelihood_ratio=log_ratio,
+        wrong_pose_log_ratio=power,
         moved_mm=off_mm,
         overlap=1.0,
         evaluations=1,
@@ -134,3 +135,55 @@ def test_beats_and_registrations_move_the_pose_by_their_weight() -> None:
     assert along(now) == pytest.approx(0.5)
     assert 0.0 < along(monitor.after_registration(at(1.0), 20)[0]) < 0.5
     assert 0.5 < along(monitor.after_beat(measured(2.0, off_mm=1.0))) < 0.55
+
+
+def test_beats_without_information_neither_confirm_a_pose_nor_move_it() -> None:
+    pending, _ = RegistrationMonitor(CENTER, landmarks=None).after_registration(at(0.0), 0)
+    assert pending.after_beat(measured(0.1, power=0.3)).consistent_beats == 0
+    monitor = in_use()
+    after = monitor.after_beat(measured(0.1, off_mm=0.5, power=0.3))
+    assert along(after) == along(monitor)
+    assert after.in_use is not None
+    assert monitor.in_use is not None
+    assert after.in_use.sigma_mm() > monitor.in_use.sigma_mm()
+
+
+def test_one_refused_registration_makes_the_pose_less_certain_and_two_in_a_row_suspend_it() -> None:
+    monitor = in_use()
+    once = monitor.after_refusal(Stop.POOR_MATCH)
+    assert once.in_use is not None
+    assert monitor.in_use is not None
+    assert once.in_use.sigma_mm() > 1.0 > monitor.in_use.sigma_mm()
+    assert along(once) == along(monitor)
+    twice = once.after_refusal(Stop.DISAGREEMENT)
+    assert twice.in_use is None
+
+
+def test_a_usable_registration_between_two_refused_ones_forgives_the_first() -> None:
+    once = in_use().after_refusal(Stop.POOR_MATCH)
+    again, refused = once.after_registration(at(0.1), 0)
+    assert refused is None
+    assert again.after_refusal(Stop.POOR_MATCH).in_use is not None
+
+
+def test_beats_bring_a_pose_back_that_refused_registrations_had_suspended() -> None:
+    monitor = in_use().after_refusal(Stop.POOR_MATCH).after_refusal(Stop.POOR_MATCH)
+    for _ in range(CONFIRMING_BEATS):
+        monitor = monitor.after_beat(measured(1.0))
+    assert monitor.in_use is not None
+
+
+def test_where_ecg_and_images_disagree_only_a_registration_brings_the_pose_back() -> None:
+    monitor = in_use().after_refusal(Stop.PHASE_OFFSET)
+    for _ in range(2 * CONFIRMING_BEATS):
+        monitor = monitor.after_beat(measured(1.0))
+    assert monitor.in_use is None
+    monitor, _ = monitor.after_registration(at(0.0), 0)
+    for _ in range(CONFIRMING_BEATS):
+        monitor = monitor.after_beat(measured(1.0))
+    assert monitor.in_use is not None
+
+
+def test_a_refused_registration_changes_nothing_before_there_is_a_pose() -> None:
+    monitor = RegistrationMonitor(CENTER, landmarks=None)
+    assert monitor.after_refusal(Stop.POOR_MATCH).in_use is None

@@ -101,3 +101,18 @@ def test_later_poses_do_not_change_earlier_ticks() -> None:
     for first, second in zip(whole, part, strict=True):
         assert first.hazard is second.hazard
         np.testing.assert_array_equal(first.tip_tracker_mm, second.tip_tracker_mm)
+
+
+def test_poses_that_suddenly_come_late_are_noticed_where_the_tool_moves() -> None:
+    def hazards(speed: float) -> set[Hazard]:
+        tracker, found = ToolTracker(TIP), set()
+        for i in range(300):
+            matrix = pose_at(0.01 * i)
+            matrix[:3, 3] *= speed
+            tracker.push(ToolPose(0.01 * i, matrix))
+            delay_s = 0.002 if i < 200 else 0.022
+            found.add(tracker.at(0.01 * i + delay_s).hazard)
+        return found
+
+    assert hazards(2.0) == {Hazard.NONE, Hazard.LATENCY_JUMP}
+    assert hazards(0.1) == {Hazard.NONE}

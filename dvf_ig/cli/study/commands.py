@@ -8,6 +8,7 @@ from .distance import distance_maps
 from .gating import gating
 from .options import TrialsCommand
 from .registration import add_registration_commands
+from .replay import replay
 from .retiming import retiming
 from .stylus import tracking
 from .training import training
@@ -19,5 +20,6 @@ app.command("blending")(blending)
 app.command("gating")(gating)
 app.command("retiming")(retiming)
 app.command("training")(training)
+app.command("replay")(replay)
 add_registration_commands(app)
 app.command("calibration", cls=TrialsCommand)(calibration)

@@ -1,10 +1,19 @@
 """Options that several studies share."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
+
+
+class MotionName(StrEnum):
+    """Motion presets."""
+
+    paper5mm = "paper5mm"
+    physiological = "physiological"
+
 
 WorkersOption = Annotated[
     int | None, typer.Option("--workers", min=1, help="Processes (default: one for each core).")

@@ -8,18 +8,11 @@ import typer
 
 from dvf_ig.cli.shell import JsonFlag, command, emit, progress, wrote
 
-from .options import FirstSeedOption, SeedsOption
+from .options import FirstSeedOption, MotionName, SeedsOption
 
 if TYPE_CHECKING:
     from dvf_ig.guidance import SimulatedDevice
     from dvf_ig.study.stylus.holding import HeldStylus, StylusRun
-
-
-class MotionName(StrEnum):
-    """Motion presets."""
-
-    paper5mm = "paper5mm"
-    physiological = "physiological"
 
 
 class DeviceName(StrEnum):

@@ -1,14 +1,18 @@
-"""Exact signed distance to a closed surface on a regular grid; positive inside."""
+"""Signed distance to a closed surface on a regular grid, exact near the surface; positive inside."""
 
 import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Mesh
 from dvf_ig.kernels.winding import winding_numbers
+from dvf_ig.preop.banded import BandedRows
 
 from .triangle_tree import TriangleTree, build_triangle_tree
 
 LEVELS = 2
-"""Number of times the sampling is doubled; shapes must be a multiple of 2^LEVELS, plus one."""
+"""Number of times the sampling is doubled."""
+COARSE_BANDS = 3.0
+"""Width of the band on the coarser samples, in bands. With 2, distances 5 to 10 mm off a heart fitted with a
+band of 3 mm were wrong by 0.10 mm in the mean; with 3 by 0.07, as with exact samples twice as wide."""
 
 
 def inside_mask(vertices_index: FloatArray, triangles: IntArray, shape: tuple[int, int, int]) -> BoolArray:
@@ -21,36 +25,38 @@ def inside_mask(vertices_index: FloatArray, triangles: IntArray, shape: tuple[in
 def signed_distance_mm(mesh: Mesh, grid: Grid, band_mm: float) -> FloatArray:
     """Signed distance at the voxel centres of an axis-aligned grid.
 
-    Computed on every fourth sample along each axis, then refined twice: samples within twice the band, and in
-    the last step within the band, are exact; the others are interpolated by cubics.
+    Computed on every fourth sample along each axis, then refined twice: of every second sample those that
+    the refinement puts within three times the band, and in the last step those within the band, are computed
+    exactly; the others are interpolated by cubics. The sign is that of the winding number at every sample: where interpolation
+    disagrees with it, the sample is computed.
 
     Args:
         mesh: closed surface, outward orientation, in the grid's frame.
-        grid: direction = identity, samples along each axis a multiple of four, plus one.
+        grid: direction = identity.
         band_mm: |d| up to which every sample is exact.
     Returns:
         (nx, ny, nz) mm, positive inside.
     Raises:
-        InvalidInputError: a grid of another kind.
+        InvalidInputError: a rotated grid.
     """
-    if any(n % (1 << LEVELS) != 1 for n in grid.shape) or not np.array_equal(grid.direction, np.eye(3)):
-        raise InvalidInputError(
-            f"distance grid has shape {grid.shape}; needed multiples of {1 << LEVELS}, plus one, "
-            "and no rotation"
-        )
+    if not np.array_equal(grid.direction, np.eye(3)):
+        raise InvalidInputError("the distance grid is rotated; needed one along the axes")
     tree = build_triangle_tree(mesh.vertices_mm, mesh.triangles)
-    inside = inside_mask(grid.to_index(mesh.vertices_mm), mesh.triangles, grid.shape)
-    axes = [grid.origin_mm[a] + grid.spacing_mm[a] * np.arange(grid.shape[a]) for a in range(3)]
     step = 1 << LEVELS
+    x, y, z = (step * -(-(n - 1) // step) + 1 for n in grid.shape)
+    inside = inside_mask(grid.to_index(mesh.vertices_mm), mesh.triangles, (x, y, z))
+    axes = [grid.origin_mm[a] + grid.spacing_mm[a] * np.arange(n) for a, n in enumerate(inside.shape)]
     out = _exact(tree, [axis[::step] for axis in axes], inside[::step, ::step, ::step])
     while step > 1:
         step //= 2
         out = _refined(out)
-        near = np.nonzero(np.abs(out) <= step * band_mm)
+        within = inside[::step, ::step, ::step]
+        exact_mm = band_mm if step == 1 else COARSE_BANDS * band_mm
+        near = np.nonzero((np.abs(out) <= exact_mm) | ((out > 0.0) != within))
         points = np.column_stack([axes[a][::step][near[a]] for a in range(3)])
         exact = tree.distance_mm(points)
-        out[near] = np.where(inside[::step, ::step, ::step][near], exact, -exact)
-    return out
+        out[near] = np.where(within[near], exact, -exact)
+    return np.ascontiguousarray(out[: grid.shape[0], : grid.shape[1], : grid.shape[2]])
 
 
 def _exact(tree: TriangleTree, axes: list[FloatArray], inside: BoolArray) -> FloatArray:
@@ -61,13 +67,21 @@ def _exact(tree: TriangleTree, axes: list[FloatArray], inside: BoolArray) -> Flo
 
 
 def _refined(coarse: FloatArray) -> FloatArray:
-    """Four-point interpolation onto twice the density: (n, …) to (2n − 1, …) along each axis, n >= 2."""
-    for axis in range(3):
-        first = np.moveaxis(coarse, axis, 0)
-        fine = np.empty((2 * len(first) - 1, *first.shape[1:]))
-        fine[::2] = first
-        fine[1::2] = 0.5 * (first[:-1] + first[1:])
-        if len(first) > 3:
-            fine[3:-3:2] = (9.0 * (first[1:-2] + first[2:-1]) - (first[:-3] + first[3:])) / 16.0
-        coarse = np.moveaxis(fine, 0, axis)
-    return np.ascontiguousarray(coarse)
+    """Four-point interpolation onto twice the density: n to 2n − 1 along each axis, n >= 2."""
+    for axis in (2, 1, 0):
+        coarse = _doubling(coarse.shape[axis]).along(axis, coarse)
+    return coarse
+
+
+def _doubling(count: int) -> BandedRows:
+    """(2n − 1, n): samples kept, and (−1, 9, 9, −1)/16 between them; straight lines at both ends."""
+    place = np.arange(2 * count - 1)
+    width = min(4, count)
+    first = np.clip(place // 2 - 1, 0, count - width)
+    weights = np.zeros((len(place), width))
+    weights[place[::2], place[::2] // 2 - first[::2]] = 1.0
+    for side in (0, 1):
+        weights[place[1::2], place[1::2] // 2 + side - first[1::2]] = 0.5
+    if count > 3:
+        weights[3:-3:2] = np.array([-1.0, 9.0, 9.0, -1.0]) / 16.0
+    return BandedRows(first, weights, count)

@@ -1,17 +1,18 @@
 """Free-form deformation: a displacement that is a tensor-product cubic B-spline on a coarse lattice.
 
-On the voxels everything is separable: value and adjoint are three sparse products, one along each axis.
-Sparse rows are summed in one order, so the result does not depend on the number of threads.
+On the voxels everything is separable: value and adjoint are three banded products, one along each axis.
+Rows are summed in one order, so the result does not depend on the number of threads.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import csr_array, diags_array, eye_array, kron
 
 from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, read_only_arrays
+from dvf_ig.preop.banded import BandedRows
 
-Axes = tuple[csr_array, csr_array, csr_array]
+Axes = tuple[BandedRows, BandedRows, BandedRows]
 
 
 @read_only_arrays
@@ -50,72 +51,78 @@ class Lattice:
 
     def thinned(self, step: tuple[int, int, int]) -> "Lattice":
         """The same control points, evaluated on every step-th voxel along each axis."""
-        x, y, z = (b[::s] for b, s in zip(self.basis, step, strict=True))
-        shape = (x.shape[0], y.shape[0], z.shape[0])
+        x, y, z = (
+            BandedRows(b.first[::s], b.weights[::s], b.columns) for b, s in zip(self.basis, step, strict=True)
+        )
+        shape = (len(x.first), len(y.first), len(z.first))
         spacing = self.grid.spacing_mm * step
         grid = Grid(self.grid.frame, shape, self.grid.origin_mm, spacing, self.grid.direction)
         return Lattice(grid, self.cells, self.pitch_mm, (x, y, z))
 
     def on_voxels(self, coefficients: FloatArray) -> FloatArray:
         """(cx, cy, cz, k) coefficients to (nx, ny, nz, k) values at the voxel centres."""
-        return _along_axes(self.basis, coefficients)
+        for axis in (2, 1, 0):
+            coefficients = self.basis[axis].along(axis, coefficients)
+        return coefficients
 
     def adjoint(self, values: FloatArray) -> FloatArray:
         """(nx, ny, nz, k) to (cx, cy, cz, k): Bᵀ, the transpose of `on_voxels`."""
-        x, y, z = (b.T.tocsr() for b in self.basis)
-        return _along_axes((x, y, z), values)
+        for axis, basis in enumerate(self.basis):
+            values = basis.transposed_along(axis, values)
+        return values
 
     def adjoint_of_squares(self, values: FloatArray) -> FloatArray:
         """(nx, ny, nz, k) weights w to (cx, cy, cz, k): the diagonal of BᵀWB."""
-        x, y, z = (b.multiply(b).T.tocsr() for b in self.basis)
-        return _along_axes((x, y, z), values)
+        for axis, basis in enumerate(self.basis):
+            squares = BandedRows(basis.first, basis.weights**2, basis.columns)
+            values = squares.transposed_along(axis, values)
+        return values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bending:
-    """Bending energy ∫ Σ_ab (∂²u/∂a∂b)² dV of a lattice's displacement, from differences of coefficients.
+    """Bending energy cᵀHc = ∫ Σ_ab (∂²u/∂a∂b)² dV of a displacement, from differences of coefficients.
 
+    Attributes:
+        matrix: H of one component, control points in the order of the lattice.
     Source: Rueckert 1999, eq. 5, with the differences of Eilers and Marx 1996 in place of the integrals.
     """
 
-    first: Axes
-    second: Axes
-    cell_mm3: float
+    matrix: csr_array
 
     @classmethod
     def of(cls, lattice: Lattice) -> "Bending":
-        first, second = [], []
+        one, slope, curve = [], [], []
         for count, pitch in zip(lattice.shape, lattice.pitch_mm.tolist(), strict=True):
-            slope = diags_array([-1.0, 1.0], offsets=[0, 1], shape=(count - 1, count)) / pitch
-            curve = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(count - 2, count)) / pitch**2
-            first.append(csr_array(slope.T @ slope))
-            second.append(csr_array(curve.T @ curve))
-        cell_mm3 = float(np.prod(lattice.pitch_mm))
-        return cls((first[0], first[1], first[2]), (second[0], second[1], second[2]), cell_mm3)
+            first = diags_array([-1.0, 1.0], offsets=[0, 1], shape=(count - 1, count)) / pitch
+            second = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(count - 2, count)) / pitch**2
+            one.append(csr_array(eye_array(count)))
+            slope.append(csr_array(first.T @ first))
+            curve.append(csr_array(second.T @ second))
+        terms = (
+            _product(curve[0], one[1], one[2]),
+            _product(one[0], curve[1], one[2]),
+            _product(one[0], one[1], curve[2]),
+            2.0 * _product(slope[0], slope[1], one[2]),
+            2.0 * _product(slope[0], one[1], slope[2]),
+            2.0 * _product(one[0], slope[1], slope[2]),
+        )
+        return cls(csr_array(float(np.prod(lattice.pitch_mm)) * sum(terms[1:], terms[0])))
 
     def half_gradient(self, coefficients: FloatArray) -> FloatArray:
-        """Hc of the energy cᵀHc, same shape as the (cx, cy, cz, k) coefficients."""
-        total = np.zeros_like(coefficients)
-        for axis, matrix in enumerate(self.second):
-            total += _along_axis(matrix, coefficients, axis)
-        for axis, other in ((0, 1), (0, 2), (1, 2)):
-            slope = _along_axis(self.first[axis], coefficients, axis)
-            total += 2.0 * _along_axis(self.first[other], slope, other)
-        return self.cell_mm3 * total
-
-    def diagonal(self) -> FloatArray:
-        """(cx, cy, cz, 1) the diagonal of H."""
-        slope, curve = ([m.diagonal() for m in axes] for axes in (self.first, self.second))
-        one = [np.ones(len(d)) for d in slope]
-        terms = (
-            _outer(curve[0], one[1], one[2]),
-            _outer(one[0], curve[1], one[2]),
-            _outer(one[0], one[1], curve[2]),
-            2.0 * _outer(slope[0], slope[1], one[2]),
-            2.0 * _outer(slope[0], one[1], slope[2]),
-            2.0 * _outer(one[0], slope[1], slope[2]),
+        """Hc, same shape as the (cx, cy, cz, k) coefficients."""
+        return np.asarray(self.matrix @ coefficients.reshape(self.matrix.shape[0], -1)).reshape(
+            coefficients.shape
         )
-        return np.asarray(self.cell_mm3 * np.sum(terms, axis=0)[..., None])
+
+    def diagonal(self, lattice: Lattice) -> FloatArray:
+        """(cx, cy, cz, 1) the diagonal of H."""
+        return np.asarray(self.matrix.diagonal()).reshape(*lattice.shape, 1)
+
+
+def _product(x: csr_array, y: csr_array, z: csr_array) -> csr_array:
+    """x ⊗ y ⊗ z."""
+    return csr_array(kron(kron(x, y), z))
 
 
 @read_only_arrays
@@ -171,12 +178,9 @@ def volume_ratio(moved_mm: FloatArray, spacing_mm: FloatArray, where: BoolArray)
     return np.asarray(np.linalg.det(gradient + np.eye(3)))
 
 
-def axis_basis(knots: FloatArray, cells: int) -> csr_array:
+def axis_basis(knots: FloatArray, cells: int) -> BandedRows:
     """(n, cells + 3) cubic B-splines at positions (n,) in knot units, 0 … cells."""
-    cell, weights = cell_and_weights(knots, cells)
-    rows = np.repeat(np.arange(len(knots)), 4)
-    columns = (cell[:, None] + np.arange(4)).ravel()
-    return csr_array((weights.ravel(), (rows, columns)), shape=(len(knots), cells + 3))
+    return BandedRows(*cell_and_weights(knots, cells), cells + 3)
 
 
 def cell_and_weights(knots: FloatArray, cells: int) -> tuple[IntArray, FloatArray]:
@@ -187,19 +191,3 @@ def cell_and_weights(knots: FloatArray, cells: int) -> tuple[IntArray, FloatArra
         [(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3], axis=1
     )
     return cell, weights / 6.0
-
-
-def _along_axes(matrices: Axes, values: FloatArray) -> FloatArray:
-    for axis, matrix in enumerate(matrices):
-        values = _along_axis(matrix, values, axis)
-    return values
-
-
-def _along_axis(matrix: csr_array, values: FloatArray, axis: int) -> FloatArray:
-    front = np.ascontiguousarray(np.moveaxis(values, axis, 0))
-    product = np.asarray(matrix @ front.reshape(len(front), -1))
-    return np.moveaxis(product.reshape(-1, *front.shape[1:]), 0, axis)
-
-
-def _outer(x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-    return np.asarray(x[:, None, None] * y[:, None] * z)

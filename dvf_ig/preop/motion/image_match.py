@@ -198,24 +198,25 @@ def _step(
     options: FreeFormOptions,
 ) -> FloatArray:
     """Gauss–Newton step δ: (JᵀJ + λH) δ = −Jᵀr − λHc, J = slope · B; `bend` is λHc."""
-    on_grid = np.zeros((*level.lattice.grid.shape, 3))
-
-    def scattered(weights: FloatArray) -> FloatArray:
-        on_grid[level.where] = level.voxel_mm3 * weights
-        return on_grid
+    everywhere = np.zeros((*level.lattice.grid.shape, 3))
+    everywhere[level.where] = slope
+    weighted = level.voxel_mm3 * everywhere
 
     def normal(step: FloatArray) -> FloatArray:
-        along = (slope * level.lattice.on_voxels(step)[level.where]).sum(axis=1)
-        data = level.lattice.adjoint(scattered(slope * along[:, None]))
-        return data + options.stiffness_mm2 * bending.half_gradient(step)
+        along = np.einsum("xyzd,xyzd->xyz", everywhere, level.lattice.on_voxels(step))
+        data = level.lattice.adjoint(weighted * along[..., None])
+        data += options.stiffness_mm2 * bending.half_gradient(step)
+        return data
 
-    right = -level.lattice.adjoint(scattered(slope * residual[:, None])) - bend
-    diagonal = level.lattice.adjoint_of_squares(scattered(slope * slope))
-    diagonal = diagonal + options.stiffness_mm2 * bending.diagonal()
+    rest = np.zeros(level.lattice.grid.shape)
+    rest[level.where] = residual
+    right = -level.lattice.adjoint(weighted * rest[..., None]) - bend
+    diagonal = level.lattice.adjoint_of_squares(weighted * everywhere)
+    diagonal = diagonal + options.stiffness_mm2 * bending.diagonal(level.lattice)
     solution = conjugate_gradients(
         normal,
         right,
-        lambda rest: np.asarray(rest / diagonal),
+        lambda left: np.asarray(left / diagonal),
         tolerance=INNER_TOLERANCE,
         max_iterations=options.inner_steps,
     )

@@ -16,9 +16,8 @@ from scipy.linalg import cholesky_banded
 from dvf_ig.core import FloatArray, IntArray, InvalidInputError, read_only_arrays
 from dvf_ig.kernels.scattered import AxisRows, add_from_nodes, values_at_nodes
 from dvf_ig.kernels.separable import solve_axis
+from dvf_ig.preop.banded import BandedRows, by_axis
 from dvf_ig.preop.conjugate_gradients import conjugate_gradients
-
-from .axes import BandedRows, by_axis
 
 SAMPLES_PER_KNOT = 2
 

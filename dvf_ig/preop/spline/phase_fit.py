@@ -5,20 +5,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from dvf_ig.core import FloatArray, Grid, Mesh
-from dvf_ig.preop.distance.signed import LEVELS, signed_distance_mm
+from dvf_ig.preop.distance.signed import signed_distance_mm
 
 from .fit import SAMPLES_PER_KNOT, AxisSolver, AxisSolvers, fit_weighted, surface_weights
-
-CELL_MULTIPLE = (1 << LEVELS) // SAMPLES_PER_KNOT
-"""The number of knot cells along an axis is a multiple of this, as the sampling of distance needs."""
 
 
 def sample_grid(reference: Sequence[Mesh], frame: str, knot_spacing_mm: float, margin_mm: float) -> Grid:
     """Samples at half the knot pitch over everything the surfaces sweep, plus the margin."""
     lower = np.min([mesh.vertices_mm.min(axis=0) for mesh in reference], axis=0) - margin_mm
     upper = np.max([mesh.vertices_mm.max(axis=0) for mesh in reference], axis=0) + margin_mm
-    steps = np.ceil((upper - lower) / (CELL_MULTIPLE * knot_spacing_mm)).astype(int)
-    cells = CELL_MULTIPLE * steps
+    cells = 2 * np.ceil((upper - lower) / (2.0 * knot_spacing_mm)).astype(int)
     origin = 0.5 * (lower + upper) - 0.5 * cells * knot_spacing_mm
     shape = tuple(int(n) * SAMPLES_PER_KNOT + 1 for n in cells)
     return Grid.axis_aligned(

@@ -40,13 +40,18 @@ def directed_edges(triangles: IntArray) -> IntArray:
 
 
 def count_edges(triangles: IntArray) -> EdgeCensus:
+    """Numbers of wrong edges: one sort of numbers that hold smaller vertex, larger vertex and direction."""
     edges = directed_edges(triangles)
-    _, index, uses = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
-    forward = np.bincount(index.ravel(), weights=edges[:, 0] < edges[:, 1], minlength=len(uses))
+    forward = edges[:, 0] < edges[:, 1]
+    vertices = int(triangles.max()) + 1
+    code = np.sort(2 * (edges.min(axis=1) * vertices + edges.max(axis=1)) + forward)
+    start = np.flatnonzero(np.append(True, code[1:] >> 1 != code[:-1] >> 1))
+    uses = np.diff(np.append(start, len(code)))
+    same_way = np.add.reduceat(code & 1, start) != 1
     return EdgeCensus(
         int(np.count_nonzero(uses == 1)),
         int(np.count_nonzero(uses > 2)),
-        int(np.count_nonzero((uses == 2) & (forward != 1))),
+        int(np.count_nonzero((uses == 2) & same_way)),
     )
 
 

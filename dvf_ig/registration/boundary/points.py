@@ -66,10 +66,10 @@ class BoundaryPoints:
 
 
 def boundary_points(slices: SliceSet, options: BoundaryPointOptions | None = None) -> BoundaryPoints:
-    """Boundary points of all slices, at most `options.points`.
+    """Boundary points of all slices, at most `options.points`; none where they show no boundary.
 
     Raises:
-        InvalidInputError: the slices differ in pitch, or show no boundary.
+        InvalidInputError: the slices differ in pitch.
     """
     opts = options or BoundaryPointOptions()
     pitch = _pitch_mm(slices)
@@ -80,11 +80,6 @@ def boundary_points(slices: SliceSet, options: BoundaryPointOptions | None = Non
     # per pixel, so that a step along it is a step along the gradient in mm
     along = np.stack([gradient[axis][found] / pitch[axis] for axis in (0, 1)], axis=1).astype(np.float64)
     keep, part = _maxima(magnitude, found, along)
-    if not keep.any():
-        raise InvalidInputError(
-            f"no boundary of contrast {opts.min_contrast:g} was found in {len(slices)} ultrasound slices; "
-            "check their gain and depth, or lower the least contrast"
-        )
     s, row, col = (index[keep] for index in found)
     along, contrast = along[keep], opts.smoothing_mm * magnitude[s, row, col] / smooth[s, row, col]
     place = np.column_stack([col + part[keep, 1], row + part[keep, 0], np.ones(len(s))])

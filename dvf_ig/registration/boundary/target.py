@@ -5,6 +5,7 @@ the surface of a fixture model (the epicardium). Both are cubic splines of signe
 Samples of the blood's distance serve as spline coefficients unfiltered: that smooths them by 0.58 voxels.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,8 @@ from dvf_ig.core import (
     VolumeSeries,
     read_only_arrays,
 )
+from dvf_ig.kernels.compiled import thread_count
+from dvf_ig.kernels.foot_points import foot_point_distance
 from dvf_ig.registration.gating import nearest_phase
 from dvf_ig.registration.lc2.channels import BLOOD
 
@@ -65,7 +68,10 @@ def target_from_labels(labels: VolumeSeries, model_phase: FloatArray) -> Boundar
     """
     used = np.unique(nearest_phase(labels.timing.fractions, model_phase))
     grid = labels.grid
-    distance = np.stack([signed_distance_mm(labels.values[i] == BLOOD, grid.spacing_mm) for i in used])
+    with ThreadPoolExecutor(thread_count()) as pool:
+        distance = np.stack(
+            list(pool.map(lambda i: signed_distance_mm(labels.values[i] == BLOOD, grid.spacing_mm), used))
+        )
     knots = np.empty((3, 4))
     knots[:, :3] = np.linalg.inv(grid.axes_mm)
     # coefficient j of a row is centred on knot coordinate j − 1
@@ -88,30 +94,37 @@ def signed_distance_mm(inside: BoolArray, spacing_mm: FloatArray) -> NDArray[np.
     normal and foot point there. Any other voxel takes the nearest of those: it is as far as its tangent plane
     when near, as its foot point when far (where a plane beyond a bend of the surface misleads).
     """
-    h = np.asarray(spacing_mm, dtype=np.float32)
+    h = np.asarray(spacing_mm, dtype=np.float64)
     smoothing_mm = SMOOTHING_VOXELS * float(h.mean())
     soft = ndimage.gaussian_filter(inside.astype(np.float32), smoothing_mm / h)
-    normal = np.stack([np.gradient(soft, float(step), axis=a) for a, step in enumerate(h)])
-    normal /= np.maximum(np.sqrt(np.square(normal).sum(axis=0)), np.float32(1e-9))
     within = soft > 0.5
     beside = _beside_surface(within)
     if not beside.any():
         raise InvalidInputError("a phase of the label map has no blood or nothing else; check its labels")
-    nearest = ndimage.distance_transform_edt(
-        ~beside, sampling=h, return_distances=False, return_indices=True
-    ).astype(np.intp)
-    at = tuple(nearest)
-    spread_mm = np.sqrt(smoothing_mm**2 + np.square(normal * h[:, None, None, None]).sum(axis=0) / 12)
-    depth = spread_mm * ndtri(np.clip(soft, 0.02, 0.98))
-    index = np.indices(soft.shape, dtype=np.float32, sparse=True)
-    squared, plane = np.zeros_like(soft), np.zeros_like(soft)
+    voxels = np.nonzero(beside)
+    normals = _inward_normals(soft, voxels, h)
+    spread_mm = np.sqrt(smoothing_mm**2 + np.square(normals * h).sum(axis=1) / 12)
+    depth_mm = spread_mm * ndtri(np.clip(soft[voxels], 0.02, 0.98))
+    row = np.zeros(soft.shape, dtype=np.int32)
+    row[voxels] = np.arange(len(normals))
+    nearest = ndimage.distance_transform_edt(~beside, sampling=h, return_distances=False, return_indices=True)
+    out = np.empty(soft.shape, dtype=np.float32)
+    feet_mm = normals * depth_mm[:, None]
+    plane_mm = PLANE_VOXELS * float(h.mean())
+    foot_point_distance(nearest, row, feet_mm, normals, within, h, plane_mm, out)
+    return out
+
+
+def _inward_normals(soft: NDArray[np.float32], voxels: tuple[AnyArray, ...], h: FloatArray) -> FloatArray:
+    """(n, 3) unit gradient at some voxels, by central differences, one-sided at the border."""
+    out = np.empty((len(voxels[0]), 3))
     for axis, step in enumerate(h):
-        apart = (index[axis] - nearest[axis]) * step + (normal[axis] * depth)[at]
-        squared += apart * apart
-        plane += apart * normal[axis][at]
-    point = np.copysign(np.sqrt(squared), soft - np.float32(0.5))
-    far = np.clip((np.abs(point) / h.mean() - PLANE_VOXELS) / (2 * PLANE_VOXELS), 0, 1)
-    return np.asarray(plane + far * (point - plane), dtype=np.float32)
+        low, high = list(voxels), list(voxels)
+        low[axis] = np.maximum(voxels[axis] - 1, 0)
+        high[axis] = np.minimum(voxels[axis] + 1, soft.shape[axis] - 1)
+        rise = soft[tuple(high)].astype(np.float64) - soft[tuple(low)]
+        out[:, axis] = rise / (np.maximum(high[axis] - low[axis], 1) * step)
+    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9))
 
 
 def _beside_surface(inside: AnyArray) -> BoolArray:

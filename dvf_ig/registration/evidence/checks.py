@@ -10,6 +10,8 @@ from dvf_ig.registration.lc2.curvature import Curvature
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.pose_chart import PoseChart, random_displacements
 
+from .phase_offset import PhaseOffset
+
 WRONG_POSES = 24
 WRONG_MM = 20.0
 PHASE_GROUPS = 3
@@ -43,7 +45,8 @@ class Evidence:
         half_volume_mm: RMS distance of the optima of half-volumes from that of all; None where it was not
             tested.
         boundary_mm: mean distance over the heart between the poses of LC2 and of the boundary; None where the
-            model's surface was not given.
+            model's surface was not given, inf where the slices show no boundary.
+        phase_offset: how much later in the cycle the slices fit than the ECG says; None where nothing beats.
     """
 
     z_score: float
@@ -51,6 +54,7 @@ class Evidence:
     phase_mm: float
     half_volume_mm: float | None = None
     boundary_mm: float | None = None
+    phase_offset: PhaseOffset | None = None
 
     def worst_test_ratio(self, limits: Limits) -> float:
         """The worst test as a share of its limit: above 1 the pose must not guide."""

@@ -178,6 +178,7 @@ class Lc2:
         self._values = np.empty((s, rows, cols, 2))
         self._tables = np.empty((s, rows + 1, cols + 1, SUMS))
         self._step_scratch: StepScratch | None = None
+        self._last_equations: tuple[Rigid, FloatArray, NormalEquations] | None = None
         self._index_from_mm = np.ascontiguousarray(np.linalg.inv(model.grid.axes_mm))
 
     def per_slice(self, target_from_source: Rigid) -> FloatArray:
@@ -193,14 +194,32 @@ class Lc2:
         weight = max(out[:, SLICE_WEIGHT].sum(), 1e-300)
         return Score(float(out[:, SLICE_SCORE].sum() / weight), float(out[:, SLICE_OVERLAP].mean()))
 
+    def similarity_at_shift(self, target_from_source: Rigid, shift: float) -> float:
+        """Similarity if every slice belonged `shift` of a cycle later in the model's cycle than was taken."""
+        model, _ = self._placed(target_from_source)
+        phases = self._model.nearest_phase((self._slices.model_phase + shift) % 1.0)
+        out = np.empty((len(self._slices), 3))
+        self._run(lc2_slices, (self._patched, model._replace(phases=phases), self._values, self._tables, out))
+        return float(out[:, SLICE_SCORE].sum() / max(out[:, SLICE_WEIGHT].sum(), 1e-300))
+
     def normal_equations(self, target_from_source: Rigid, center_mm: FloatArray) -> NormalEquations:
-        """How the score changes with small motions about `center_mm` (3,), target frame."""
+        """How the score changes with small motions about `center_mm` (3,), target frame.
+
+        Those of the last pose are kept: a search ends, as a rule, at the pose that it evaluated last.
+        """
+        last = self._last_equations
+        if last is not None and last[0] is target_from_source and last[1] is center_mm:
+            return last[2]
         sums = self._step_sums(target_from_source, center_mm).sum(axis=0)
         lower = np.zeros((6, 6))
         lower[np.tril_indices(6)] = sums[:TRIANGLE]
         matrix = lower + lower.T - np.diag(np.diag(lower))
         weight = max(float(sums[STEP_WEIGHT]), 1e-300)
-        return NormalEquations(matrix, sums[TRIANGLE:STEP_SCORE], float(sums[STEP_SCORE]) / weight, weight)
+        equations = NormalEquations(
+            matrix, sums[TRIANGLE:STEP_SCORE], float(sums[STEP_SCORE]) / weight, weight
+        )
+        self._last_equations = (target_from_source, center_mm, equations)
+        return equations
 
     def cost_gradient(self, target_from_source: Rigid, center_mm: FloatArray) -> CostGradient:
         """Cost of each slice and its gradient in the coordinates of `PoseChart`."""

@@ -1,5 +1,7 @@
 """One beat's slices tell a good pose from a wrong one, and a filter over beats follows a slow drift."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
@@ -109,3 +111,15 @@ def test_beats_do_not_make_a_still_pose_noisier() -> None:
     now, truth, _ = tracked(np.zeros(6), 12)
     assert mean_displacement_mm(now.pose, truth, CENTER_MM) < 0.4
     assert now.sigma_mm() < 0.5
+
+
+def test_a_beat_is_informative_where_it_shows_the_heart_and_not_where_it_shows_noise() -> None:
+    shown = measure_beat(beat(TRUTH, 3), TRUTH, CENTER_MM)
+    assert shown.informative
+    rng = np.random.default_rng(4)
+    for images in (np.zeros((12, 43, 43)), rng.uniform(0.0, 1.0, (12, 43, 43))):
+        slices = toy_slices(MR, TRUTH, np.random.default_rng(3), pitch_mm=3.0, speckle=0.05)
+        blind = replace(slices, images=images.astype(np.float32)).subset(2 * BEAT)
+        measurement = measure_beat(Lc2(blind, MODEL, patch_mm=13.0, pitch_mm=3.0), TRUTH, CENTER_MM)
+        assert not measurement.informative
+        assert measurement.log_likelihood_ratio < 5.0

@@ -67,7 +67,15 @@ def test_bench_prints_rows_and_ratios(
     payload = json.loads(result.stdout)
     assert payload == json.loads((tmp_path / "out" / "bench.json").read_text())
     rows = {(r["name"], r["what"]): r for r in payload["rows"]}
-    for what in ("static kernel", "static python", "dynamic kernel", "dynamic python", "batch"):
+    for what in (
+        "static kernel",
+        "static python",
+        "dynamic kernel",
+        "dynamic python",
+        "dynamic safe",
+        "guided python",
+        "batch",
+    ):
         assert rows["dvf_ig", what]["error_mm"] < 1.0
     assert rows["open3d", "static python"]["error_mm"] < 1e-3
     assert {("scipy cKDTree", "static tree"), ("covariance tree (numba)", "static tree")} <= set(rows)

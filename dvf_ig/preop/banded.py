@@ -1,5 +1,6 @@
-"""Banded matrices along the axes of an array, as values: the building blocks of every separable method here."""
+"""Banded matrices along the axes of an array, as values."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,7 @@ class BandedRows:
 def by_axis(values: FloatArray, axis: int) -> tuple[FloatArray, tuple[int, ...]]:
     """A contiguous, writable array as (before, along, after) about one axis, and its shape."""
     shape = values.shape
-    flat = np.require(values, dtype=np.float64, requirements=["C", "W"])
-    before, after = int(np.prod(shape[:axis])), int(np.prod(shape[axis + 1 :]))
+    owned = values.flags.c_contiguous and values.flags.writeable and values.dtype == np.float64
+    flat = values if owned else np.array(values, dtype=np.float64, order="C")
+    before, after = math.prod(shape[:axis]), math.prod(shape[axis + 1 :])
     return flat.reshape(before, shape[axis], after), shape

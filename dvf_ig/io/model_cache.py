@@ -1,0 +1,200 @@
+"""A patient's fixture model is built once: model files kept by the SHA-256 of all that they were built from.
+
+The key covers the patient, every array, grid and phase time that the build reads, its options, the source
+files of the packages that build, and the versions of the libraries below them: change any and another key
+results, so that nothing stale is found. An entry names its key and is a model file with checksums; one that
+is damaged, or was put there under another name, is built again.
+
+The folder is DVF_IG_CACHE ("off" for none), else dvf_ig within XDG_CACHE_HOME or ~/.cache.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import dvf_ig
+from dvf_ig.core.arrays import AnyArray
+from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileError
+from dvf_ig.core.mesh import SurfaceSeries
+from dvf_ig.core.model import DvfModel
+from dvf_ig.core.scenario import Preop
+
+from .atomic import make_folder, write_bytes
+from .model import model_bytes, parse_model
+from .reading import read_bytes
+
+if TYPE_CHECKING:
+    from dvf_ig.preop import ModelOptions
+
+MAX_BYTES = 1_000_000_000
+"""All entries together; those that were used longest ago go first. A model of 20 phases has 40 MB."""
+
+ENVIRONMENT = "DVF_IG_CACHE"
+SUFFIX = ".dvf-model"
+BUILT_BY = ("core", "kernels", "preop")
+"""Packages of ours that decide what the model is."""
+LIBRARIES = ("numpy", "scipy", "scikit-image", "numba")
+
+_MAGIC = b"dvf_ig cached model "
+_HEADER_BYTES = len(_MAGIC) + 64 + 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CachedModel:
+    """A model and where it came from.
+
+    Attributes:
+        was_cached: it was read, not built.
+        path: its entry; None where there is none.
+        remark: one sentence for the user.
+    """
+
+    model: DvfModel
+    was_cached: bool
+    path: Path | None
+    remark: str
+
+
+def cached_model(
+    preop: Preop,
+    *,
+    options: "ModelOptions | None" = None,
+    progress: Callable[[float], None] | None = None,
+) -> CachedModel:
+    """The patient's model from the cache, else built and kept there.
+
+    Args:
+        options: of the build; the default ones without.
+        progress: told the fraction of the build that is done.
+    Raises:
+        InvalidInputError: the model cannot be built (see `model_from_preop`).
+    """
+    from dvf_ig.preop import ModelOptions, model_from_preop
+
+    options = options or ModelOptions()
+    folder = cache_folder()
+    if folder is None:
+        model = model_from_preop(preop, options=options, progress=progress)
+        return CachedModel(model, False, None, f"model built; {ENVIRONMENT} is off, so it is not kept")
+    key = model_key(preop, options)
+    path = folder / f"{key}{SUFFIX}"
+    why = "model built"
+    if path.exists():
+        try:
+            model = _read(path, key, preop.patient_id)
+        except (UnreadableFileError, InvalidInputError) as error:
+            why = f"model built again ({error})"
+        else:
+            with suppress(OSError):
+                os.utime(path)
+            return CachedModel(model, True, path, f"model from the cache: {path}")
+    model = model_from_preop(preop, options=options, progress=progress)
+    try:
+        make_folder(folder)
+        write_bytes(path, [_MAGIC + key.encode("ascii") + b"\n", *model_bytes(model)])
+    except OutputError as error:
+        return CachedModel(model, False, None, f"{why}, but not kept: {error}")
+    _remove_oldest(folder, path)
+    return CachedModel(model, False, path, f"{why} and kept in {path}")
+
+
+def cache_folder() -> Path | None:
+    """Where models are kept; None where the cache is off."""
+    chosen = os.environ.get(ENVIRONMENT, "")
+    if chosen.lower() == "off":
+        return None
+    if chosen:
+        return Path(chosen).expanduser() / "models"
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if base else Path.home() / ".cache") / "dvf_ig" / "models"
+
+
+def model_key(preop: Preop, options: "ModelOptions") -> str:
+    """SHA-256 (hex) of all that the model of these data, built with these options, depends on."""
+    digest = hashlib.sha256()
+    _add(digest, "program", _program())
+    settings = {name: value for name, value in asdict(options).items() if name != "threads"}
+    _add(digest, "options", settings)
+    _add(digest, "patient", (preop.patient_id, preop.surface))
+    if preop.labels is None:
+        for series in preop.surfaces:
+            _add_surface(digest, series)
+        return digest.hexdigest()
+    _add(digest, "labels", (preop.label_names, preop.organ_labels))
+    grid, timing = preop.labels.grid, preop.labels.timing
+    _add(digest, "grid", (grid.frame, grid.shape))
+    _add(digest, "timing", (timing.rr_s, timing.rr_assumed, timing.timing_assumed))
+    for name, array in (
+        ("origin", grid.origin_mm),
+        ("spacing", grid.spacing_mm),
+        ("direction", grid.direction),
+        ("fractions", timing.fractions),
+        ("values", preop.labels.values),
+    ):
+        _add_array(digest, name, array)
+    return digest.hexdigest()
+
+
+def _add_surface(digest: Any, series: SurfaceSeries) -> None:
+    timing = series.timing
+    _add(digest, "surface", (series.name, series.frame, series.patient_id))
+    _add(digest, "timing", (timing.rr_s, timing.rr_assumed, timing.timing_assumed))
+    for name, array in (
+        ("fractions", timing.fractions),
+        ("vertices", series.vertices_mm),
+        ("triangles", series.triangles),
+        ("caps", series.caps),
+    ):
+        _add_array(digest, name, array)
+
+
+def _add(digest: Any, name: str, value: object) -> None:
+    digest.update(f"\n{name} {value!r}\n".encode())
+
+
+def _add_array(digest: Any, name: str, array: AnyArray) -> None:
+    _add(digest, name, (array.dtype.str, array.shape))
+    digest.update(np.ascontiguousarray(array).data)
+
+
+@cache
+def _program() -> tuple[str, ...]:
+    """Versions of the libraries, and one digest over the source files that build a model."""
+    root = Path(dvf_ig.__file__).parent
+    digest = hashlib.sha256()
+    for package in BUILT_BY:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    libraries = tuple(f"{name} {version(name)}" for name in LIBRARIES)
+    return (dvf_ig.__version__, digest.hexdigest(), *libraries)
+
+
+def _read(path: Path, key: str, patient_id: str) -> DvfModel:
+    """The model of an entry that was written for this key."""
+    data = read_bytes(path, "a cached model")
+    if data[:_HEADER_BYTES] != _MAGIC + key.encode("ascii") + b"\n":
+        raise UnreadableFileError(f"{path} is damaged or belongs to other data")
+    model = parse_model(data[_HEADER_BYTES:], path)
+    if model.patient_id != patient_id:
+        raise UnreadableFileError(f"{path} is the model of patient '{model.patient_id}'")
+    return model
+
+
+def _remove_oldest(folder: Path, newest: Path) -> None:
+    """Entries that were used longest ago go until MAX_BYTES is kept; never the newest."""
+    with suppress(OSError):
+        entries = sorted((path.stat().st_mtime, path) for path in folder.glob(f"*{SUFFIX}") if path != newest)
+        total = newest.stat().st_size + sum(path.stat().st_size for _, path in entries)
+        for _, path in entries:
+            if total <= MAX_BYTES:
+                return
+            total -= path.stat().st_size
+            path.unlink()

@@ -1,0 +1,1 @@
+"""Replays of synthetic interventions: every preset on many seeds, scored against the truth."""

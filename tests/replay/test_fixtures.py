@@ -1,0 +1,137 @@
+"""The fixtures and the law of retiming that a replay is given: they reach the force, and score it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dvf_ig.cardiac import beat_phase
+from dvf_ig.core import FloatArray, InvalidInputError, Scenario
+from dvf_ig.guidance import (
+    FORBIDDEN_SURFACE,
+    FixtureOptions,
+    Fixtures,
+    FixtureSet,
+    Gaussian,
+    PathTarget,
+    Sigmoid,
+    Status,
+    static_force,
+)
+from dvf_ig.guidance.fixtures import DISTANCE, FORCE, GRADIENT, TICK_OUTPUT
+from dvf_ig.replay import Replay, result_of, run_replay
+from dvf_ig.replay.report import report_html
+from dvf_ig.replay.result import true_contact
+from dvf_ig.session import UltrasoundRecording, gate_recording
+
+
+def with_fixtures(replay: Replay, fixtures: FixtureSet, every: int = 1) -> tuple[Replay, FloatArray]:
+    """The same estimates with the force that other fixtures give, sent as wanted; (n, 3) gradients.
+
+    Args:
+        every: only one tick in so many is given a force: paths take long.
+    """
+    ticks, bound = replay.ticks, Fixtures(replay.heart.model, fixtures)
+    out = np.full((len(ticks), TICK_OUTPUT), np.nan)
+    out[:, FORCE] = 0.0
+    status = np.full(len(ticks), int(Status.STALE_TOOL))
+    tips = np.array(ticks.tip_tracker_mm)
+    for i in np.flatnonzero(ticks.valid)[::every].tolist():
+        pose, phase = ticks.mr_from_tracker[i], float(ticks.model_phase[i])
+        status[i] = bound.tick(pose, tips[i], phase, int(Status.OK), out[i])
+    force = out[:, FORCE]
+    given = dataclasses.replace(
+        ticks, force_n=force, wanted_n=force, distance_mm=out[:, DISTANCE], status=status
+    )
+    setup = dataclasses.replace(replay.setup, fixtures=fixtures)
+    return dataclasses.replace(replay, ticks=given, setup=setup), out[:, GRADIENT]
+
+
+def test_a_replay_without_fixtures_has_the_forbidden_surface(replay: Replay) -> None:
+    again, _ = with_fixtures(replay, FORBIDDEN_SURFACE)
+    assert replay.setup.fixtures == FORBIDDEN_SURFACE
+    valid = replay.ticks.valid
+    np.testing.assert_array_equal(again.ticks.status[valid], replay.ticks.status[valid])
+    np.testing.assert_allclose(again.ticks.wanted_n[valid], replay.ticks.wanted_n[valid], atol=1e-9)
+
+
+def test_dynamic_guidance_is_scored_against_guidance(replay: Replay) -> None:
+    """Eqs 7–9 at every tick: |F(d)n − F(d')n'| <= K|d − d'| + cap·|n − n'|, with d/|∇d| for a blend's d."""
+    law = Gaussian(3.0, 1.0)
+    guided, gradient = with_fixtures(replay, FixtureSet((FixtureOptions(law, "distance"),)))
+    distance_mm, true_force = true_contact(guided)
+    truth = replay.scenario.truth
+    assert truth is not None
+    assert true_force is not None
+    to_tracker = truth.mr_from_tracker_at(0.0).rotation
+    halfway_s = (truth.tool.t_s[1:] + truth.tool.t_s[:-1]) / 2
+    nearest = np.searchsorted(halfway_s, guided.ticks.t_s)
+    sure = np.abs(guided.ticks.t_s - halfway_s[np.minimum(nearest, len(halfway_s) - 1)]) > 1e-6
+    sure &= np.abs(guided.ticks.t_s - halfway_s[np.maximum(nearest - 1, 0)]) > 1e-6
+    normal = truth.tool.normal[nearest]
+    expected = static_force(law, truth.tool.distance_mm[nearest], normal) @ to_tracker
+    np.testing.assert_allclose(true_force[sure], expected[sure], atol=1e-12)
+    ticks, ok = guided.ticks, guided.ticks.valid
+    norm = np.linalg.norm(gradient, axis=1)
+    ok = ok & sure & (norm > 0.4)
+    apart_mm = np.abs(ticks.distance_mm / norm - distance_mm)
+    turned = np.linalg.norm(gradient / norm[:, None] - normal @ to_tracker, axis=1)
+    error_n = np.linalg.norm(ticks.force_n - true_force, axis=1)
+    assert (error_n <= law.stiffness_n_per_mm * apart_mm + law.cap_n * turned + 1e-9)[ok].all()
+    contact = guided.ticks.valid & (distance_mm >= 0.0)
+    result, before = result_of(guided), result_of(replay)
+    assert result["force_error_n"]["median"] == pytest.approx(np.median(error_n[contact]))
+    assert (before["fixtures"][0]["law"], before["retiming"]) == ("forbidden", "two-segment")
+    assert result["fixtures"] == [FixtureOptions(law, "distance").described()]
+    sent_later = 2.0 / before["contact"]["ticks"]  # a supervised force begins one tick later
+    assert result["contact"]["ticks"] == before["contact"]["ticks"]
+    assert result["contact"]["served_share"] == pytest.approx(
+        before["contact"]["served_share"], abs=sent_later
+    )
+    assert result["tre_mm"] == before["tre_mm"]
+    outside = ok & (ticks.distance_mm < -1.0)
+    inward = np.einsum("ij,ij->i", ticks.force_n[outside], gradient[outside])
+    assert outside.any()
+    assert (inward > 0).all(), "guidance pulls to the surface from outside too"
+
+
+def test_a_path_has_no_true_force(replay: Replay) -> None:
+    """Contact with the organ is scored all the same."""
+    center = replay.heart.center_mm
+    path = PathTarget.static("mr", [center, center + 10.0])
+    guide = FixtureOptions(Gaussian(3.0, 1.0), path=path)
+    for fixtures in (FixtureSet((FixtureOptions(Sigmoid()), guide)), FixtureSet((guide,))):
+        along, _ = with_fixtures(replay, fixtures, every=50)
+        result = result_of(along)
+        assert along.ticks.force_n.any()
+        assert result["force_error_n"] is None
+        assert result["contact"]["served_share"] > 0.0
+        assert true_contact(along)[1] is None
+    assert report_html(along, result).count("data:image/png;base64,") == 6
+
+
+def test_what_a_replay_is_given_reaches_it(
+    scenario: Scenario, replay: Replay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dvf_ig.replay.engine.calibrate", lambda *_: replay.calibrations)
+    monkeypatch.setattr("dvf_ig.replay.engine.build_heart", lambda *_, **__: replay.heart)
+    stiff = FixtureSet((FixtureOptions(Sigmoid(3.0), name="epicardium"),))
+    with pytest.raises(InvalidInputError, match=r"fixture 'epicardium': .*450 N/m at its steepest"):
+        run_replay(scenario, model=replay.heart.model, fixtures=stiff)
+    with pytest.raises(InvalidInputError, match="retiming 'linear' is unknown"):
+        run_replay(scenario, model=replay.heart.model, retiming="linear")
+
+
+def test_ultrasound_is_placed_by_the_same_law_of_retiming(replay: Replay) -> None:
+    """Uniform: the phase of the beat itself; two-segment: another where the rate is not the model's."""
+    peaks, setup = tuple(replay.history.peaks), replay.setup
+    head = (replay.scenario.ultrasound, 0, setup.fan, setup.heart, peaks, setup.calibrations)
+    found = {}
+    for mode in ("uniform", "two-segment"):
+        recording = UltrasoundRecording(*head, mode)
+        found[mode] = gate_recording(recording, from_s=2.0, until_s=8.0)
+    beat = beat_phase(np.array([p.t_s for p in peaks if p.detected_at_s <= 8.0]), found["uniform"].event_s)
+    known = np.isfinite(beat.rr_s)
+    assert known.any()
+    np.testing.assert_array_equal(found["uniform"].model_phase[known], beat.phi[known] % 1.0)
+    assert np.abs(found["two-segment"].model_phase - found["uniform"].model_phase)[known].max() > 1e-4
