@@ -14,7 +14,9 @@ STEP_S = 0.1
 def frame(k: int, *, pose: FloatArray | None = None) -> TrackedFrame:
     matrix = np.eye(4)
     matrix[0, 3] = k
-    return TrackedFrame(STEP_S * k, np.full((2, 3), k % 256, dtype=np.uint8), matrix if pose is None else pose)
+    return TrackedFrame(
+        STEP_S * k, np.full((2, 3), k % 256, dtype=np.uint8), matrix if pose is None else pose
+    )
 
 
 def filled(count: int) -> FrameBuffer:

@@ -202,7 +202,9 @@ POINTS = CENTER + np.array(
 
 def touched_at(t_s: float, pose: Rigid) -> tuple[Landmark, ...]:
     tracker_mm = pose.inverse().apply_array(POINTS)
-    return tuple(Landmark(t_s, f"p{k}", m, p) for k, (m, p) in enumerate(zip(POINTS, tracker_mm, strict=True)))
+    return tuple(
+        Landmark(t_s, f"p{k}", m, p) for k, (m, p) in enumerate(zip(POINTS, tracker_mm, strict=True))
+    )
 
 
 def shifted(t_s: float) -> FloatArray:
@@ -245,7 +247,9 @@ def test_landmarks_that_were_touched_before_a_doubt_pull_no_more() -> None:
     assert late
     assert all(r.prior is not None for r in late)
     np.testing.assert_allclose(
-        late[0].prior.source.xyz_mm, there.inverse().apply_array(POINTS), atol=1e-9  # type: ignore[union-attr]
+        late[0].prior.source.xyz_mm,
+        there.inverse().apply_array(POINTS),
+        atol=1e-9,  # type: ignore[union-attr]
     )
 
 

@@ -300,7 +300,10 @@ def test_a_long_stream_leaves_nothing_behind() -> None:
         ecg = ecg_events(ecg_of(0.0, 80.0), chunk=round(ECG_HZ))
         events = Streams(ecg, frames, tool).merged()
         first = sum(stamp(e) <= 40.0 for e in events)
-        for part, times in ((events[:first], ticks(20.0, 40.01, 0.1)), (events[first:], ticks(60.0, 80.0, 0.1))):
+        for part, times in (
+            (events[:first], ticks(20.0, 40.01, 0.1)),
+            (events[first:], ticks(60.0, 80.0, 0.1)),
+        ):
             run(session, part, times)
             seen[times[-1]] = _lengths(session, "session", set())
     (_, early), (_, late) = seen.items()

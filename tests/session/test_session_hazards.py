@@ -21,7 +21,7 @@ from toy_session import (
 )
 
 from dvf_ig.core import FloatArray
-from dvf_ig.guidance import HAZARD_RULES, Hazard, SupervisorState
+from dvf_ig.guidance import HAZARD_RULES, Hazard, RearmAnswer, SupervisorState
 from dvf_ig.guidance.supervisor import FADE_S, FAST_FADE_S, LATCH_AFTER_S
 from dvf_ig.session import GuidanceState, Rearm, Session, ToolPose
 
@@ -86,9 +86,7 @@ def arrhythmia(streams: Streams, from_s: float, until_s: float) -> None:
 
 
 def no_images(streams: Streams, from_s: float, until_s: float) -> None:
-    streams.frames = [
-        replace(f, image=None) if from_s <= f.t_s < until_s else f for f in streams.frames
-    ]
+    streams.frames = [replace(f, image=None) if from_s <= f.t_s < until_s else f for f in streams.frames]
 
 
 def lost_probe(streams: Streams, from_s: float, until_s: float) -> None:
@@ -196,9 +194,7 @@ def test_the_force_fades_and_comes_back(
     assert {s.supervisor for s, b in zip(states, back, strict=True) if b} <= {OK, DEGRADED}
 
 
-@pytest.mark.parametrize(
-    "disturb", [no_images, lost_probe, no_frames], ids=_name
-)
+@pytest.mark.parametrize("disturb", [no_images, lost_probe, no_frames], ids=_name)
 def test_a_pose_is_used_for_five_seconds_at_most_when_no_beat_ends(disturb: Disturbance) -> None:
     """Neither ultrasound nor R peaks: the phase is lost first, and the pose has aged when it returns."""
 
@@ -251,6 +247,8 @@ def test_the_force_latches_until_it_is_rearmed_outside(
     held = (times >= latched_s) & (times < 16.0)
     assert {s.supervisor for s, h in zip(states, held, strict=True) if h} == {LATCHED}
     assert all(hazard in s.supervised.cause for s, h in zip(states, held, strict=True) if h)
+    assert next(s for s in states if s.now_s == 14.45).rearmed is RearmAnswer.FORCE_WANTED
+    assert states[-1].rearmed is RearmAnswer.ACCEPTED
     assert LATCHED not in {s.supervisor for s in states if s.now_s >= 16.0}
     assert (force[times > 17.8] > GUIDING_N).all()
 

@@ -74,7 +74,9 @@ def test_a_registration_takes_the_frames_whose_event_lies_in_its_time(lag_s: flo
     assert event_s[0] >= 2.0 > event_s[0] - 1 / 20
     assert event_s[-1] < 6.0 <= event_s[-1] + 1 / 20 + 1e-9
     assert answer.frames.first_number + len(event_s) < 10.0 * 20
-    np.testing.assert_allclose(event_s - lag_s, (answer.frames.first_number + np.arange(len(event_s))) / 20 + 0.003)
+    np.testing.assert_allclose(
+        event_s - lag_s, (answer.frames.first_number + np.arange(len(event_s))) / 20 + 0.003
+    )
 
 
 @pytest.mark.usefixtures("known_ultrasound")
@@ -108,7 +110,10 @@ def test_what_needs_no_work_is_answered_at_once_with_its_reason() -> None:
 
 
 def test_a_registration_that_fails_is_answered_with_the_sentence(known_ultrasound: None) -> None:
-    black = [replace(f, image=np.where(np.indices((24, 24)).sum(0) == 0, 0, f.image).astype(np.uint8)) for f in frame_events(10.0)]
+    black = [
+        replace(f, image=np.where(np.indices((24, 24)).sum(0) == 0, 0, f.image).astype(np.uint8))
+        for f in frame_events(10.0)
+    ]
     answer = source_of(black, Counting(), fan=SETUP.fan).register(request(2.0, 6.0), 6.35).result()
     assert answer.result is None
     assert answer.frames is not None

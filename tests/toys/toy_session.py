@@ -66,9 +66,7 @@ def pose_of(patient: Patient, t_s: float) -> Rigid:
 # ------------------------------------------------------------------ streams
 
 
-def ecg_of(
-    from_s: float, until_s: float, *, leads: int = 1, r_peaks: FloatArray | None = None
-) -> FloatArray:
+def ecg_of(from_s: float, until_s: float, *, leads: int = 1, r_peaks: FloatArray | None = None) -> FloatArray:
     """(n, leads) narrow complexes, steady unless their times are given."""
     t = np.arange(round(from_s * ECG_HZ), round(until_s * ECG_HZ)) / ECG_HZ
     peaks = np.arange(0.4, 1000.0, RR_S) if r_peaks is None else r_peaks
@@ -198,6 +196,7 @@ def bits(state: GuidanceState) -> tuple[object, ...]:
         None if last is None else (last.asked_s, last.ready_s, last.reason),
         (state.status, state.supervisor, state.supervised.hazards, state.supervised.cause, state.conflict),
         state.reasons,
+        state.rearmed,
     )
 
 
