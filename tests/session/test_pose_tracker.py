@@ -1,6 +1,7 @@
 """Tracking a heart's pose from beat to beat, with ultrasound made from a known motion of the patient."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from known_patient import DETECTION_S, KnownBeat, Patient, registration, still
@@ -198,7 +199,7 @@ def test_a_new_pose_is_moved_to_at_a_bounded_speed() -> None:
                 held.append(tracker.motion)
         tracker.add_peak(peak)
     assert len(held) > 20
-    for before, after in zip(held, held[1:], strict=False):
+    for before, after in pairwise(held):
         apart_mm = mean_displacement_mm(before.at(after.start_s), after.at(after.start_s), CENTER)
         assert apart_mm < 1e-9
         moved_mm = mean_displacement_mm(after.start, after.end, CENTER)

@@ -1,4 +1,4 @@
-"""Each hazard of pose, phase, tracking and time: the session finds it in events, and the force goes and comes."""
+"""Each hazard of pose, phase, tracking and time: found in events, and the force goes and comes back."""
 
 from collections.abc import Callable
 from dataclasses import replace
