@@ -13,6 +13,7 @@ state at or after its stamp is asked for; one that comes later counts from then 
 
 from bisect import insort
 from collections.abc import Callable
+from dataclasses import replace
 from math import inf
 from operator import attrgetter
 from types import TracebackType
@@ -181,7 +182,7 @@ class Session:
             elif action_s == input_s:
                 self._act(self._actions.pop(0), stepped_s)
             else:
-                self._take_peak()
+                self._take_peak(stepped_s)
 
     def _act(self, action: Landmark | Rearm, stepped_s: float) -> None:
         if isinstance(action, Landmark):
@@ -189,9 +190,11 @@ class Session:
         else:
             self._rearmed = self._supervisor.rearm(max(action.t_s, stepped_s))
 
-    def _take_peak(self) -> None:
+    def _take_peak(self, stepped_s: float) -> None:
+        """A peak whose samples came late is known from now on: nothing begins in the past."""
         peak = self._clock.step()
         if peak is not None:
+            peak = replace(peak, detected_at_s=max(peak.detected_at_s, stepped_s))
             self.history.peaks.append(peak)
             self._pose.add_peak(peak)
 

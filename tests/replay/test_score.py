@@ -1,10 +1,12 @@
 """Scores on arrays with known answers."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from dvf_ig.core import FloatArray
-from dvf_ig.replay.score import HAZARD_FORCE_N, HAZARD_MM, HazardScore, score_hazard
+from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.replay.score import HAZARD_FORCE_N, HAZARD_MM, HazardScore, pose_errors_mm, score_hazard
 
 TICK_S = 0.25
 
@@ -50,3 +52,46 @@ def test_a_minute_of_ticks_adds_up() -> None:
     score = score_hazard(np.tile([0.0, 0.3, 0.0], (n, 1)), error_mm, 0.001)
     assert score.total_s == pytest.approx(30.0)
     assert score.longest_s == pytest.approx(30.0)
+
+
+# ------------------------------------------------------------------ pose errors
+
+
+TARGETS = np.array([[10.0, 0.0, 0.0], [0.0, 20.0, 0.0], [0.0, 0.0, 30.0], [-5.0, -5.0, 5.0]])
+FIRST = Rigid.from_rotation_vector([0.3, -0.2, 0.5], [10.0, 20.0, -30.0], "mr", "tracker")
+SECOND = Rigid.from_rotation_vector([0.1, 0.4, -0.2], [-5.0, 8.0, 12.0], "mr", "tracker")
+
+
+def truth_of(*poses: tuple[float, Rigid]) -> SimpleNamespace:
+    points = SimpleNamespace(points=SimpleNamespace(xyz_mm=TARGETS))
+    return SimpleNamespace(mr_from_tracker=poses, targets=points)
+
+
+def used(*poses: Rigid) -> FloatArray:
+    return np.array([pose.matrix[:3] for pose in poses])
+
+
+def test_a_pose_is_compared_with_the_one_that_was_true_then() -> None:
+    t_s = np.array([0.0, 9.9, 10.0, 15.0])
+    truth = truth_of((0.0, FIRST), (10.0, SECOND))
+    found = pose_errors_mm(used(FIRST, FIRST, SECOND, FIRST), t_s, truth)
+    assert found.shape == (4, 4)
+    np.testing.assert_allclose(found[:3], 0.0, atol=1e-9)
+    moved = FIRST.apply_array(SECOND.inverse().apply_array(TARGETS))
+    np.testing.assert_allclose(found[3], np.linalg.norm(moved - TARGETS, axis=1))
+
+
+def test_a_shift_is_the_same_at_every_target_and_a_turn_is_not() -> None:
+    shifted = FIRST.perturbed_left(np.zeros(3), np.array([0.0, 3.0, 4.0]), np.zeros(3))
+    turned = FIRST.perturbed_left(np.array([0.0, 0.0, 0.1]), np.zeros(3), np.zeros(3))
+    found = pose_errors_mm(used(shifted, turned), np.array([1.0, 2.0]), truth_of((0.0, FIRST)))
+    np.testing.assert_allclose(found[0], 5.0)
+    np.testing.assert_allclose(found[1], 2 * np.sin(0.05) * np.hypot(TARGETS[:, 0], TARGETS[:, 1]), atol=1e-9)
+
+
+def test_without_a_pose_there_is_no_error_and_times_before_the_truth_have_the_first() -> None:
+    matrices = used(FIRST, FIRST)
+    matrices[1] = np.nan
+    found = pose_errors_mm(matrices, np.array([0.0, 6.0]), truth_of((5.0, FIRST), (7.0, SECOND)))
+    np.testing.assert_allclose(found[0], 0.0, atol=1e-9)
+    assert np.isnan(found[1]).all()

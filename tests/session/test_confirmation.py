@@ -1,8 +1,15 @@
 """A pose that nothing confirms ages until it is withheld."""
 
-import pytest
+from dataclasses import replace
 
+import numpy as np
+import pytest
+from known_patient import KnownBeat
+
+from dvf_ig.core import Rigid
+from dvf_ig.registration.tracking.pose_estimate import INFORMATIVE_LOG_RATIO
 from dvf_ig.session.confirmation import MAX_AGE_S, MAX_MISSED_BEATS, Confirmation
+from dvf_ig.session.registration_monitor import CONSISTENT_LOG_RATIO, confirms
 
 
 def test_a_confirmed_pose_lasts_five_seconds_or_three_beats() -> None:
@@ -15,3 +22,11 @@ def test_a_confirmed_pose_lasts_five_seconds_or_three_beats() -> None:
     assert held.until_s == float("-inf")
     assert held.missed().until_s == float("-inf")
     assert held.confirmed_s == 10.0
+
+
+def test_a_beat_confirms_only_if_it_would_have_contradicted_a_wrong_pose() -> None:
+    pose = Rigid("mr", "tracker", np.eye(3), np.zeros(3))
+    agreeing = KnownBeat(0.0, 0.8, pose).evaluate_beat(pose, np.zeros(3), in_use=True).measurement
+    assert confirms(agreeing)
+    assert not confirms(replace(agreeing, wrong_pose_log_ratio=0.99 * INFORMATIVE_LOG_RATIO))
+    assert not confirms(replace(agreeing, log_likelihood_ratio=1.01 * CONSISTENT_LOG_RATIO))

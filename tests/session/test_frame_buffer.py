@@ -9,6 +9,8 @@ from dvf_ig.session import TrackedFrame
 from dvf_ig.session.frame_buffer import KEEP_S, FrameBuffer, is_rigid
 
 STEP_S = 0.1
+NO_PLACE = np.eye(4)
+NO_PLACE[0, 3] = np.nan
 
 
 def frame(k: int, *, pose: FloatArray | None = None) -> TrackedFrame:
@@ -71,7 +73,7 @@ def test_a_frame_that_is_not_later_is_dropped() -> None:
 
 @pytest.mark.parametrize(
     "pose",
-    [np.full((4, 4), np.nan), np.diag([1.01, 1.0, 1.0, 1.0]), np.diag([1.0, 1.0, -1.0, 1.0])],
+    [np.full((4, 4), np.nan), NO_PLACE, np.diag([1.01, 1.0, 1.0, 1.0]), np.diag([1.0, 1.0, -1.0, 1.0])],
 )
 def test_what_is_no_rigid_pose_counts_as_not_tracked(pose: FloatArray) -> None:
     assert not is_rigid(pose)

@@ -1,4 +1,4 @@
-"""The heart's clock of a session: R peaks count from their detection, and no piece of the ECG knows the future."""
+"""The heart's clock of a session: R peaks count from their detection, and samples know no future."""
 
 import numpy as np
 import pytest

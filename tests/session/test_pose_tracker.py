@@ -1,23 +1,18 @@
 """Tracking a heart's pose from beat to beat, with ultrasound made from a known motion of the patient."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from known_patient import DETECTION_S, KnownBeat, Patient, registration, still
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import FloatArray, Rigid, Stop
-from dvf_ig.registration import (
-    BeatMeasurement,
-    Evidence,
-    Gated,
-    PoseChart,
-    RegistrationResult,
-    mean_displacement_mm,
-)
+from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core.pose_motion import UPDATE_MM_PER_S
+from dvf_ig.registration import Gated, PoseChart, mean_displacement_mm
 from dvf_ig.replay.pose_summary import drift_mm_per_min, suspensions
 from dvf_ig.session import Refusal, SessionHistory
-from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, BeatEvaluation, ComparedBeat
+from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
 from dvf_ig.session.confirmation import MAX_AGE_S, MAX_MISSED_BEATS
 from dvf_ig.session.executor import Job, answered
 from dvf_ig.session.gated_frames import GatedFrames
@@ -28,66 +23,12 @@ from dvf_ig.session.ultrasound_source import RegistrationAnswer, RegistrationReq
 
 CENTER = np.array([10.0, -20.0, 30.0])
 HOME = Rigid("mr", "tracker", np.eye(3), np.zeros(3))
-RR_S, DETECTION_S, SIGMA_MM = 0.8, 0.12, 0.8
+RR_S = 0.8
 PEAKS = tuple(RPeak(RR_S * k, RR_S * k + DETECTION_S, 1.0) for k in range(76))
-
-Patient = Callable[[float], FloatArray]
-"""Time to the six coordinates of the true pose about HOME."""
 
 
 def pose_at(patient: Patient, t_s: float) -> Rigid:
     return PoseChart(HOME, CENTER).pose(patient(t_s))
-
-
-@dataclass(frozen=True, slots=True)
-class KnownBeat:
-    """A beat whose ultrasound shows where the patient was half-way through it."""
-
-    begin_s: float
-    end_s: float
-    pose: Rigid
-
-    def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation:
-        information = np.eye(6) / SIGMA_MM**2
-        offset = PoseChart(pose, center_mm).coordinates(self.pose)
-        measurement = BeatMeasurement(
-            pose=pose,
-            best=self.pose,
-            offset_information_mm=information @ offset,
-            information=information,
-            similarity=0.4,
-            best_similarity=0.6,
-            log_likelihood_ratio=float(0.5 * offset @ information @ offset),
-            wrong_pose_log_ratio=12.0,
-            moved_mm=mean_displacement_mm(pose, self.pose, center_mm),
-            overlap=1.0,
-            evaluations=1,
-        )
-        detected_s = self.end_s + DETECTION_S
-        decided_s = detected_s + BEAT_COMPUTE_S
-        return BeatEvaluation(
-            self.begin_s, self.end_s, detected_s, decided_s, 10, measurement, in_use, seconds=0.01
-        )
-
-
-def registration(pose: Rigid) -> RegistrationResult:
-    covariance = np.diag([(0.4 / 40) ** 2] * 3 + [0.4**2] * 3)
-    return RegistrationResult(
-        target_from_source=pose,
-        stop=Stop.CONVERGED,
-        success_probability=1.0,
-        covariance=covariance,
-        center_mm=CENTER,
-        similarity=0.6,
-        start_similarity=0.5,
-        overlap=1.0,
-        evidence=Evidence(z_score=10.0, split_half_mm=0.2, phase_mm=0.5),
-        second_best=0.0,
-        moved_mm=1.0,
-        evaluations=1,
-        seconds=1.0,
-        slices=48,
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +45,7 @@ class KnownUltrasound:
         still = np.tile(np.eye(3), (n, 1, 1))
         frames = GatedFrames(0, 0, Gated(index, {}), index, event_s, np.zeros(n), still, np.zeros((n, 3)))
         mean = np.mean([self.patient(t) for t in event_s], axis=0)
-        return answered(RegistrationAnswer(frames, registration(PoseChart(HOME, CENTER).pose(mean))))
+        return answered(RegistrationAnswer(frames, registration(PoseChart(HOME, CENTER).pose(mean), CENTER)))
 
     def beat(
         self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool
@@ -141,10 +82,6 @@ def run(tracker: PoseTracker, peaks: tuple[RPeak, ...]) -> None:
             tracker.step()
         if peak is not None:
             tracker.add_peak(peak)
-
-
-def still(t_s: float) -> FloatArray:
-    return np.zeros(6)
 
 
 def shifted(t_s: float) -> FloatArray:
@@ -246,3 +183,24 @@ def test_a_registration_in_flight_is_dropped_when_a_beat_contradicts_the_pose() 
     meanwhile = [a for a in done.attempts if a.refused and a.refused.cause is Refusal.SUSPENDED_MEANWHILE]
     assert len(meanwhile) == 1
     assert 38.0 < meanwhile[0].asked_s < 42.0
+
+
+def test_a_new_pose_is_moved_to_at_a_bounded_speed() -> None:
+    """Whatever updates follow one another: between two events the pose goes on from where it is."""
+    tracker = tracker_of(drifting)
+    run(tracker, PEAKS[:25])
+    assert tracker.motion is not None
+    held = [tracker.motion]
+    for peak in PEAKS[25:60]:
+        while tracker.next_s < peak.detected_at_s:
+            tracker.step()
+            assert tracker.motion is not None
+            if tracker.motion is not held[-1]:
+                held.append(tracker.motion)
+        tracker.add_peak(peak)
+    assert len(held) > 20
+    for before, after in pairwise(held):
+        apart_mm = mean_displacement_mm(before.at(after.start_s), after.at(after.start_s), CENTER)
+        assert apart_mm < 1e-9
+        moved_mm = mean_displacement_mm(after.start, after.end, CENTER)
+        assert moved_mm <= UPDATE_MM_PER_S * (after.end_s - after.start_s) * (1 + 1e-9)

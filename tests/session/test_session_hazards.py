@@ -1,4 +1,4 @@
-"""Each hazard of pose, phase, tracking and time: the session finds it in events, and the force goes and comes."""
+"""Each hazard of pose, phase, tracking and time: found in events, and the force goes and comes back."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,7 +21,7 @@ from toy_session import (
 )
 
 from dvf_ig.core import FloatArray
-from dvf_ig.guidance import HAZARD_RULES, Hazard, SupervisorState
+from dvf_ig.guidance import HAZARD_RULES, Hazard, RearmAnswer, SupervisorState
 from dvf_ig.guidance.supervisor import FADE_S, FAST_FADE_S, LATCH_AFTER_S
 from dvf_ig.session import GuidanceState, Rearm, Session, ToolPose
 
@@ -247,6 +247,8 @@ def test_the_force_latches_until_it_is_rearmed_outside(
     held = (times >= latched_s) & (times < 16.0)
     assert {s.supervisor for s, h in zip(states, held, strict=True) if h} == {LATCHED}
     assert all(hazard in s.supervised.cause for s, h in zip(states, held, strict=True) if h)
+    assert next(s for s in states if s.now_s == 14.45).rearmed is RearmAnswer.FORCE_WANTED
+    assert states[-1].rearmed is RearmAnswer.ACCEPTED
     assert LATCHED not in {s.supervisor for s in states if s.now_s >= 16.0}
     assert (force[times > 17.8] > GUIDING_N).all()
 

@@ -1,4 +1,4 @@
-"""Stamps of a stream: what repeats or comes late is dropped, too much of it degrades, a restart is refused."""
+"""Stamps of a stream: what repeats or comes late is dropped, much of it degrades, a restart is refused."""
 
 import pytest
 

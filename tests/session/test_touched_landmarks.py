@@ -1,4 +1,4 @@
-"""Landmarks touched one by one: a fit from three on, a prior from five on, and a fresh start after a doubt."""
+"""Landmarks touched one by one: a fit from three on, a prior from five on, a fresh start after a doubt."""
 
 import numpy as np
 import pytest

@@ -196,6 +196,7 @@ def bits(state: GuidanceState) -> tuple[object, ...]:
         None if last is None else (last.asked_s, last.ready_s, last.reason),
         (state.status, state.supervisor, state.supervised.hazards, state.supervised.cause, state.conflict),
         state.reasons,
+        state.rearmed,
     )
 
 
