@@ -45,11 +45,7 @@ class KnownBeat:
             similarity=0.4,
             best_similarity=0.6,
             log_likelihood_ratio=float(0.5 * offset @ information @ offset),
-<<<<<<< HEAD
-            wrong_pose_log_ratio=10.0,
-=======
             wrong_pose_log_ratio=12.0,
->>>>>>> s/tests
             moved_mm=mean_displacement_mm(pose, self.pose, center_mm),
             overlap=1.0,
             evaluations=1,
