@@ -50,7 +50,9 @@ def test_the_modules_of_the_drawing_are_in_the_tables() -> None:
 def test_every_term_is_in_the_glossary() -> None:
     terms = re.findall(r"^\| ([^|]+?) \|", GLOSSARY, re.MULTILINE)
     known = {term for row in terms for term in re.split(r"[,;] ", row)}
-    said = {term.removesuffix("s") if term not in known else term for term in re.findall(r"\*\*(.+?)\*\*", PAGE)}
+    said = {
+        term.removesuffix("s") if term not in known else term for term in re.findall(r"\*\*(.+?)\*\*", PAGE)
+    }
     assert len(said) > 30
     assert not said - known
 
