@@ -13,7 +13,7 @@ from toy_sphere import beating_sphere_series, sphere
 from data_synth.scenario.presets import ScenarioSpec
 from data_synth.scenario.recording import phantom_scenario
 from dvf_ig.core import DvfModel, Scenario, SurfaceSeries
-from dvf_ig.io import write_scenario
+from dvf_ig.io import cached_model, write_scenario
 from dvf_ig.replay import Replay, run_replay
 
 settings.register_profile("dvf_ig", deadline=None, derandomize=True)
@@ -65,7 +65,7 @@ def written(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 @pytest.fixture(scope="session")
 def replay(scenario: Scenario) -> Replay:
-    return run_replay(scenario, seed=0)
+    return run_replay(scenario, model=cached_model(scenario.preop).model, seed=0)
 
 
 @pytest.fixture(scope="session")

@@ -66,9 +66,11 @@ def _scenario(folder: Path, model: Path | None, init: Path | None, seed: int) ->
 
     start = read_transform(init, target="mr", source="tracker") if init is not None else None
     recorded = read_scenario(folder)
-    built = patient_model(recorded.preop, model)
+    built, origin = patient_model(recorded.preop, model)
     with progress("register") as report:
-        return register_scenario(recorded, start, model=built, seed=seed, progress=report)
+        result = register_scenario(recorded, start, model=built, seed=seed, progress=report)
+    typer.echo(origin, err=True)
+    return result
 
 
 def _pair(

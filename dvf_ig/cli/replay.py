@@ -62,7 +62,7 @@ def replay(
         recorded = read_scenario(scenario)
         result_path, report_path = out / "result.json", out / "report.html"
         with output_folder(out):
-            built = patient_model(recorded.preop, model)
+            built, origin = patient_model(recorded.preop, model)
             with progress("replay") as report:
                 done = run_replay(
                     recorded, model=built, fixtures=options, retiming=mode, seed=seed, progress=report
@@ -72,6 +72,7 @@ def replay(
             write_json(result_path, result)
         heading = ("", "estimate", "error against the truth" if done.scenario.truth is not None else "")
         emit(result, [heading, *table(result)], as_json=as_json)
+        typer.echo(origin, err=True)
         wrote(result_path)
         wrote(report_path)
         if not done.poses:

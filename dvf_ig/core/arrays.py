@@ -82,11 +82,16 @@ def _then_protect(method: Callable[..., None], names: list[str]) -> Callable[...
         method(self, *args, **kwargs)
         for name in names:
             given = getattr(self, name)
+            if not isinstance(given, _HOLDERS):
+                continue
             kept = _protected(given)
             if kept is not given:
                 object.__setattr__(self, name, kept)
 
     return protecting
+
+
+_HOLDERS = (np.ndarray, tuple, dict)
 
 
 def _protected(value: Any) -> Any:

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 import dvf_ig
 from dvf_ig.core import FloatArray, PhaseState, Rigid
-from dvf_ig.guidance import Evaluator, Sigmoid
+from dvf_ig.guidance import Evaluator, Hazard, Sigmoid, SupervisorState
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.report.replay import (
     BeatTrace,
@@ -16,10 +16,13 @@ from dvf_ig.report.replay import (
     PlaneOverlay,
     RegistrationMark,
     ReplayPage,
+    SupervisorTrace,
     TickTrace,
     replay_html,
 )
+from dvf_ig.report.style import ESTIMATE, FAINT, GUIDE, START, WRONG
 from dvf_ig.session import GatedFrames
+from dvf_ig.session.confirmation import MAX_AGE_S
 from dvf_ig.session.registration_monitor import SUSPEND_LOG_RATIO
 
 from .engine import Replay
@@ -27,6 +30,12 @@ from .pose_summary import suspensions
 from .result import true_contact, true_phases
 from .table import table
 
+STATE_COLORS = (
+    (SupervisorState.OK, ESTIMATE),
+    (SupervisorState.DEGRADED, START),
+    (SupervisorState.FADE, FAINT),
+    (SupervisorState.LATCHED, WRONG),
+)
 PIXEL_STEP = 2
 """Every second pixel of an ultrasound frame is looked up in the model."""
 STRIP_S = 12.0
@@ -47,6 +56,7 @@ def report_html(replay: Replay, result: dict[str, Any]) -> str:
             overlays=_overlays(replay),
             beats=_beats(replay),
             ticks=_ticks(replay, true_phase),
+            supervisor=_supervisor(replay),
             ecg=_ecg_strip(replay, true_phase),
         )
     )
@@ -145,6 +155,19 @@ def _ticks(replay: Replay, true_phase: FloatArray | None) -> TickTrace:
         true_distance_mm=distance,
         phase_error_percent=error,
     )
+
+
+def _supervisor(replay: Replay) -> SupervisorTrace:
+    """The four states, then the hazards, each where it was ever there."""
+    ticks = replay.ticks
+    states = [(state.name.lower(), color, ticks.supervisor == state) for state, color in STATE_COLORS]
+    hazards = [
+        (hazard.name.lower().replace("_", " "), GUIDE, ticks.hazards & hazard != 0)
+        for hazard in Hazard
+        if hazard.name
+    ]
+    bands = tuple(band for band in (*states, *hazards) if band[2].any())
+    return SupervisorTrace(ticks.t_s, ticks.pose_age_s, MAX_AGE_S, bands)
 
 
 def _ecg_strip(replay: Replay, true_phase: FloatArray | None) -> EcgStrip:

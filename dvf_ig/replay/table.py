@@ -26,7 +26,6 @@ def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         *_update_rows(result),
         *_force_rows(result),
         _supervisor_row(result),
-        _supervisor_row(result),
         ("time", f"{result['seconds']:.1f} s", ""),
     ]
 
@@ -118,7 +117,7 @@ def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
 def _supervisor_row(result: dict[str, Any]) -> tuple[str, str, str]:
     done, hazard_s = result["supervisor"], result["hazard_s"]
     text = (
-        f"{done['fades']} fades, {done['latches']} latches ({done['latched_s']:.1f} s), "
+        f"faded {done['fades']} times, latched {done['latches']} times ({done['latched_s']:.1f} s), "
         f"largest step {done['largest_step_n']:.3f} N"
     )
     if hazard_s is None:

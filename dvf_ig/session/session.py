@@ -21,7 +21,7 @@ from types import TracebackType
 import numpy as np
 
 from dvf_ig.cardiac import retiming_curve
-from dvf_ig.core import InvalidInputError, PhaseState
+from dvf_ig.core import FloatArray, InvalidInputError, PhaseState
 from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, RearmAnswer, Status, Supervisor, hazard_of
 from dvf_ig.guidance.fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, RATE, TICK_OUTPUT
 from dvf_ig.kernels.place import MODEL_PHASE, PLACE_SIZE, TURN_RATE, place_tick
@@ -92,7 +92,7 @@ class Session:
         self._fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
         self._supervisor = Supervisor(setup.device)
         self._actions: list[Landmark | Rearm] = []
-        self._place, self._out = np.empty(PLACE_SIZE), np.empty(TICK_OUTPUT)
+        self._place = np.empty(PLACE_SIZE)
         self._model_from_tracker = self._place[:TURN_RATE].reshape(3, 4)
         self._point = np.empty(3)
         self._known: tuple[object, object, object] = (None, None, None)
@@ -145,10 +145,10 @@ class Session:
         self._update_transform(now_s)
         tool = self._tool.at(now_s)
         hazards = self._hazards(now_s, tool.hazard)
-        status = self._evaluate(now_s, tool)
-        wanted_n = self._out[FORCE]
+        status, out = self._evaluate(now_s, tool)
         if status in _FOUND_BY_FIXTURES:
             hazards |= hazard_of(status)
+        wanted_n = out[FORCE]
         supervised = self._supervisor.step(now_s, wanted_n, hazards)
         confirmation = self._pose.confirmation
         return GuidanceState(
@@ -157,15 +157,15 @@ class Session:
             estimate=self._pose.monitor.estimate,
             pose_age_s=inf if confirmation is None else now_s - confirmation.confirmed_s,
             registration=self.history.attempts[-1] if self.history.attempts else None,
-            model_phase=float(self._place[MODEL_PHASE]),
+            model_phase=self._place.item(MODEL_PHASE),
             tool=tool,
             calibrations=self.setup.calibrations,
             status=status,
             wanted_n=wanted_n,
-            distance_mm=float(self._out[DISTANCE]),
-            gradient=self._out[GRADIENT],
-            rate_mm_per_cycle=float(self._out[RATE]),
-            conflict=bool(self._out[CONFLICT]),
+            distance_mm=out.item(DISTANCE),
+            gradient=out[GRADIENT],
+            rate_mm_per_cycle=out.item(RATE),
+            conflict=out.item(CONFLICT) != 0.0,
             supervised=supervised,
             rearmed=self._rearmed,
         )
@@ -174,10 +174,10 @@ class Session:
         """Everything that happens until now, in order of time; what is known at a moment counts in it."""
         while True:
             action_s = self._actions[0].t_s if self._actions else inf
-            input_s = min(self._clock.next_s, action_s)
-            if min(input_s, self._pose.next_s) > now_s:
+            input_s, pose_s = min(self._clock.next_s, action_s), self._pose.next_s
+            if input_s > now_s and pose_s > now_s:
                 return
-            if input_s > self._pose.next_s:
+            if input_s > pose_s:
                 self._pose.step()
             elif action_s == input_s:
                 self._act(self._actions.pop(0), stepped_s)
@@ -202,10 +202,10 @@ class Session:
         """A new value where the pose, its confirmation or the phase's forecast has changed."""
         phase, motion = self._clock.forecast(now_s), self._pose.motion
         confirmation = self._pose.confirmation
-        known = (phase, motion, confirmation)
-        if all(new is old for new, old in zip(known, self._known, strict=True)):
+        phase_before, motion_before, confirmation_before = self._known
+        if phase is phase_before and motion is motion_before and confirmation is confirmation_before:
             return
-        self._known = known
+        self._known = (phase, motion, confirmation)
         heart, estimate = self.setup.heart, self._pose.monitor.estimate
         model = heart.model
         self._transform = PoseAndPhase(
@@ -218,6 +218,7 @@ class Session:
             center_mm=heart.center_mm,
             pose_until_s=-inf if confirmation is None else confirmation.until_s,
         )
+        self._packed = self._transform.packed.copy()
 
     def _hazards(self, now_s: float, tool: Hazard) -> Hazard:
         """What is wrong with pose, phase, tracking and time at this moment."""
@@ -238,14 +239,13 @@ class Session:
             found |= Hazard.REORDERED_STAMPS
         return found
 
-    def _evaluate(self, now_s: float, tool: ToolReading) -> Status:
-        """Fill the place with pose and phase, and the output with the fixtures' force there."""
-        status = place_tick(self._transform.packed, now_s, self._place)
+    def _evaluate(self, now_s: float, tool: ToolReading) -> tuple[Status, FloatArray]:
+        """Fill the place with pose and phase; the fixtures' output there, read-only."""
+        status, out = place_tick(self._packed, now_s, self._place), np.empty(TICK_OUTPUT)
         if status == Status.OK and tool.hazard:
             status = Status.STALE_TOOL
         pose = self._model_from_tracker if status == Status.OK else _UNPOSED
         self._point[:] = tool.tip_tracker_mm
-        found = self._fixtures.tick(
-            pose, self._point, float(self._place[MODEL_PHASE]), int(status), self._out
-        )
-        return Status(found)
+        found = self._fixtures.tick(pose, self._point, self._place.item(MODEL_PHASE), int(status), out)
+        out.setflags(write=False)
+        return Status(found), out

@@ -2,6 +2,8 @@
 
 from collections import deque
 from dataclasses import dataclass
+from itertools import islice, pairwise
+from statistics import median
 
 import numpy as np
 
@@ -45,6 +47,7 @@ class ToolReading:
     age_s: float
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sample:
     t_s: float
@@ -71,6 +74,7 @@ class ToolTracker:
         self._velocity = np.zeros(3)
         self._limit_s = MAX_AGE_S
         self._latencies: deque[float] = deque(maxlen=RATE_POSES)
+        self._delayed = False
 
     def push(self, pose: ToolPose) -> None:
         """Take one pose; one that is not later than all before is dropped."""
@@ -80,15 +84,16 @@ class ToolTracker:
     def at(self, now_s: float) -> ToolReading:
         """The tool as known at `now_s`, from the poses stamped until then; times in order."""
         self.order.advance(now_s)
-        while self._waiting and self._waiting[0].t_s <= now_s:
-            self._latencies.append(now_s - self._waiting[0].t_s)
-            self._take(self._waiting.popleft())
+        if self._waiting and self._waiting[0].t_s <= now_s:
+            self._take_until(now_s)
         hazard = self._hazard(now_s)
         age_s = now_s - self._tracked_s
         if hazard:
             return ToolReading(hazard, _ZERO, _IDENTITY, age_s)
         newest = self._samples[-1]
-        return ToolReading(hazard, newest.tip_mm + self._velocity * age_s, newest.rotation, age_s)
+        tip_mm = newest.tip_mm + self._velocity * age_s
+        tip_mm.setflags(write=False)
+        return ToolReading(hazard, tip_mm, newest.rotation, age_s)
 
     def _hazard(self, now_s: float) -> Hazard:
         if not self._samples:
@@ -98,8 +103,13 @@ class ToolTracker:
             return Hazard.CLOCK_BACKWARDS if self.order.restarted else Hazard.STALE_TOOL
         return newest.hazard or (Hazard.LATENCY_JUMP if self._delayed else Hazard.NONE)
 
-    @property
-    def _delayed(self) -> bool:
+    def _take_until(self, now_s: float) -> None:
+        while self._waiting and self._waiting[0].t_s <= now_s:
+            self._latencies.append(now_s - self._waiting[0].t_s)
+            self._take(self._waiting.popleft())
+        self._delayed = self._come_late()
+
+    def _come_late(self) -> bool:
         """Whether poses now come so much later than is usual that the predicted tip may be far off."""
         if len(self._latencies) <= JUDGED_POSES:
             return False
@@ -136,14 +146,13 @@ class ToolTracker:
 
     def _update_motion(self) -> None:
         """Velocity as backward difference over VELOCITY_SPAN_S; zero where the span holds an invalid pose."""
-        times = np.array([sample.t_s for sample in self._samples])
-        self._velocity = np.zeros(3)
-        if len(times) < 2:
+        self._velocity = _ZERO
+        if len(self._samples) < 2:
             return
-        rate_hz = 1.0 / float(np.median(np.diff(times)))
+        rate_hz = 1.0 / median(after.t_s - before.t_s for before, after in pairwise(self._samples))
         self._limit_s = min(MAX_AGE_S, MAX_AGE_FRAMES / rate_hz)
         steps = max(1, round(VELOCITY_SPAN_S * rate_hz))
-        span = list(self._samples)[-1 - steps :]
+        span = list(islice(reversed(self._samples), steps + 1))[::-1]
         span_s = span[-1].t_s - span[0].t_s
         clean = not any(sample.hazard for sample in span)
         if len(span) == steps + 1 and clean and span_s <= 2 * VELOCITY_SPAN_S:
@@ -151,3 +160,5 @@ class ToolTracker:
 
 
 _ZERO, _IDENTITY = np.zeros(3), np.eye(3)
+_ZERO.setflags(write=False)
+_IDENTITY.setflags(write=False)

@@ -13,20 +13,20 @@ def test_built_then_cached_then_given(
     beating_sphere: SurfaceSeries,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv("DVF_IG_CACHE", str(tmp_path))
     preop = Preop(beating_sphere.patient_id, surfaces=(beating_sphere,), surface=beating_sphere.name)
-    built = patient_model(preop, None)
-    assert capsys.readouterr().err.startswith(f"model built and kept in {tmp_path}")
-    cached = patient_model(preop, None)
-    assert capsys.readouterr().err.startswith(f"model from the cache: {tmp_path}")
+    built, origin = patient_model(preop, None)
+    assert origin.startswith(f"model built and kept in {tmp_path}")
+    cached, origin = patient_model(preop, None)
+    assert origin.startswith(f"model from the cache: {tmp_path}")
     assert model_digest(built) == model_digest(cached)
     file = tmp_path / "given.npz"
     write_model(built, file)
     for entry in (tmp_path / "models").iterdir():
         entry.unlink()
-    assert model_digest(patient_model(preop, file)) == model_digest(built)
-    assert capsys.readouterr().err == f"model from {file}\n"
+    given, origin = patient_model(preop, file)
+    assert model_digest(given) == model_digest(built)
+    assert origin == f"model from {file}"
     with pytest.raises(InvalidInputError, match="needed patient 'nobody'"):
         patient_model(Preop("nobody", surfaces=(beating_sphere,)), file)

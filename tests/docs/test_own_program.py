@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from dvf_ig import session
-from dvf_ig.io import write_model
 from dvf_ig.replay import Replay
 from dvf_ig.replay.events import events_of
 
@@ -22,7 +21,6 @@ def test_fifteen_lines_give_the_replay_s_force(
     written: Path, replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "DIR").symlink_to(written)
-    write_model(replay.heart.model, tmp_path / "heart.npz")
     monkeypatch.chdir(tmp_path)
     printed: list[tuple[float, np.ndarray[Any, Any]]] = []
     exec(FIFTEEN, {"print": lambda *values: printed.append(values)})

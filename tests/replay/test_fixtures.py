@@ -107,7 +107,7 @@ def test_a_path_has_no_true_force(replay: Replay) -> None:
         assert result["force_error_n"] is None
         assert result["contact"]["served_share"] > 0.0
         assert true_contact(along)[1] is None
-    assert report_html(along, result).count("data:image/png;base64,") == 6
+    assert report_html(along, result).count("data:image/png;base64,") == 7
 
 
 def test_what_a_replay_is_given_reaches_it(

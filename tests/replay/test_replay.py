@@ -50,7 +50,7 @@ def test_result_fits_its_schema_and_the_page_holds_every_picture(replay: Replay)
     result = result_of(replay)
     validate(result)
     page = report_html(replay, result)
-    assert page.count("data:image/png;base64,") == 6
+    assert page.count("data:image/png;base64,") == 7
     assert "http://" not in page.replace("http://www.w3.org", "")
     assert {row[0] for row in table(result)} >= {"tool tip", "latency", "heart", "registration", "force"}
     result["tre_mm"]["median"] = -1.0

@@ -27,8 +27,8 @@ def signed_distance_mm(mesh: Mesh, grid: Grid, band_mm: float) -> FloatArray:
 
     Computed on every fourth sample along each axis, then refined twice: of every second sample those that
     the refinement puts within three times the band, and in the last step those within the band, are computed
-    exactly; the others are interpolated by cubics. The sign is that of the winding number at every sample: where interpolation
-    disagrees with it, the sample is computed.
+    exactly; the others are interpolated by cubics. The sign is that of the winding number at every sample:
+    where interpolation disagrees with it, the sample is computed.
 
     Args:
         mesh: closed surface, outward orientation, in the grid's frame.

@@ -6,4 +6,5 @@ from .values import EcgStrip as EcgStrip
 from .values import PlaneOverlay as PlaneOverlay
 from .values import RegistrationMark as RegistrationMark
 from .values import ReplayPage as ReplayPage
+from .values import SupervisorTrace as SupervisorTrace
 from .values import TickTrace as TickTrace

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dvf_ig.core.arrays import BoolArray, FloatArray
 from dvf_ig.report.style import ESTIMATE, ON_GREY, REFUSED, START, SUSPENDED, TRUTH, without_ticks
 
-from .values import BeatTrace, EcgStrip, PlaneOverlay, RegistrationMark, TickTrace
+from .values import BeatTrace, EcgStrip, PlaneOverlay, RegistrationMark, SupervisorTrace, TickTrace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -130,6 +130,26 @@ def force_figure(ticks: TickTrace) -> Figure:
     for axis in (upper, lower):
         shade_refused(axis, ticks.t_s, ticks.valid)
     figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+def supervisor_figure(trace: SupervisorTrace) -> Figure:
+    """States and hazards as bands over time, and the age of the pose."""
+    rows = len(trace.bands)
+    figure = Figure(figsize=(WIDE[0], 1.9 + 0.24 * rows), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(max(rows, 1), 5))
+    for row, (_, color, held) in enumerate(trace.bands):
+        edges = np.flatnonzero(np.diff(held, prepend=False, append=False))
+        ends_s = np.append(trace.t_s, trace.t_s[-1])[edges]
+        spans = [(begin, end - begin) for begin, end in zip(ends_s[::2], ends_s[1::2], strict=True)]
+        upper.broken_barh(spans, (row - 0.4, 0.8), color=color, lw=0.6)
+    upper.set_yticks(range(rows), [name for name, _, _ in trace.bands], fontsize=9)
+    upper.set_ylim(rows - 0.4, -0.6)
+    age_s = np.where(np.isfinite(trace.pose_age_s), trace.pose_age_s, np.nan)
+    lower.plot(trace.t_s[THIN], age_s[THIN], color=ESTIMATE, lw=0.8)
+    lower.axhline(trace.age_limit_s, color=TRUTH, lw=0.8, ls=":")
+    lower.set(ylabel="pose age, s", xlabel="time, s", ylim=(0, 1.6 * trace.age_limit_s))
+    lower.set_xlim(float(trace.t_s[0]), float(trace.t_s[-1]))
     return figure
 
 

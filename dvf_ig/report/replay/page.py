@@ -14,6 +14,7 @@ from .figures import (
     overlay_figure,
     phase_error_figure,
     pose_figure,
+    supervisor_figure,
 )
 from .values import RegistrationMark, ReplayPage
 
@@ -47,6 +48,13 @@ def replay_html(page: ReplayPage) -> str:
             "Force of the fixture at the tool tip through the estimated pose and phase, and distance of the "
             "tip from the surface. Grey: no force was given.",
             force_figure(ticks),
+        ),
+        (
+            "Supervisor",
+            "When the force was given in full, given with a warning or rising (degraded), released (fade), "
+            "or withheld until the operator re-armed (latched), and the hazards behind it. Below: time since a "
+            "heart beat confirmed the pose (dotted: from then on it is withheld).",
+            supervisor_figure(page.supervisor),
         ),
         (
             "Distance from the surface",

@@ -94,6 +94,25 @@ class TickTrace:
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
+class SupervisorTrace:
+    """What the supervisor saw and did.
+
+    Attributes:
+        t_s: (n,) tick times.
+        pose_age_s: (n,) since a heart beat confirmed the pose; infinite before the first.
+        age_limit_s: from which age on a pose is withheld.
+        bands: name and colour of a state or hazard, with (n,) ticks in which it held; those that never held
+            are left out.
+    """
+
+    t_s: FloatArray
+    pose_age_s: FloatArray
+    age_limit_s: float
+    bands: tuple[tuple[str, str, BoolArray], ...]
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
 class EcgStrip:
     """A few seconds of the ECG, and the phase kept from it.
 
@@ -128,6 +147,7 @@ class ReplayPage:
         overlays: frames of the last registration in use; empty where none saw any.
         beats: None where no beat was compared.
         ticks: every tick.
+        supervisor: states and hazards.
         ecg: a few seconds in the middle.
     """
 
@@ -139,4 +159,5 @@ class ReplayPage:
     overlays: Sequence[PlaneOverlay]
     beats: BeatTrace | None
     ticks: TickTrace
+    supervisor: SupervisorTrace
     ecg: EcgStrip

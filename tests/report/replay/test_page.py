@@ -12,6 +12,7 @@ from dvf_ig.report.replay import (
     PlaneOverlay,
     RegistrationMark,
     ReplayPage,
+    SupervisorTrace,
     TickTrace,
     replay_html,
 )
@@ -73,6 +74,12 @@ def page() -> ReplayPage:
             suspended_s=((3.0, 4.0),),
         ),
         ticks=ticks(),
+        supervisor=SupervisorTrace(
+            T_S,
+            np.where(T_S < 1.0, np.inf, 0.5),
+            5.0,
+            (("ok", "#1f6fb4", VALID), ("no pose", "#888888", ~VALID)),
+        ),
         ecg=EcgStrip(
             lead="II",
             unit="mV",
@@ -89,7 +96,7 @@ def page() -> ReplayPage:
 
 def test_the_page_holds_every_figure_and_is_self_contained() -> None:
     text = replay_html(page())
-    assert text.count("data:image/png;base64,") == 6
+    assert text.count("data:image/png;base64,") == 7
     assert "Replay of toy &lt;1&gt;" in text
     assert "<td>tool tip</td><td>(0, 0, 0) mm</td><td>0.1 mm</td>" in text
     assert "Registered: force was given in valid state only" in text
@@ -101,7 +108,7 @@ def test_without_ground_truth_and_registration_there_is_less() -> None:
     )
     lone = replace(page(), registrations=[], overlays=[], beats=None, ticks=bare)
     text = replay_html(lone)
-    assert text.count("data:image/png;base64,") == 3
+    assert text.count("data:image/png;base64,") == 4
     assert "Not registered, no force was given: the recording is too short to register" in text
 
 
