@@ -10,7 +10,12 @@ from dvf_ig.session.executor import answered
 
 def test_the_caller_works_when_the_result_is_due_and_not_before() -> None:
     done: list[int] = []
-    job = InCaller().submit(lambda: done.append(1) or 5)
+
+    def work() -> int:
+        done.append(1)
+        return 5
+
+    job = InCaller().submit(work)
     assert job.done()
     assert not done
     assert job.result() == 5
@@ -48,10 +53,16 @@ def test_an_exception_comes_with_the_result(waits: bool) -> None:
 
 
 def test_leaving_ends_the_threads_and_forgets_what_has_not_begun() -> None:
-    before, gate, begun = threading.active_count(), threading.Event(), []
+    before, gate = threading.active_count(), threading.Event()
+    begun: list[int] = []
+
+    def work() -> None:
+        begun.append(1)
+        gate.wait(10.0)
+
     with Beside(waits=False) as executor:
         for _ in range(10):
-            executor.submit(lambda: begun.append(1) or gate.wait(10.0))
+            executor.submit(work)
         threading.Timer(0.05, gate.set).start()
     assert threading.active_count() <= before + 1  # the timer
     assert len(begun) < 10

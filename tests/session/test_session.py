@@ -174,7 +174,7 @@ def test_events_of_the_first_half_minute_are_kept_until_they_are_asked_for() -> 
 def test_events_that_come_late_count_from_then_on() -> None:
     """As from a live link: each chunk of the ECG 0.2 s after its first sample, frames 80 ms late."""
     streams = toy_streams(15.0)
-    arrivals = [(e.start_s + 0.2, e) for e in streams.ecg]
+    arrivals: list[tuple[float, Event]] = [(e.start_s + 0.2, e) for e in streams.ecg]
     arrivals += [(f.t_s + 0.08, f) for f in streams.frames]
     arrivals += [(p.t_s + 0.004, p) for p in streams.tool]
     arrivals.sort(key=lambda arrival: arrival[0])
@@ -192,8 +192,8 @@ def test_events_that_come_late_count_from_then_on() -> None:
 def test_a_late_ecg_moves_the_pose_no_faster() -> None:
     """A beat that is known late updates the pose from then on, not from when it could have been known."""
     streams = toy_streams(20.0, patient=lambda t_s: np.array([0, 0, 0, 0.8 * max(0.0, t_s - 12.0), 0, 0]))
-    arrivals = [(e.start_s + 0.6, e) for e in streams.ecg]
-    arrivals += [(stamp(e), e) for e in [*streams.frames, *streams.tool]]
+    arrivals: list[tuple[float, Event]] = [(e.start_s + 0.6, e) for e in streams.ecg]
+    arrivals += [(f.t_s, f) for f in streams.frames] + [(p.t_s, p) for p in streams.tool]
     arrivals.sort(key=lambda arrival: arrival[0])
     places = []
     with Session(toy_setup()) as session:

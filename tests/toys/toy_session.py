@@ -86,7 +86,7 @@ def image_of(x_mm: float, number: int) -> NDArray[np.uint8]:
     """Structure over centimetres, the patient's shift along x in the first pixel, the frame in the next."""
     row, column = np.mgrid[: IMAGE[0], : IMAGE[1]]
     wave = 120.0 + 60.0 * np.sin(2 * np.pi * row / 16) * np.cos(2 * np.pi * column / 16)
-    image = np.rint(wave).astype(np.uint8)
+    image: NDArray[np.uint8] = np.rint(wave).astype(np.uint8)
     image[0, 0], image[0, 1] = round(128 + 10 * x_mm), 1 + number % 250
     return image
 
@@ -106,7 +106,8 @@ def tool_events(until_s: float, *, at: Callable[[float], FloatArray] | None = No
     """TOOL_HZ poses of a tool whose tip stays deep inside the ball, never quite at rest."""
 
     def inside(t_s: float) -> FloatArray:
-        return CENTER + np.array([0.3 * np.sin(3.0 * t_s), 6.0, 0.3 * np.cos(2.0 * t_s)])
+        moved = np.array([0.3 * np.sin(3.0 * t_s), 6.0, 0.3 * np.cos(2.0 * t_s)])
+        return np.asarray(CENTER + moved)
 
     tip_mr = at or inside
     events = []
