@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from jsonschema import Draft202012Validator
 
-from dvf_ig.core import FloatArray
-from dvf_ig.replay.score import HAZARD_FORCE_N, HAZARD_MM, HazardScore, score_hazard
+from dvf_ig.core import FloatArray, Scenario
+from dvf_ig.replay import schema
+from dvf_ig.replay.score import HAZARD_FORCE_N, HAZARD_MM, HazardScore, pose_errors_mm, score_hazard
 
 TICK_S = 0.25
 
@@ -50,3 +52,20 @@ def test_a_minute_of_ticks_adds_up() -> None:
     score = score_hazard(np.tile([0.0, 0.3, 0.0], (n, 1)), error_mm, 0.001)
     assert score.total_s == pytest.approx(30.0)
     assert score.longest_s == pytest.approx(30.0)
+
+
+def test_the_schema_is_one() -> None:
+    Draft202012Validator.check_schema(schema())
+
+
+def test_a_pose_that_holds_has_the_errors_of_each_of_its_ticks(scenario: Scenario) -> None:
+    truth = scenario.truth
+    assert truth is not None
+    poses = np.random.default_rng(1).standard_normal((5, 3, 4))
+    poses[2] = np.nan
+    used = poses[[0, 0, 1, 2, 2, 2, 3, 0, 4, 4]]
+    t_s = np.arange(len(used)) * 0.001
+    together = pose_errors_mm(used, t_s, truth)
+    singly = [pose_errors_mm(used[i : i + 1], t_s[i : i + 1], truth)[0] for i in range(len(used))]
+    np.testing.assert_array_equal(together, singly)
+    assert np.isnan(together).all(axis=1).tolist() == [False] * 3 + [True] * 3 + [False] * 4

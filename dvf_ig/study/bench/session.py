@@ -24,7 +24,7 @@ WARM_UP_SHARE, WARM_UP_S = 0.1, 60.0
 """Memory is compared with that after this share of the time, but no longer than WARM_UP_S."""
 MEMORY_OVER_S = 15
 """Resident memory is the median over so many seconds: more than from one registration to the next."""
-SHORTEST_S = 30.0
+SHORTEST_S = 15.0
 
 
 @dataclass(frozen=True, slots=True)
