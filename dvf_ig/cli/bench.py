@@ -1,5 +1,6 @@
 """`dvf-ig bench`: how fast and how exact the fixture is beside other ways to the same distance."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +11,8 @@ from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress,
 if TYPE_CHECKING:
     from dvf_ig.guidance import Continuity
     from dvf_ig.study.bench.rows import Bench
+    from dvf_ig.study.bench.session import SessionBench
+    from dvf_ig.study.bench.timing import Row
 
 
 def bench(
@@ -22,6 +25,14 @@ def bench(
     continuity: Annotated[
         int, typer.Option("--continuity", min=0, help="Also compare forces at this many pairs of neighbours.")
     ] = 0,
+    session_s: Annotated[
+        float | None,
+        typer.Option(
+            "--session",
+            metavar="SECONDS",
+            help="Instead: a whole session of so many simulated seconds, on one core unless --threads.",
+        ),
+    ] = None,
     step_mm: Annotated[float, typer.Option("--step-mm", help="Pitch of the phantom's mesh.")] = 1.5,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for bench.json.")] = None,
     seed: SeedOption = 1,
@@ -33,6 +44,9 @@ def bench(
     Times are per call in µs, of the fastest pass; error_mm is the RMS error against the exact distance to
     the mesh. Other programs on the machine lengthen everything: compare ratios.
     """
+    if session_s is not None:
+        _bench_session(session_s, model_file, out, seed, threads or 1, as_json=as_json)
+        return
     with command(threads):
         from dvf_ig.io import output_folder, read_model, write_json
         from dvf_ig.io.json_file import plain
@@ -56,11 +70,56 @@ def bench(
             wrote(out / "bench.json")
 
 
-def _rows(done: "Bench") -> list[tuple[str, ...]]:
+def _bench_session(
+    seconds: float, model_file: Path | None, out: Path | None, seed: int, threads: int, *, as_json: bool
+) -> None:
+    with command(threads):
+        from dvf_ig.io import output_folder, read_model, write_json
+        from dvf_ig.io.json_file import plain
+        from dvf_ig.study.bench.endless import round_of
+        from dvf_ig.study.bench.session import bench_scenario, bench_setup, run_session
+
+        with progress("a synthetic intervention") as report:
+            scenario = bench_scenario(seed, report)
+        with progress("its heart") as report:
+            built = None if model_file is None else read_model(model_file)
+            setup = bench_setup(scenario, seed, built, report)
+        with progress("the session") as report:
+            done = run_session(setup, round_of(scenario), seconds, report)
+        factors = {"real_time_factor": done.real_time_factor, "growth_percent": done.growth_percent}
+        result = {**plain(done), **factors, "seed": seed, "threads": threads}
+        if out is not None:
+            with output_folder(out):
+                write_json(out / "bench.json", result)
+        emit(result, _session_rows(done), as_json=as_json)
+        if out is not None:
+            wrote(out / "bench.json")
+
+
+def _session_rows(done: "SessionBench") -> list[tuple[str, ...]]:
+    growth = done.growth_percent
+    rows = [
+        *_timing_rows(done.rows),
+        ("session", "real-time factor", f"{done.real_time_factor:9.2f}"),
+        ("", "computing, s", f"{done.computing_s:9.1f}"),
+        ("", "force may be used, %", f"{100 * done.served_share:9.1f}"),
+    ]
+    if growth is not None:
+        rows.append(("memory", "after warm-up, MB", f"{done.resident_mb_start:9.1f}"))
+        rows.append(("", "growth, %", f"{growth:9.2f}"))
+    return rows
+
+
+def _timing_rows(timed: "Sequence[Row]") -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [("", "", "median µs", "p99", "p99.9", "max", "error mm", "")]
-    for r in done.rows:
+    for r in timed:
         times = [f"{t:9.3f}" for t in (r.median_us, r.p99_us, r.p999_us, r.max_us)]
         rows.append((r.name, r.what, *times, "" if r.error_mm is None else f"{r.error_mm:.4f}", r.note))
+    return rows
+
+
+def _rows(done: "Bench") -> list[tuple[str, ...]]:
+    rows = _timing_rows(done.rows)
     rows += [("ratio", name, f"{ratio:9.2f}") for name, ratio in done.ratios().items()]
     rows.append(("first call", "new process, s", f"{done.first_call_s:9.3f}"))
     size = f"{done.vertices} vertices, {done.phases} phases, {done.megabytes:.1f} MB"

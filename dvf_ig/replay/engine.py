@@ -57,7 +57,7 @@ class Replay:
         start: coarse mr_from_tracker that registration started from.
         history: R peaks, registrations, evaluated beats and what they did to the pose.
         ticks: what the session said every millisecond.
-        seconds: computing time of the whole.
+        seconds: computing time of the whole; `session_seconds` of the session, with pushing and recording.
     """
 
     scenario: Scenario
@@ -67,6 +67,7 @@ class Replay:
     history: SessionHistory
     ticks: Ticks
     seconds: float
+    session_seconds: float
 
     @property
     def heart(self) -> Heart:
@@ -126,7 +127,7 @@ def run_replay(
     )
     history, recorder, operator = SessionHistory(), TickRecorder(t_s), SimulatedOperator()
     events = events_of(scenario, ecg_chunk=ecg_chunk)
-    upcoming = next(events)
+    upcoming, session_began = next(events), clock()
     with (
         Beside(waits=True) as executor,
         Session(setup, executor=executor, clock=clock, history=history) as session,
@@ -143,7 +144,8 @@ def run_replay(
             if i % REPORT_EVERY == 0:
                 report_progress(0.4 + 0.6 * i / len(t_s))
     require_heart_beats(history.peaks, scenario)
-    return Replay(scenario, setup, calibrations, start, history, recorder.finish(), clock() - began)
+    ticks, ended = recorder.finish(), clock()
+    return Replay(scenario, setup, calibrations, start, history, ticks, ended - began, ended - session_began)
 
 
 def in_use(calibrations: Calibrations) -> CalibrationsInUse:

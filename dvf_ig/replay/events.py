@@ -31,16 +31,16 @@ def _ecg(scenario: Scenario, chunk: int) -> Iterator[Timed]:
 
 def _frames(scenario: Scenario) -> Iterator[Timed]:
     ultrasound = scenario.ultrasound
-    poses = ultrasound.stream("tracker", "probe")
+    poses = _matrices(ultrasound.stream("tracker", "probe"))
     for i, t_s in enumerate(ultrasound.t_s.tolist()):
         shown = ultrasound.images is not None and ultrasound.image_valid[i]
         image = ultrasound.images[i] if shown and ultrasound.images is not None else None
-        yield t_s, TrackedFrame(t_s, image, _matrix(poses, i))
+        yield t_s, TrackedFrame(t_s, image, poses[i])
 
 
 def _tool(tool: PoseStream) -> Iterator[Timed]:
-    for i, t_s in enumerate(tool.t_s.tolist()):
-        yield t_s, ToolPose(t_s, _matrix(tool, i))
+    for t_s, matrix in zip(tool.t_s.tolist(), _matrices(tool), strict=True):
+        yield t_s, ToolPose(t_s, matrix)
 
 
 def _landmarks(scenario: Scenario) -> Iterator[Timed]:
@@ -54,9 +54,9 @@ def _landmarks(scenario: Scenario) -> Iterator[Timed]:
         yield begin_s, Landmark(begin_s, name, mr_mm, tracker_mm)
 
 
-def _matrix(stream: PoseStream, i: int) -> FloatArray | None:
-    if not stream.valid[i]:
-        return None
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = stream.rotations[i], stream.translations_mm[i]
-    return matrix
+def _matrices(stream: PoseStream) -> list[FloatArray | None]:
+    """(4, 4) each, read-only; None where the status was not OK."""
+    matrices = np.tile(np.eye(4), (len(stream), 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = stream.rotations, stream.translations_mm
+    matrices.setflags(write=False)
+    return [m if valid else None for m, valid in zip(matrices, stream.valid.tolist(), strict=True)]

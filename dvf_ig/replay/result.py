@@ -5,8 +5,9 @@ from dataclasses import asdict
 from importlib import resources
 from typing import Any
 
-import jsonschema
 import numpy as np
+from jsonschema import Draft202012Validator
+from jsonschema.exceptions import best_match
 
 from dvf_ig.cardiac import frame_period_s
 from dvf_ig.core import FloatArray, InvalidInputError, ScenarioTruth, summarise_errors
@@ -32,10 +33,9 @@ def schema() -> dict[str, Any]:
 
 def validate(result: dict[str, Any]) -> None:
     """Raise InvalidInputError unless `result` fits the schema."""
-    try:
-        jsonschema.validate(result, schema())
-    except jsonschema.ValidationError as exc:
-        raise InvalidInputError(f"result.json does not fit {SCHEMA}: {exc.message}") from exc
+    error = best_match(Draft202012Validator(schema()).iter_errors(result))
+    if error is not None:
+        raise InvalidInputError(f"result.json does not fit {SCHEMA}: {error.message}") from error
 
 
 def result_of(replay: Replay) -> dict[str, Any]:
@@ -60,6 +60,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
             "mean": float(magnitude[valid].mean()) if valid.any() else 0.0,
         },
         "seconds": round(replay.seconds, 3),
+        "session_seconds": round(replay.session_seconds, 3),
         "fixtures": [one.described() for one in replay.setup.fixtures.fixtures],
         "fixtures_cap_n": replay.setup.fixtures.joint_cap_n,
         "retiming": replay.setup.retiming,

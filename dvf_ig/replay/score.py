@@ -9,6 +9,7 @@ from dvf_ig.core import (
     BoolArray,
     FloatArray,
     ImageMap,
+    IntArray,
     ScenarioTruth,
     SurfaceSeries,
 )
@@ -64,10 +65,17 @@ def pose_errors_mm(mr_from_tracker: FloatArray, t_s: FloatArray, truth: Scenario
     ):
         here = slice(0 if begin == begins[0] else int(begin), int(end))
         tracker = true_pose.inverse().apply_array(targets)
-        used = mr_from_tracker[here]
+        used, run = _runs(mr_from_tracker[here])
         apart = np.einsum("nij,kj->nki", used[:, :, :3], tracker) + used[:, None, :, 3] - targets
-        errors[here] = np.linalg.norm(apart, axis=2)
+        errors[here] = np.linalg.norm(apart, axis=2)[run]
     return errors
+
+
+def _runs(poses: FloatArray) -> tuple[FloatArray, IntArray]:
+    """The first of each run of equal (n, 3, 4) poses, and (n,) the run of each: a pose holds for long."""
+    same = (poses[1:] == poses[:-1]) | (np.isnan(poses[1:]) & np.isnan(poses[:-1]))
+    begins = np.concatenate([[True], ~same.all(axis=(1, 2))])[: len(poses)]
+    return poses[begins], np.cumsum(begins) - 1
 
 
 def score_phase(

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+from .preconditions import RATE_HZ
+
 
 def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     """The short table: quantity, estimate, and its error where the truth is known (else empty)."""
@@ -26,8 +28,14 @@ def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         *_update_rows(result),
         *_force_rows(result),
         _supervisor_row(result),
-        ("time", f"{result['seconds']:.1f} s", ""),
+        ("time", _time(result), ""),
     ]
+
+
+def _time(result: dict[str, Any]) -> str:
+    session_s = result["session_seconds"]
+    factor = result["ticks"] / RATE_HZ / max(session_s, 1e-3)
+    return f"{result['seconds']:.1f} s, of which the session {session_s:.1f} s: {factor:.1f} × real time"
 
 
 def _error(value: float | None, form: str) -> str:

@@ -4,8 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from jsonschema import Draft202012Validator
 
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray, Rigid, Scenario
+from dvf_ig.replay import schema
 from dvf_ig.replay.score import HAZARD_FORCE_N, HAZARD_MM, HazardScore, pose_errors_mm, score_hazard
 
 TICK_S = 0.25
@@ -95,3 +97,20 @@ def test_without_a_pose_there_is_no_error_and_times_before_the_truth_have_the_fi
     found = pose_errors_mm(matrices, np.array([0.0, 6.0]), truth_of((5.0, FIRST), (7.0, SECOND)))
     np.testing.assert_allclose(found[0], 0.0, atol=1e-9)
     assert np.isnan(found[1]).all()
+
+
+def test_the_schema_is_one() -> None:
+    Draft202012Validator.check_schema(schema())
+
+
+def test_a_pose_that_holds_has_the_errors_of_each_of_its_ticks(scenario: Scenario) -> None:
+    truth = scenario.truth
+    assert truth is not None
+    poses = np.random.default_rng(1).standard_normal((5, 3, 4))
+    poses[2] = np.nan
+    used = poses[[0, 0, 1, 2, 2, 2, 3, 0, 4, 4]]
+    t_s = np.arange(len(used)) * 0.001
+    together = pose_errors_mm(used, t_s, truth)
+    singly = [pose_errors_mm(used[i : i + 1], t_s[i : i + 1], truth)[0] for i in range(len(used))]
+    np.testing.assert_array_equal(together, singly)
+    assert np.isnan(together).all(axis=1).tolist() == [False] * 3 + [True] * 3 + [False] * 4
