@@ -12,7 +12,7 @@ from dvf_ig.session import stamp_order, tool_tracker
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "dvf_ig/docs/guide/one-frame.md").read_text(encoding="utf-8")
 GLOSSARY = (ROOT / "dvf_ig/docs/glossary.md").read_text(encoding="utf-8")
-ROWS = re.findall(r"^\| `(dvf_ig/[\w/]+\.py)` \| `([\w.]+)` \|", PAGE, re.MULTILINE)
+ROWS = re.findall(r"^\| `(dvf_ig/[\w/]+\.py)` `([\w.]+)` \|", PAGE, re.MULTILINE)
 
 
 def defined_in(path: str) -> set[str]:
