@@ -188,7 +188,7 @@ class PoseTracker:
         if asked.cancelled:
             self.history.set_refused(asked.asked_s, Refused(Refusal.SUSPENDED_MEANWHILE))
             return
-        self._next_start_s = asked.asked_s + RETRY_S
+        self._next_start_s = max(now_s, asked.asked_s + RETRY_S)
         if attempt.usable:
             self._take_pose(attempt, now_s)
         elif attempt.result is not None:
@@ -215,7 +215,7 @@ class PoseTracker:
                 if self.monitor.in_use or self.monitor.pending is found:
                     self._compare(beat, now_s)
         elif self.monitor.in_use:
-            self._next_start_s = attempt.asked_s + self._refresh_s(attempt.asked_s)
+            self._next_start_s = max(now_s, attempt.asked_s + self._refresh_s(attempt.asked_s))
 
     def _take_refusal(self, stop: Stop, asked_s: float, now_s: float) -> None:
         """A registration refused by its own evidence speaks against the pose in use."""

@@ -139,7 +139,6 @@ def test_work_that_is_late_is_asked_for_again_until_it_is_done() -> None:
     np.testing.assert_allclose(waits, POLL_S)
 
 
-@pytest.mark.xfail(strict=True, reason="the next is asked for RETRY_S after the late one was, in the past")
 @pytest.mark.parametrize("seconds", [5.0, LATEST_S + 0.5])
 def test_nothing_begins_in_the_past_after_late_work(seconds: float) -> None:
     """A registration is asked for, and its frames are gathered, at moments in order."""

@@ -51,8 +51,8 @@ def replay_html(page: ReplayPage) -> str:
         ),
         (
             "Supervisor",
-            "When the force was given in full, given with a warning or rising (degraded), released (fade), "
-            "or withheld until the operator re-armed (latched), and the hazards behind it. Below: time since a "
+            "When the force was given in full, with a warning or rising (degraded), released (fade), or "
+            "withheld until the operator re-armed (latched); the hazards behind it. Below: time since a "
             "heart beat confirmed the pose (dotted: from then on it is withheld).",
             supervisor_figure(page.supervisor),
         ),
