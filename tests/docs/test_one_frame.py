@@ -5,14 +5,21 @@ import re
 from pathlib import Path
 
 from dvf_ig.core import pose_motion
-from dvf_ig.session import beat_evaluation, confirmation, frame_buffer, gated_frames, pose_tracker
+from dvf_ig.session import (
+    beat_evaluation,
+    confirmation,
+    frame_buffer,
+    gated_frames,
+    pose_tracker,
+    stamp_order,
+    tool_tracker,
+)
 from dvf_ig.session import heart as session_heart
-from dvf_ig.session import stamp_order, tool_tracker
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "dvf_ig/docs/guide/one-frame.md").read_text(encoding="utf-8")
 GLOSSARY = (ROOT / "dvf_ig/docs/glossary.md").read_text(encoding="utf-8")
-ROWS = re.findall(r"^\| `(dvf_ig/[\w/]+\.py)` \| `([\w.]+)` \|", PAGE, re.MULTILINE)
+ROWS = re.findall(r"^\| `(dvf_ig/[\w/]+\.py)` `([\w.]+)` \|", PAGE, re.MULTILINE)
 
 
 def defined_in(path: str) -> set[str]:
@@ -42,17 +49,15 @@ def test_no_module_stands_there_twice_and_every_step_of_the_session_once() -> No
 
 def test_the_modules_of_the_drawing_are_in_the_tables() -> None:
     drawing = PAGE.split("```")[1]
-    assert {name for name in re.findall(r"\b[a-z]+_[a-z_]+\b", drawing)} <= {
-        Path(path).stem for path, _ in ROWS
-    }
+    named = set(re.findall(r"\b[a-z]+_[a-z_]+\b", drawing))
+    assert len(named) >= 10
+    assert not named - {Path(path).stem for path, _ in ROWS}
 
 
 def test_every_term_is_in_the_glossary() -> None:
     terms = re.findall(r"^\| ([^|]+?) \|", GLOSSARY, re.MULTILINE)
     known = {term for row in terms for term in re.split(r"[,;] ", row)}
-    said = {
-        term.removesuffix("s") if term not in known else term for term in re.findall(r"\*\*(.+?)\*\*", PAGE)
-    }
+    said = {term if term in known else term.removesuffix("s") for term in re.findall(r"\*\*(.+?)\*\*", PAGE)}
     assert len(said) > 30
     assert not said - known
 
