@@ -42,6 +42,8 @@ GATHER_S = 0.35
 """Frames are gathered this long after a registration was asked for: the longest latency and gap of poses."""
 BEAT_GATHER_S = 0.05
 """The same for a beat, whose R peak was detected some 0.12 s after its last frame."""
+LATEST_BEAT_S = 3.0
+"""A beat that is compared this late is dropped: it says too little of the pose by then."""
 POLL_S = 0.01
 """Work that is not done when it is due is asked for again after this."""
 REMEMBERED_BEATS = 6
@@ -103,15 +105,17 @@ class PoseTracker:
         self._beat_pose: Rigid | None = None
         """The best pose of the last beat, from when one suspended the pose in use until a registration."""
         self._pending_asked_s = inf
+        self._stepped_s = -inf
 
     @property
     def next_s(self) -> float:
-        """When something is to be done next; infinite where nothing is."""
-        return min(
+        """When something is to be done next, never before the last step; infinite where nothing is."""
+        due_s = min(
             self._next_start_s,
             min((r.next_s for r in self._registrations), default=inf),
             self._beats[0].next_s if self._beats else inf,
         )
+        return max(self._stepped_s, due_s)
 
     def begin(self, event_s: float) -> None:
         """The first frame was recorded; its image shows what happened at `event_s`."""
@@ -130,12 +134,12 @@ class PoseTracker:
 
     def step(self) -> None:
         """Do what is to be done at `next_s`."""
-        now_s = self.next_s
-        due = [r for r in self._registrations if r.next_s == now_s]
+        self._stepped_s = now_s = self.next_s
+        due = [r for r in self._registrations if r.next_s <= now_s]
         done = next((r for r in due if r.job is not None), None)
         if done is not None and done.job is not None:
             self._take_answer(done, done.job, now_s)
-        elif self._next_start_s == now_s:
+        elif self._next_start_s <= now_s:
             self._ask_registration(now_s)
         elif due:
             due[0].job = self._source.register(due[0].request, now_s)
@@ -239,6 +243,9 @@ class PoseTracker:
             pose = None if beat.tested is None else beat.tested.pose
             beat.job = self._source.beat(beat.peaks, now_s, pose, in_use=self.monitor.in_use is not None)
             beat.next_s = max(now_s, beat.peaks[-1].detected_at_s + BEAT_COMPUTE_S)
+        elif now_s >= beat.peaks[-1].detected_at_s + LATEST_BEAT_S:
+            self._beats.popleft()
+            self._take_beat(ComparedBeat(None, None, irregular=False), None, now_s)
         elif not beat.job.done():
             beat.next_s = now_s + POLL_S
         else:

@@ -196,14 +196,12 @@ def test_a_failure_leaves_the_pose_in_use_alone() -> None:
     assert all(update.pose is not None for update in tracker.history.updates)
 
 
-@pytest.mark.xfail(strict=True, reason="a beat that waited for another is compared in the past")
 def test_beats_that_wait_for_one_another_are_compared_in_order_of_time() -> None:
     ultrasound = Ultrasound(still, beat_seconds=1.0)
     tracked(ultrasound, 30.0)
     assert (np.diff(ultrasound.stepped_s) >= 0).all()
 
 
-@pytest.mark.xfail(strict=True, reason="a beat is waited for without limit")
 def test_a_beat_that_is_never_compared_is_given_up() -> None:
     tracker = tracked(Ultrasound(still, beat_seconds=1e6), 60.0)
     assert len(tracker._beats) < 10
