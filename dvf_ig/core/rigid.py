@@ -152,3 +152,8 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
     u, _, vt = np.linalg.svd(matrix)
     fix = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ vt)))])
     return np.asarray(u @ fix @ vt, dtype=np.float64)
+
+
+def is_rigid(matrix: FloatArray) -> bool:
+    """Whether a tracker's (4, 4) is finite, and a rotation and a translation to within RIGID_TOLERANCE."""
+    return bool(np.isfinite(matrix).all()) and rigidity_defect(matrix[:3, :3]) <= RIGID_TOLERANCE

@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, TrackedSequence
-from dvf_ig.core.rigid import RIGID_TOLERANCE, rigidity_defect
+from dvf_ig.core.rigid import is_rigid
 from dvf_ig.core.stream import MAX_GAP_S
 
 from .events import TrackedFrame
@@ -91,8 +91,3 @@ def _poses(frames: list[TrackedFrame], t_s: FloatArray) -> PoseStream:
         if pose is not None and is_rigid(pose):
             matrices[i], valid[i] = pose, True
     return PoseStream("tracker", "probe", t_s, matrices[:, :3, :3], matrices[:, :3, 3], valid)
-
-
-def is_rigid(matrix: FloatArray) -> bool:
-    """Whether a tracker's (4, 4) is finite, and a rotation and a translation to within RIGID_TOLERANCE."""
-    return bool(np.isfinite(matrix).all()) and rigidity_defect(matrix[:3, :3]) <= RIGID_TOLERANCE

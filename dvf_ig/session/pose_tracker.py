@@ -39,7 +39,9 @@ COMPUTE_S = 3.0
 LATEST_S = 12.0
 """A result that comes this late is dropped: the frames it is made of are too old."""
 GATHER_S = 0.35
-"""Frames are gathered this long after a registration was asked for: the longest latency and gap of poses."""
+"""Frames are gathered this long after a registration was asked for: the longest gap of poses, and images that
+are stamped up to COVERED_LAG_S after what they show; later stamps are waited for besides."""
+COVERED_LAG_S = 0.1
 BEAT_GATHER_S = 0.05
 """The same for a beat, whose R peak was detected some 0.12 s after its last frame."""
 LATEST_BEAT_S = 3.0
@@ -79,6 +81,7 @@ class PoseTracker:
         monitor: what the pose is compared with.
         start: coarse pose that the first registrations begin at; None takes that of touched landmarks.
         history: is told what happens.
+        lag_s: t_tracker(event) = t_video + lag_s.
     """
 
     def __init__(
@@ -87,6 +90,7 @@ class PoseTracker:
         monitor: RegistrationMonitor,
         start: Rigid | None,
         history: SessionHistory,
+        lag_s: float = 0.0,
     ) -> None:
         self.monitor = monitor
         self.history = history
@@ -94,6 +98,7 @@ class PoseTracker:
         """The pose in use over time; None while no pose may be used."""
         self.confirmation: Confirmation | None = None
         self._source, self._start = source, start
+        self._gather_s = GATHER_S + max(0.0, -lag_s - COVERED_LAG_S)
         self._landmarks = TouchedLandmarks()
         self._frames_from_s = inf
         """Earlier frames show another pose."""
@@ -159,7 +164,7 @@ class PoseTracker:
         since_s = max(self._frames_from_s, now_s - MEMORY_S)
         prior = None if self._start is not None else self._landmarks.prior
         request = RegistrationRequest(since_s, now_s, pose, warm, prior, tuple(self._peaks))
-        self._registrations.append(_Registration(now_s, request, now_s + GATHER_S))
+        self._registrations.append(_Registration(now_s, request, now_s + self._gather_s))
 
     def _registration_start(self) -> tuple[Rigid, bool] | None:
         """Where a registration begins, and whether that is relied on; None where nothing is known.

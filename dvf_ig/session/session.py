@@ -86,7 +86,7 @@ class Session:
             executor if executor is not None else InCaller(),
         )
         monitor = RegistrationMonitor(setup.heart.center_mm, None)
-        self._pose = PoseTracker(source, monitor, setup.start, self.history)
+        self._pose = PoseTracker(source, monitor, setup.start, self.history, setup.calibrations.lag_s)
         self._clock = HeartClock(setup.ecg_rate_hz)
         self._tool = ToolTracker(setup.calibrations.tip)
         self._fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)

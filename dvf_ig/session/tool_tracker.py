@@ -8,10 +8,10 @@ from statistics import median
 import numpy as np
 
 from dvf_ig.core import FloatArray, Points, read_only_arrays
+from dvf_ig.core.rigid import is_rigid
 from dvf_ig.guidance import Hazard
 
 from .events import ToolPose
-from .frame_buffer import is_rigid
 from .stamp_order import StampOrder
 
 MAX_AGE_S = 0.050

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from dvf_ig import session
-from dvf_ig.replay import Replay
-from dvf_ig.replay.events import events_of
+from dvf_ig.replay import Replay, events_of
 
 PAGE = (Path(__file__).resolve().parents[2] / "dvf_ig/docs/guide/own-program.md").read_text(encoding="utf-8")
 FIFTEEN, LIVE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)

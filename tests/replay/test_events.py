@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import Landmarks, Points, PoseStream, Signal, TrackedSequence
-from dvf_ig.replay.events import events_of
+from dvf_ig.replay import events_of
 from dvf_ig.session import EcgSamples, Landmark, ToolPose, TrackedFrame
 
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core.rigid import is_rigid
 from dvf_ig.core.stream import MAX_GAP_S
 from dvf_ig.session import TrackedFrame
-from dvf_ig.session.frame_buffer import KEEP_S, FrameBuffer, is_rigid
+from dvf_ig.session.frame_buffer import KEEP_S, FrameBuffer
 
 STEP_S = 0.1
 NO_PLACE = np.eye(4)
