@@ -222,7 +222,7 @@ def _errors(replay: Replay) -> dict[str, Any]:
     distance, true_force = true_contact(replay)
     contact = distance >= CONTACT_MM
     known = np.zeros_like(ticks.force_n) if true_force is None else true_force
-    force = score_force(ticks.force_n, valid, known, contact)
+    force = score_force(ticks.force_n, valid & ticks.guided, known, contact)
     out["contact"] = {
         "ticks": int(contact.sum()),
         "share": float(contact.mean()),

@@ -130,7 +130,7 @@ def score_force(
 
     Args:
         force_n, true_force_n: (n, 3) in the tracker's frame.
-        valid, contact: (n,).
+        valid: (n,) state is valid and the supervisor follows the fixtures; contact: (n,).
     """
     with_force = contact & valid & (np.linalg.norm(force_n, axis=1) > 0)
     if not with_force.any():

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, PhaseTrack, read_only_arrays
-from dvf_ig.guidance import PoseAndPhase, Status
+from dvf_ig.guidance import PoseAndPhase, Status, SupervisorState
 from dvf_ig.session import GuidanceState
 
 
@@ -50,6 +50,11 @@ class Ticks:
     def valid(self) -> BoolArray:
         """(n,) ticks with tracked tool, locked phase, a usable pose and the tool inside the model's box."""
         return np.asarray(self.status == int(Status.OK))
+
+    @property
+    def guided(self) -> BoolArray:
+        """(n,) ticks in which the supervisor follows the fixtures: it neither fades nor is latched."""
+        return np.asarray(self.supervisor <= int(SupervisorState.DEGRADED))
 
 
 class TickRecorder:

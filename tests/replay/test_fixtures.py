@@ -78,7 +78,7 @@ def test_dynamic_guidance_is_scored_against_guidance(replay: Replay) -> None:
     turned = np.linalg.norm(gradient / norm[:, None] - normal @ to_tracker, axis=1)
     error_n = np.linalg.norm(ticks.force_n - true_force, axis=1)
     assert (error_n <= law.stiffness_n_per_mm * apart_mm + law.cap_n * turned + 1e-9)[ok].all()
-    contact = guided.ticks.valid & (distance_mm >= 0.0)
+    contact = guided.ticks.valid & guided.ticks.guided & (distance_mm >= 0.0)
     result, before = result_of(guided), result_of(replay)
     assert result["force_error_n"]["median"] == pytest.approx(np.median(error_n[contact]))
     assert (before["fixtures"][0]["law"], before["retiming"]) == ("forbidden", "two-segment")
