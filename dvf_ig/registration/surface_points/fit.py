@@ -108,7 +108,7 @@ class SurfacePointFit:
                 f"{self.inliers.mean():.0%} of the touched points lie on the model's surface at the best "
                 "pose found; check the stylus tip, the phase and the patient"
             )
-        return self.stop.value
+        return str(self.stop.value)
 
 
 def start_from_surface_points(
@@ -186,7 +186,7 @@ def _covariance(distance: SurfaceDistance, pose: Rigid, sigma_mm: float) -> Floa
     curvature = jacobian.T @ (weights[:, None] * jacobian)
     if not np.linalg.cond(curvature) < 1e10:
         return np.full((6, 6), np.nan)
-    return covariance_from_mm(sigma_mm**2 * np.linalg.inv(curvature))
+    return covariance_from_mm(np.asarray(sigma_mm**2 * np.linalg.inv(curvature), dtype=np.float64))
 
 
 def _runner_up(

@@ -1,8 +1,8 @@
 """Robust point-to-surface ICP of touched points to the model's mesh of one phase, with Open3D.
 
 Point-to-plane distances to the nearest triangle's centre under Tukey's biweight, whose reach shrinks (Chen
-and Medioni 1992; Huber 1981). It sees one phase of the heart; the distance of the model, phase by phase,
-finishes.
+and Medioni 1992; Beaton and Tukey 1974). It sees one phase of the heart; the distance of the model, phase by
+phase, finishes.
 """
 
 import importlib
