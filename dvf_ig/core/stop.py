@@ -10,6 +10,7 @@ class Stop(Enum):
     MAX_ITERATIONS = "stopped at the iteration limit; the estimate may still be moving"
     LOW_OVERLAP = "too little of the ultrasound falls on the model; sweep more of the heart or start closer"
     WEAK_GEOMETRY = "the data leave a direction undetermined; add views from other angles"
+    AMBIGUOUS = "another pose explains the data about as well; add data or a start that tells them apart"
     POOR_MATCH = "image and model do not agree at the best pose found; do not guide by it"
     PHASE_OFFSET = "ECG and ultrasound disagree on the heart's phase; check the ECG's clock and latency"
     DISAGREEMENT = "independent checks of the pose disagree; do not guide by it"

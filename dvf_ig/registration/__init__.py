@@ -59,6 +59,12 @@ from .start import LandmarkPrior as LandmarkPrior
 from .start import LandmarkStart as LandmarkStart
 from .start import prior_from_landmarks as prior_from_landmarks
 from .start import start_from_landmarks as start_from_landmarks
+from .surface_points.check import SurfaceDisagreement as SurfaceDisagreement
+from .surface_points.check import surface_disagreement as surface_disagreement
+from .surface_points.fit import RunnerUp as RunnerUp
+from .surface_points.fit import SurfacePointFit as SurfacePointFit
+from .surface_points.fit import start_from_surface_points as start_from_surface_points
+from .surface_points.touched import TouchedPoints as TouchedPoints
 from .tracking.pose_estimate import BeatMeasurement as BeatMeasurement
 from .tracking.pose_estimate import PoseEstimate as PoseEstimate
 from .tracking.pose_estimate import measure_beat as measure_beat
