@@ -1,4 +1,4 @@
-"""Calibrations that a quality gate refuses: printed, drawn, written and marked; and read back knowingly only."""
+"""Calibrations that a quality gate refuses: printed, drawn, written, marked; read back knowingly only."""
 
 import json
 from pathlib import Path
