@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command
 
-from .output import OutputOption, judge, marked, refused_rows, save, vector, verdict
+from .output import OutputOption, judge, marked, save, show, vector, verdict
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import HandEyeResult
@@ -63,7 +63,7 @@ def hand_eye(
             ("pairs used", f"{int(found.inliers.sum())} of {len(found.inliers)}"),
             ("angular span", f"{found.span_deg:.1f} deg, spread of the axes {found.axis_spread:.2f}"),
         ]
-        emit(result, [*rows, *refused_rows(result)], as_json=as_json)
+        show(result, rows, as_json=as_json)
         judge(result)
 
 

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, warn
+from dvf_ig.cli.shell import JsonFlag, command, warn
 
-from .output import DeviceSetOption, OutputOption, judge, marked, refused_rows, save, vector, verdict
+from .output import DeviceSetOption, OutputOption, judge, marked, save, show, vector, verdict
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import LandmarkResult, MapDifference, TipCheck
@@ -53,8 +53,8 @@ def landmarks(
                 second=found.leave_one_out_mm,
             ),
         )  # fmt: skip
-        rows = [*_rows(found, phantom, samples, checked, difference), *refused_rows(result)]
-        emit(result, rows, as_json=as_json)
+        rows = _rows(found, phantom, samples, checked, difference)
+        show(result, rows, as_json=as_json)
         _warn(found, checked, poses.source)
         judge(result)
 

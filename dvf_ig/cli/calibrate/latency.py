@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, warn
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command, warn
 
-from .output import judge, marked, refused_rows, save, verdict
+from .output import judge, marked, save, show, verdict
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import LatencyResult
@@ -43,7 +43,7 @@ def latency(
             output, result, None, None, None, inputs,
             lambda png: write_latency_picture(png, found, title=title),
         )  # fmt: skip
-        emit(result, [*_rows(found), *refused_rows(result)], as_json=as_json)
+        show(result, _rows(found), as_json=as_json)
         if found.wander_s > WANDER_S:
             warn(
                 f"single movements give lags that differ by {1000 * found.wander_s:.0f} ms (SD): the clocks "

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import warn, wrote
+from dvf_ig.cli.shell import emit, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import CalibrationErrors, Refusal
@@ -100,8 +100,12 @@ def verdict(refusals: "Sequence[Refusal]") -> dict[str, Any]:
     return {"refused": bool(refusals), "refused_because": [refusal.detail for refusal in refusals]}
 
 
-def refused_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
-    return [("REFUSED", why) for why in result["refused_because"]]
+def show(result: dict[str, Any], rows: Sequence[tuple[str, ...]], *, as_json: bool) -> None:
+    """Print a result and why it is refused; what a refused one leaves infinite is null in JSON."""
+    from dvf_ig.io import plain
+
+    refused = [("REFUSED", why) for why in result["refused_because"]]
+    emit(plain(result), [*rows, *refused], as_json=as_json)
 
 
 def marked(result: dict[str, Any], title: str) -> str:

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command
 
-from .output import MaxResidualOption, OutputOption, judge, marked, refused_rows, save, vector, verdict
+from .output import MaxResidualOption, OutputOption, judge, marked, save, show, vector, verdict
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import PivotResult
@@ -49,7 +49,7 @@ def pivot(
             output, result, name, matrix, found.rms_3d_mm, [poses],
             lambda png: write_residual_picture(png, found.residuals_mm, title=title, used=found.inliers),
         )  # fmt: skip
-        emit(result, [*_rows(found), *refused_rows(result)], as_json=as_json)
+        show(result, _rows(found), as_json=as_json)
         judge(result)
 
 

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command
 
-from .output import MaxResidualOption, OutputOption, judge, refused_rows, save
+from .output import MaxResidualOption, OutputOption, judge, save, show
 
 
 class Phantom(StrEnum):
@@ -80,5 +80,5 @@ def probe(
         inputs = [p for p in files if p is not None]
         matrix = np.array(result["sensor_from_image"])
         save(output, result, f"{result['sensor_frame']}_from_image", matrix, error_mm, inputs)
-        emit(result, [*rows, *refused_rows(result)], as_json=as_json)
+        show(result, rows, as_json=as_json)
         judge(result)

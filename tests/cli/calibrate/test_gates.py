@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import FloatArray, PoseStream, QualityGateError, TrackedSequence, UnreadableFileError
