@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.calibration import (
     HAND_EYE_METHODS,
+    Gate,
     HandEyeMethod,
     HandEyeOptions,
     HandEyeResult,
@@ -148,6 +149,7 @@ def test_the_hand_is_interpolated_at_the_cameras_times() -> None:
 def test_refusals() -> None:
     with pytest.raises(QualityGateError, match=r"rotates by \d\.\d° only, needed at least 15°"):
         accepted(Bench(0, tilt_deg=3.0).solve())
+    assert [why.gate for why in Bench(0, tilt_deg=3.0).solve().refusals] == [Gate.SMALL_ROTATION]
     with pytest.raises(QualityGateError, match="about one axis only"):
         accepted(Bench(0, one_axis=True).solve())
     with pytest.raises(InvalidInputError, match="2 pairs of valid poses; needed at least 3"):

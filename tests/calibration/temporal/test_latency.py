@@ -12,7 +12,7 @@ from data_synth.phantoms.watertank import watertank_recording
 from data_synth.scenario.ground_truth import draw_ground_truth
 from data_synth.scenario.presets import Preset
 from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.calibration import accepted, estimate_latency, wall_trace
+from dvf_ig.calibration import Gate, accepted, estimate_latency, wall_trace
 from dvf_ig.core import FloatArray, LatencyRecording, NoOverlapError, PoseStream, QualityGateError, Trace
 from dvf_ig.io import read_latency_recording, read_sequence
 
@@ -59,6 +59,10 @@ def test_the_half_period_alias_of_the_other_sign_is_not_taken() -> None:
 def test_a_perfect_sine_cannot_be_told_from_its_alias() -> None:
     with pytest.raises(QualityGateError, match="two lags fit equally well"):
         accepted(estimate_latency(recording(-0.065, wander=0.0)))
+    found = estimate_latency(recording(-0.065, wander=0.0))
+    assert [why.gate for why in found.refusals] == [Gate.SECOND_ANSWER]
+    either = np.abs(np.array([found.lag_s, found.second_lag_s]) + 0.065)
+    assert either.min() < 0.005
 
 
 def test_refusals() -> None:
