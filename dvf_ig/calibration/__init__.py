@@ -40,6 +40,9 @@ from .probe.target_fit import TargetResult as TargetResult
 from .probe.wall import PlaneTarget as PlaneTarget
 from .probe.wall import calibrate_wall as calibrate_wall
 from .probe.wall import validate_wall as validate_wall
+from .refusal import Gate as Gate
+from .refusal import Refusal as Refusal
+from .refusal import accepted as accepted
 from .rejection import RejectedFrame as RejectedFrame
 from .rejection import Rejection as Rejection
 from .temporal.latency import LatencyOptions as LatencyOptions

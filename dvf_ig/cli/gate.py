@@ -35,12 +35,13 @@ def gate(
 ) -> None:
     """Detect R peaks causally and report where the heart's phase is valid."""
     with command():
-        from dvf_ig.io import write_json
+        from dvf_ig.io import refuse_foreign, write_json
 
         rate_hz = phase_at or VALIDITY_RATE_HZ
         signal, tracking = _track(ecg, rate_hz, predictor, delay_s)
         result = _result(tracking, with_phase=phase_at is not None)
         if output is not None:
+            refuse_foreign(output.with_suffix(".png"))
             write_json(output, result)
             wrote(output)
             _draw(output.with_suffix(".png"), ecg, signal, tracking)

@@ -36,7 +36,7 @@ def register(
     The evidence is written in any case; exits 5, 6 or 7 when the pose must not be used.
     """
     with command(threads):
-        from dvf_ig.io import output_folder, write_json, write_transform
+        from dvf_ig.io import output_folder, refuse_foreign, write_sidecar, write_transforms
 
         if out is None:
             raise typer.BadParameter("say where to write: -o OUT")
@@ -47,14 +47,16 @@ def register(
         name = "mr_from_tracker" if scenario is not None else "moving_from_fixed"
         transform, evidence = _files(out, name)
         with output_folder(transform.parent):
+            refuse_foreign(evidence, kind="registration")
+            refuse_foreign(transform.with_suffix(".json"), kind="transform")
             if scenario is not None:
                 result = _scenario(scenario, model, init, seed)
             else:
                 result = _pair(fixed, moving, init, mask, seed)
             payload = _payload(result, name, seed)
-            write_transform(result.target_from_source, transform)
-            write_json(evidence, payload)
-        wrote(transform, name)
+            for file in write_transforms(result.target_from_source, transform):
+                wrote(file, name)
+            write_sidecar(evidence, payload, "registration")
         wrote(evidence)
         emit(payload, _rows(result, name), as_json=as_json)
         _judge(result)

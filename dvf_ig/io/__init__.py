@@ -2,6 +2,11 @@
 
 from .atomic import output_folder as output_folder
 from .atomic import write_text as write_text
+from .calibration_files import read_hand_eye as read_hand_eye
+from .calibration_files import read_lag as read_lag
+from .calibration_files import read_landmark_map as read_landmark_map
+from .calibration_files import read_probe as read_probe
+from .calibration_files import read_tip as read_tip
 from .describe.file import Description as Description
 from .describe.file import describe as describe
 from .ecg.beat_annotations import BeatAnnotations as BeatAnnotations
@@ -60,5 +65,8 @@ from .plus.xml import write_coordinate_definitions as write_coordinate_definitio
 from .scenario.read import read_scenario as read_scenario
 from .scenario.readme import ScenarioNotes as ScenarioNotes
 from .scenario.write import write_scenario as write_scenario
+from .sidecar import refuse_foreign as refuse_foreign
+from .sidecar import write_sidecar as write_sidecar
 from .transform import read_transform as read_transform
 from .transform import write_transform as write_transform
+from .transform import write_transforms as write_transforms

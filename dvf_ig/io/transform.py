@@ -9,9 +9,10 @@ from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import FrameMismatchError, InvalidInputError, OutputError, UnreadableFileError
 from dvf_ig.core.rigid import Rigid, rigidity_defect
 
-from .atomic import write_text
-from .json_file import read_json, write_json
+from .atomic import atomic_file, write_text
+from .json_file import read_json
 from .reading import read_bytes, reading
+from .sidecar import refuse_foreign, write_sidecar
 
 CONVENTION = "ITK: maps points of 'from' (fixed image) to 'to' (moving image); LPS, mm"
 _AFFINE = ("AffineTransform", "MatrixOffsetTransformBase")
@@ -63,6 +64,7 @@ def write_transform(rigid: Rigid, path: Path | str, error_mm: float | None = Non
     path = Path(path)
     if path.suffix.lower() not in (".tfm", ".txt"):
         raise OutputError(f"cannot write {path}: transforms are written as .tfm; change the ending")
+    refuse_foreign(path.with_suffix(".json"), kind="transform")
     numbers = " ".join(map(repr, [*rigid.rotation.ravel().tolist(), *rigid.translation_mm.tolist()]))
     write_text(
         path,
@@ -70,7 +72,32 @@ def write_transform(rigid: Rigid, path: Path | str, error_mm: float | None = Non
         f"Parameters: {numbers}\nFixedParameters: 0 0 0\n",
     )
     sidecar = {"from": rigid.source, "to": rigid.target, "convention": CONVENTION, "error_mm": error_mm}
-    write_json(path.with_suffix(".json"), sidecar)
+    write_sidecar(path.with_suffix(".json"), sidecar, "transform")
+
+
+def write_transforms(rigid: Rigid, path: Path | str, error_mm: float | None = None) -> tuple[Path, Path]:
+    """Write target_from_source as `.tfm` and, beside it, the same as `.h5`, which 3D Slicer saves itself.
+
+    Returns:
+        The two files; one sidecar `<stem>.json` belongs to both.
+    Raises:
+        OutputError: as `write_transform`, or a file of the user's own stands beside it.
+    """
+    import SimpleITK
+
+    path = Path(path)
+    second = path.with_suffix(".h5")
+    refuse_foreign(second)
+    write_transform(rigid, path, error_mm)
+    affine = SimpleITK.AffineTransform(3)
+    affine.SetMatrix(rigid.rotation.ravel().tolist())
+    affine.SetTranslation(rigid.translation_mm.tolist())
+    try:
+        with atomic_file(second) as temporary:
+            SimpleITK.WriteTransform(affine, str(temporary))
+    except RuntimeError as exc:
+        raise OutputError(f"cannot write {second}: {str(exc).splitlines()[-1]}") from exc
+    return path, second
 
 
 def rigid_from_matrix(matrix: Any, target: str, source: str) -> Rigid:

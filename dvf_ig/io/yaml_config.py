@@ -30,7 +30,7 @@ class Section(BaseModel):
         return given
 
 
-S = TypeVar("S", bound=Section)
+S = TypeVar("S", bound=BaseModel)
 
 
 def read_yaml(path: Path, what: str) -> Any:

@@ -10,6 +10,7 @@ from dvf_ig.calibration import (
     LatencyResult,
     NWireResult,
     PivotResult,
+    accepted,
     calibrate_nwire,
     calibrate_pivot,
     estimate_latency,
@@ -30,11 +31,11 @@ def calibrate(scenario: Scenario, seed: int) -> Calibrations:
     """Calibrate tool, probe and latency from their recordings; refusals are the methods' own."""
     rng_pivot, rng_probe = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     with _naming("pivot calibration"):
-        pivot = calibrate_pivot(scenario.pivot, rng=rng_pivot)
+        pivot = accepted(calibrate_pivot(scenario.pivot, rng=rng_pivot))
     with _naming("probe calibration"):
-        probe = calibrate_nwire(scenario.nwire, rng=rng_probe)
+        probe = accepted(calibrate_nwire(scenario.nwire, rng=rng_probe))
     with _naming("latency calibration"):
-        latency = estimate_latency(scenario.latency)
+        latency = accepted(estimate_latency(scenario.latency))
     return Calibrations(pivot, probe, latency)
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.io.atomic import write_bytes
+from dvf_ig.io.sidecar import MARK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +39,7 @@ DPI = 110
 def png_bytes(figure: Figure, dpi: int = DPI) -> bytes:
     """The figure as a PNG file's bytes; the same figure gives the same bytes."""
     buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": MARK})
     return buffer.getvalue()
 
 

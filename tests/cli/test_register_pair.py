@@ -121,6 +121,7 @@ def test_a_pair_of_files_is_registered_and_its_error_evaluated(files: Path, tmp_
     assert done.exit_code == 0, done.output
     result: dict[str, Any] = json.loads(done.stdout)
     assert result["stop"] == "CONVERGED"
+    assert (tmp_path / "moving_from_fixed.h5").is_file()
     transform = SimpleITK.ReadTransform(str(tmp_path / "moving_from_fixed.tfm"))
     written = np.array([transform.TransformPoint(p) for p in POINTS.tolist()])
     matrix = np.array(result["moving_from_fixed"])

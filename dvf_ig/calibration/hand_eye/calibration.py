@@ -4,14 +4,15 @@ Uses cv2, loaded when a calibration is run.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.random import Generator
 
-from dvf_ig.calibration.inliers import Consensus, InlierRule, fit_inliers
+from dvf_ig.calibration.inliers import MIN_INLIERS, Consensus, InlierRule, fit_inliers
 from dvf_ig.calibration.pivot.pivot import rotation_span_deg
+from dvf_ig.calibration.refusal import Gate, Refusal
 from dvf_ig.core import (
     BoolArray,
     FloatArray,
@@ -30,6 +31,8 @@ HandEyeMethod = Literal["tsai", "park", "horaud", "andreff", "daniilidis", "shah
 HAND_EYE_METHODS: tuple[HandEyeMethod, ...] = get_args(HandEyeMethod)
 
 _ROBOT_WORLD = ("shah", "li")
+_NO_ROTATION_DEG, _NO_SPREAD = 1.0, 1e-3
+"""Rotation and spread of its axes below which the hand's motion gives no place at all."""
 _SAMPLE = 4
 """Poses of one hypothesis: three determine the answer, a fourth steadies it."""
 
@@ -77,6 +80,7 @@ class HandEyeResult:
         span_deg: largest rotation between two inlier poses of the hand.
         axis_spread: see HandEyeOptions.min_axis_spread.
         covariance: (6, 6) rad², mm² of hand_from_camera (rotation in the hand's axes first).
+        refusals: the gates that the estimate failed; it must not be used unless there are none.
     """
 
     hand_from_camera: Rigid
@@ -90,6 +94,7 @@ class HandEyeResult:
     span_deg: float
     axis_spread: float
     covariance: FloatArray
+    refusals: tuple[Refusal, ...] = ()
 
 
 def calibrate_hand_eye(
@@ -113,21 +118,19 @@ def calibrate_hand_eye(
     Raises:
         InvalidInputError: frames that repeat, or fewer than 3 pairs.
         NoOverlapError: the two streams share no time.
-        QualityGateError: the hand rotates too little or about one axis, or too few pairs agree.
+        QualityGateError: no place can be computed: the hand stood still, turned about one axis, or hardly a
+            pair agrees. What is computed but fails a gate carries its refusals.
     Source: Tsai & Lenz 1989, Park & Martin 1994, Shah 2013 (in OpenCV); MSAC of Torr & Zisserman 2000.
     """
     options = options or HandEyeOptions()
     chain, t_s = _paired(base_from_hand, camera_from_target)
-    _refuse_still(chain, base_from_hand.name, options)
+    _refuse_undetermined(chain, base_from_hand.name, options)
     agreed = _inliers(chain, _closed_form(options.method), rng, options)
     keep, fitted = agreed.inliers, agreed.model
-    if keep.sum() < max(3, options.min_inlier_share * len(t_s)):
-        raise QualityGateError(
-            f"only {int(keep.sum())} of {len(t_s)} pairs agree on one place of '{camera_from_target.target}' "
-            f"within {options.consensus_mm:g} mm and {options.consensus_deg:g}°, needed "
-            f"{options.min_inlier_share:.0%}; check that the target stood still and that both clocks are one"
-        )
-    span, spread = _refuse_still(chain.part(keep), base_from_hand.name, options)
+    refusals = _few_agree(keep, camera_from_target.target, options)
+    if keep.sum() < MIN_INLIERS:
+        raise QualityGateError(refusals[0].detail)
+    turned = _rotation_refusals(chain.part(keep), base_from_hand.name, options)
     if fitted is None:
         raise QualityGateError(
             f"method '{options.method}' finds no place of '{camera_from_target.target}' from the "
@@ -147,9 +150,10 @@ def calibrate_hand_eye(
         rms_mm=float(np.sqrt((mm[keep] ** 2).mean())),
         rms_deg=float(np.sqrt((degrees[keep] ** 2).mean())),
         inliers=keep,
-        span_deg=span,
-        axis_spread=spread,
+        span_deg=rotation_span_deg(chain.part(keep).hand_rotations),
+        axis_spread=chain.part(keep).axis_spread(),
         covariance=fitted.covariance,
+        refusals=(*turned, *refusals),
     )
 
 
@@ -182,21 +186,45 @@ def _paired(hand: PoseStream, camera: PoseStream) -> tuple[Chain, FloatArray]:
     )
 
 
-def _refuse_still(chain: Chain, name: str, options: HandEyeOptions) -> tuple[float, float]:
-    """Span (deg) and axis spread of the hand's rotations, where they suffice."""
+def _few_agree(keep: BoolArray, camera: str, options: HandEyeOptions) -> tuple[Refusal, ...]:
+    if keep.sum() >= max(MIN_INLIERS, options.min_inlier_share * len(keep)):
+        return ()
+    detail = (
+        f"only {int(keep.sum())} of {len(keep)} pairs agree on one place of '{camera}' "
+        f"within {options.consensus_mm:g} mm and {options.consensus_deg:g}°, needed "
+        f"{options.min_inlier_share:.0%}; check that the target stood still and that both clocks are one"
+    )
+    return (Refusal(Gate.FEW_AGREE, detail),)
+
+
+def _refuse_undetermined(chain: Chain, name: str, options: HandEyeOptions) -> None:
+    """Raise where the hand's motion gives no place of the camera at all."""
+    least = replace(options, min_span_deg=_NO_ROTATION_DEG, min_axis_spread=_NO_SPREAD)
+    if _rotation_refusals(chain, name, least):
+        limits = replace(
+            options,
+            min_span_deg=max(options.min_span_deg, _NO_ROTATION_DEG),
+            min_axis_spread=max(options.min_axis_spread, _NO_SPREAD),
+        )
+        raise QualityGateError(_rotation_refusals(chain, name, limits)[0].detail)
+
+
+def _rotation_refusals(chain: Chain, name: str, options: HandEyeOptions) -> tuple[Refusal, ...]:
     span, spread = rotation_span_deg(chain.hand_rotations), chain.axis_spread()
     if span < options.min_span_deg:
-        raise QualityGateError(
+        detail = (
             f"{name} rotates by {span:.1f}° only, needed at least {options.min_span_deg:g}°; tilt the hand "
             "in all directions while the camera sees the target"
         )
+        return (Refusal(Gate.SMALL_ROTATION, detail),)
     if spread < options.min_axis_spread:
-        raise QualityGateError(
+        detail = (
             f"{name} rotates about one axis only (spread of the axes {spread:.3f}, needed at least "
             f"{options.min_axis_spread:g}); the camera's place along it stays unknown: rotate about a second "
             "axis too"
         )
-    return span, spread
+        return (Refusal(Gate.ONE_AXIS, detail),)
+    return ()
 
 
 def _inliers(
@@ -204,10 +232,12 @@ def _inliers(
 ) -> Consensus[ChainFit]:
     """The fit to all inliers, from those of the best-supported of the closed forms of random samples."""
     best, lowest = np.ones(len(chain), dtype=np.bool_), np.inf
+    # half the spread of all where that is small: a motion that the gate refuses still gives a place
+    least = min(options.min_axis_spread, 0.5 * chain.axis_spread())
     for _ in range(options.hypotheses if len(chain) > _SAMPLE else 1):
         sample = rng.permutation(len(chain))[:_SAMPLE]
         chosen = chain.part(sample)
-        if chosen.axis_spread() < options.min_axis_spread:
+        if chosen.axis_spread() < least:
             continue
         camera = solve(chosen)
         if not np.isfinite(camera).all():
@@ -219,7 +249,7 @@ def _inliers(
 
     def fit(keep: BoolArray, _: ChainFit | None) -> ChainFit | None:
         part = chain.part(keep)
-        if part.axis_spread() < options.min_axis_spread:
+        if part.axis_spread() < least:
             return None
         start = solve(part)
         return refine(part, start) if np.isfinite(start).all() else None

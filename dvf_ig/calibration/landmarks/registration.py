@@ -1,16 +1,16 @@
 """Landmark registration: a rigid map between paired points, with the evidence for and against it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import comb
 
 import numpy as np
 
+from dvf_ig.calibration.refusal import Gate, Refusal
 from dvf_ig.core import (
     FloatArray,
     InvalidInputError,
     Points,
-    QualityGateError,
     Rigid,
     read_only_arrays,
     require_same_frame,
@@ -38,6 +38,7 @@ class LandmarkResult:
         rms_mm, mean_mm: their root mean square and mean.
         leave_one_out_mm: (n,) error of each landmark under the map fitted without it (NaN for n = 3).
         second_rms_mm: smallest RMS residual of any other pairing of the same points.
+        refusals: the gates that the map failed; it must not be used unless there are none.
     """
 
     target_from_source: Rigid
@@ -46,6 +47,7 @@ class LandmarkResult:
     mean_mm: float
     leave_one_out_mm: FloatArray
     second_rms_mm: float
+    refusals: tuple[Refusal, ...] = ()
 
     @property
     def ambiguous(self) -> bool:
@@ -110,10 +112,10 @@ def match_dwells(dwells: Dwells, landmarks: Points) -> tuple[LandmarkResult, tup
         landmarks: (n, 3) in the order in which they were touched.
     Returns:
         target_from_source with target = frame of the dwells, source = frame of the landmarks, and which dwell
-        is which landmark: the choice with the smallest residual.
+        is which landmark: the choice with the smallest residual. The map is refused where another choice
+        that moves it by more than 2 mm fits as well.
     Raises:
         InvalidInputError: fewer dwells than landmarks, too many to try, or landmarks on one line.
-        QualityGateError: another choice, that moves the map by more than 2 mm, fits as well.
     """
     count, need = len(dwells.points), len(landmarks)
     if count < need or comb(count, need) > MAX_CHOICES:
@@ -128,16 +130,26 @@ def match_dwells(dwells: Dwells, landmarks: Points) -> tuple[LandmarkResult, tup
         residuals = fitted.apply(landmarks).xyz_mm - touched.xyz_mm
         tried.append((float(np.sqrt((residuals**2).sum(axis=1).mean())), choice, fitted))
     tried.sort(key=lambda t: (t[0], t[1]))
-    rms, best, chosen = tried[0]
+    best = tried[0][1]
+    touched = Points(dwells.points.frame, dwells.points.xyz_mm[list(best)])
+    found = register_landmarks(touched, landmarks)
+    return replace(found, refusals=_second_choice(tried, landmarks)), best
+
+
+def _second_choice(
+    tried: list[tuple[float, tuple[int, ...], Rigid]], landmarks: Points
+) -> tuple[Refusal, ...]:
+    """Refusal where a choice other than the best fits as well and gives another map."""
+    rms, _, chosen = tried[0]
     for other_rms, _, other in tried[1:]:
         moved = chosen.apply(landmarks).xyz_mm - other.apply(landmarks).xyz_mm
         if other_rms <= max(1.5 * rms, rms + 0.2) and np.linalg.norm(moved, axis=1).max() > 2.0:
-            raise QualityGateError(
+            detail = (
                 f"two assignments of dwells to landmarks fit equally well ({rms:.2f} and {other_rms:.2f} mm "
                 "RMS); touch each landmark once and hold still nowhere else"
             )
-    touched = Points(dwells.points.frame, dwells.points.xyz_mm[list(best)])
-    return register_landmarks(touched, landmarks), best
+            return (Refusal(Gate.SECOND_ANSWER, detail),)
+    return ()
 
 
 def _leave_one_out(target: Points, source: Points) -> FloatArray:

@@ -1,12 +1,13 @@
 """Pivot calibration: where a tool's tip is, from poses recorded while the tip rested in a divot."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.calibration.inliers import InlierRule, fit_inliers
+from dvf_ig.calibration.inliers import MIN_INLIERS, InlierRule, fit_inliers
+from dvf_ig.calibration.refusal import Gate, Refusal
 from dvf_ig.core import (
     BoolArray,
     FloatArray,
@@ -16,6 +17,9 @@ from dvf_ig.core import (
     QualityGateError,
     read_only_arrays,
 )
+
+MAX_CONDITION = 1e6
+"""Condition number beyond which the poses give no tip at all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +61,7 @@ class PivotResult:
         span_deg: largest rotation between two inliers.
         condition: condition number of the inliers' linear system.
         covariance: (6, 6) mm² of (tip, pivot), from the residuals.
+        refusals: the gates that the estimate failed; it must not be used unless there are none.
     """
 
     tip: Points
@@ -69,6 +74,7 @@ class PivotResult:
     span_deg: float
     condition: float
     covariance: FloatArray
+    refusals: tuple[Refusal, ...] = ()
 
 
 def calibrate_pivot(poses: PoseStream, *, rng: Generator, options: PivotOptions | None = None) -> PivotResult:
@@ -80,7 +86,9 @@ def calibrate_pivot(poses: PoseStream, *, rng: Generator, options: PivotOptions 
         options: see PivotOptions.
     Raises:
         InvalidInputError: fewer than 3 valid poses.
-        QualityGateError: rotations too small or about one axis, too few poses agree, or a large residual.
+        QualityGateError: no tip can be computed: the tool did not turn, or turned about one axis, or no
+            three poses agree. What is computed but fails a gate (small rotations, too few poses that agree,
+            a large residual) carries its refusals.
     Source: Yaniv 2015 (algebraic one step: [R_i −I][tip; pivot] = −t_i); MSAC of Torr & Zisserman 2000.
     """
     options = options or PivotOptions()
@@ -91,13 +99,9 @@ def calibrate_pivot(poses: PoseStream, *, rng: Generator, options: PivotOptions 
             "record again with the tool in view"
         )
     rotations, translations = poses.rotations[valid], poses.translations_mm[valid]
-    _refuse_still(poses.name, rotation_span_deg(rotations), options)
     keep = _inliers(rotations, translations, rng, options)
-    if keep.sum() < max(3, options.min_inlier_share * len(valid)):
-        raise QualityGateError(
-            f"only {int(keep.sum())} of {len(valid)} poses of {poses.name} rotate about one point within "
-            f"{options.consensus_mm:g} mm; needed {options.min_inlier_share:.0%}: keep the tip in the divot"
-        )
+    if keep.sum() < MIN_INLIERS:
+        raise QualityGateError(_few_agree(poses.name, keep, options))
     return _result(poses, valid, keep, options)
 
 
@@ -118,22 +122,14 @@ def _result(
 ) -> PivotResult:
     rotations, translations = poses.rotations[valid][keep], poses.translations_mm[valid][keep]
     span = rotation_span_deg(rotations)
-    _refuse_still(poses.name, span, options)
     matrix = _system(rotations)
     condition = float(np.linalg.cond(matrix))
-    if condition > options.max_condition:
-        raise QualityGateError(
-            f"{poses.name} rotates about one axis only (condition number {condition:.0f}, needed at most "
-            f"{options.max_condition:g}); tilt the tool in all directions about the divot"
-        )
+    if not condition <= MAX_CONDITION:
+        limit = replace(options, max_condition=min(options.max_condition, MAX_CONDITION))
+        raise QualityGateError(_rotation_refusals(poses.name, span, condition, limit)[0].detail)
     solution = _solve(rotations, translations)
     lengths = _residual_lengths(solution[None], rotations, translations)[0]
     rms = float(np.sqrt(np.mean(lengths**2)))
-    if rms > options.max_rms_mm:
-        raise QualityGateError(
-            f"pivot residual of {poses.name} is {rms:.2f} mm RMS, needed at most {options.max_rms_mm:g} mm; "
-            "keep the tip in the divot and check that the marker is tight"
-        )
     variance = float((lengths**2).sum()) / max(1, 3 * len(lengths) - 6)
     inliers = np.zeros(len(poses), dtype=np.bool_)
     inliers[valid[keep]] = True
@@ -152,6 +148,10 @@ def _result(
         span_deg=span,
         condition=condition,
         covariance=np.asarray(variance * np.linalg.inv(matrix.T @ matrix), dtype=np.float64),
+        refusals=(
+            *_rotation_refusals(poses.name, span, condition, options),
+            *_agreement_refusals(poses.name, keep, rms, options),
+        ),
     )
 
 
@@ -203,9 +203,38 @@ def _residual_lengths(solutions: FloatArray, rotations: FloatArray, translations
     return np.asarray(np.linalg.norm(tips + translations - solutions[:, None, 3:], axis=2))
 
 
-def _refuse_still(name: str, span_deg: float, options: PivotOptions) -> None:
+def _rotation_refusals(
+    name: str, span_deg: float, condition: float, options: PivotOptions
+) -> tuple[Refusal, ...]:
+    advice = "tilt the tool in all directions about the divot"
     if span_deg < options.min_span_deg:
-        raise QualityGateError(
-            f"{name} rotates by {span_deg:.1f}° only, needed at least {options.min_span_deg:g}°; "
-            "tilt the tool in all directions about the divot while recording"
+        detail = (
+            f"{name} rotates by {span_deg:.1f}° only, needed at least {options.min_span_deg:g}°; {advice}"
         )
+        return (Refusal(Gate.SMALL_ROTATION, f"{detail} while recording"),)
+    if condition > options.max_condition:
+        detail = f"condition number {condition:.0f}, needed at most {options.max_condition:g}"
+        return (Refusal(Gate.ONE_AXIS, f"{name} rotates about one axis only ({detail}); {advice}"),)
+    return ()
+
+
+def _agreement_refusals(
+    name: str, keep: BoolArray, rms_mm: float, options: PivotOptions
+) -> tuple[Refusal, ...]:
+    refusals = []
+    if keep.mean() < options.min_inlier_share:
+        refusals.append(Refusal(Gate.FEW_AGREE, _few_agree(name, keep, options)))
+    if rms_mm > options.max_rms_mm:
+        detail = (
+            f"pivot residual of {name} is {rms_mm:.2f} mm RMS, needed at most {options.max_rms_mm:g} mm; "
+            "keep the tip in the divot and check that the marker is tight"
+        )
+        refusals.append(Refusal(Gate.RESIDUAL, detail))
+    return tuple(refusals)
+
+
+def _few_agree(name: str, keep: BoolArray, options: PivotOptions) -> str:
+    return (
+        f"only {int(keep.sum())} of {len(keep)} poses of {name} rotate about one point within "
+        f"{options.consensus_mm:g} mm; needed {options.min_inlier_share:.0%}: keep the tip in the divot"
+    )

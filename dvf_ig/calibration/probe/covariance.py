@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student_t
 
-from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, QualityGateError, read_only_arrays
+from dvf_ig.calibration.refusal import Gate, Refusal
+from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, read_only_arrays
 
 from .map_parameters import MapParameters
 from .tracked_points import IndexArray
@@ -149,14 +150,14 @@ def _held_out(inverse: FloatArray, rows: FloatArray, residuals: FloatArray) -> F
     return np.asarray(np.linalg.solve(remainder, residuals))
 
 
-def refuse_unconstrained(
+def undetermined_refusals(
     parameters: MapParameters,
     jacobian: FloatArray,
     noise_mm: float,
     limits: tuple[float, float, float],
     advice: dict[str, str],
-) -> None:
-    """Refuse data whose motion does not determine a part of the map, whatever the residuals say.
+) -> tuple[Refusal, ...]:
+    """Refusal of data whose motion does not determine a part of the map, whatever the residuals say.
 
     Args:
         parameters: of the map; they come first among the unknowns.
@@ -164,8 +165,8 @@ def refuse_unconstrained(
         noise_mm: SD of one residual; the standard deviations follow from it.
         limits: largest SD of a rotation (rad), of a position (mm), of the log of a pixel size.
         advice: what to do, by parameter name.
-    Raises:
-        QualityGateError: naming the undetermined parameters and the motion that would determine them.
+    Returns:
+        None, or one that names the undetermined parameters and the motion that would determine them.
     """
     flat = jacobian.reshape(-1, jacobian.shape[2])
     length = np.linalg.norm(flat, axis=0)
@@ -174,14 +175,16 @@ def refuse_unconstrained(
     sd = noise_mm * np.linalg.norm(inverse, axis=0) / np.maximum(length, 1e-12)
     limit = np.repeat(limits, 3)[: parameters.count]
     undetermined = [n for n, s, top in zip(parameters.names, sd, limit, strict=False) if s > top]
-    if undetermined:
-        worst = [f"{DISPLAY_NAMES[n]} (SD {_shown(n, sd[parameters.names.index(n)])})" for n in undetermined]
-        actions = ", and ".join(dict.fromkeys(advice[n] for n in undetermined))
-        needed = f"{np.degrees(limits[0]):.1f}°, {limits[1]:g} mm, {100 * limits[2]:g} %"
-        raise QualityGateError(
-            f"the recorded motion does not determine the image calibration's {', '.join(worst)}; needed "
-            f"SDs of at most {needed}: {actions}"
-        )
+    if not undetermined:
+        return ()
+    worst = [f"{DISPLAY_NAMES[n]} (SD {_shown(n, sd[parameters.names.index(n)])})" for n in undetermined]
+    actions = ", and ".join(dict.fromkeys(advice[n] for n in undetermined))
+    needed = f"{np.degrees(limits[0]):.1f}°, {limits[1]:g} mm, {100 * limits[2]:g} %"
+    detail = (
+        f"the recorded motion does not determine the image calibration's {', '.join(worst)}; needed "
+        f"SDs of at most {needed}: {actions}"
+    )
+    return (Refusal(Gate.UNCERTAIN, detail),)
 
 
 def _shown(name: str, sd: float) -> str:

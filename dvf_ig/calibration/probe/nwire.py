@@ -6,6 +6,7 @@ import numpy as np
 from numpy.random import Generator
 
 from dvf_ig.calibration.inliers import InlierRule, fit_inliers
+from dvf_ig.calibration.refusal import Gate, Refusal
 from dvf_ig.calibration.rejection import RejectedFrame
 from dvf_ig.core import (
     BoolArray,
@@ -75,6 +76,7 @@ class NWireResult:
         covariance: (9, 9) of the linear map [u-column, v-column, origin] in mm per px, mm per px, mm.
         uncertainty: 95 % intervals of the map, from blocks of frames.
         rejected: (frame, reason) of every frame that took no part.
+        refusals: the gates that the estimate failed; it must not be used unless there are none.
     """
 
     probe_from_image: ImageMap
@@ -87,6 +89,7 @@ class NWireResult:
     covariance: FloatArray
     uncertainty: MapUncertainty
     rejected: tuple[tuple[int, RejectedFrame], ...]
+    refusals: tuple[Refusal, ...] = ()
 
 
 @read_only_arrays
@@ -98,7 +101,7 @@ class LinearFit:
         points: dots of the usable frames.
         inliers: (f,) of those frames.
         linear: (3, 3) [u, v, 1] -> mm at the probe.
-        covariance, edge_sd_mm: see NWireResult.
+        covariance, edge_sd_mm, refusals: see NWireResult.
     """
 
     points: TrackedPoints
@@ -106,6 +109,7 @@ class LinearFit:
     linear: FloatArray
     covariance: FloatArray
     edge_sd_mm: float
+    refusals: tuple[Refusal, ...]
 
 
 def calibrate_nwire(
@@ -119,8 +123,9 @@ def calibrate_nwire(
         options: see NWireOptions.
     Raises:
         InvalidInputError: too few usable frames, or wires that do not form N patterns.
-        QualityGateError: dots that do not spread over the image, image axes far from orthogonal, or a
-            large error.
+        QualityGateError: no map can be computed: hardly a frame agrees with the others, or image axes far
+            from orthogonal. What is computed but fails a gate (too few frames that agree, dots that do not
+            spread over the image, a large error) carries its refusals.
         NotConvergedError: the fit did not converge.
     Source: Comeau 1998 / Chen 2009 (N-wire, linear); Carbajal 2013 (all wires, in plane).
     """
@@ -151,20 +156,25 @@ def fit_linear(recording: NWireRecording, rng: Generator, options: NWireOptions)
         raise InvalidInputError(f"probe method '{options.method}' is unknown; choose {listed}")
     points, wires = usable_wires(recording, options.min_frames), MiddleWires.of(recording.phantom)
     inliers = _inliers(points, wires, rng, options)
+    refusals: list[Refusal] = []
     if inliers.sum() < max(options.min_frames, len(inliers) // 2):
-        raise QualityGateError(
+        detail = (
             f"only {int(inliers.sum())} of {len(inliers)} N-wire frames agree on one probe calibration, "
             f"needed half and at least {options.min_frames}; check phantom, sensor and wire order"
         )
+        if inliers.sum() < options.subset:
+            raise QualityGateError(detail)
+        refusals.append(Refusal(Gate.FEW_AGREE, detail))
     chosen = points.part(inliers)
     linear = linear_map(chosen, wires)
     covariance, edge_sd = linear_covariance(chosen, wires, linear)
     if edge_sd > options.max_edge_sd_mm:
-        raise QualityGateError(
+        detail = (
             f"the wires leave the probe calibration uncertain by {edge_sd:.2f} mm where they were seen, "
             f"needed at most {options.max_edge_sd_mm:g} mm; let the dots wander over the image"
         )
-    return LinearFit(points, inliers, linear, covariance, edge_sd)
+        refusals.append(Refusal(Gate.UNCERTAIN, detail))
+    return LinearFit(points, inliers, linear, covariance, edge_sd, tuple(refusals))
 
 
 def calibrate_method(recording: NWireRecording, start: LinearFit, options: NWireOptions) -> NWireResult:
@@ -173,12 +183,7 @@ def calibrate_method(recording: NWireRecording, start: LinearFit, options: NWire
     chosen = points.part(start.inliers)
     image_map = fit_map(chosen, recording.phantom, start.linear, options.method)
     columns = columns_of(image_map)
-    mean = float(wires.errors_mm(columns, chosen).mean())
-    if mean > options.max_mean_mm:
-        raise QualityGateError(
-            f"the middle wires miss by {mean:.2f} mm on average, needed at most {options.max_mean_mm:g} mm; "
-            "check the phantom's wiring, its registration and the tracker's latency"
-        )
+    missed = _residual_refusals(float(wires.errors_mm(columns, chosen).mean()), options)
     return NWireResult(
         probe_from_image=image_map,
         matrix=image_map.matrix,
@@ -190,7 +195,18 @@ def calibrate_method(recording: NWireRecording, start: LinearFit, options: NWire
         covariance=start.covariance,
         uncertainty=map_uncertainty(image_map, chosen, recording.phantom, options.method),
         rejected=_rejected(recording, points, start.inliers, wires.errors_mm(columns, points).max(axis=1)),
+        refusals=start.refusals + missed,
     )
+
+
+def _residual_refusals(mean_mm: float, options: NWireOptions) -> tuple[Refusal, ...]:
+    if mean_mm <= options.max_mean_mm:
+        return ()
+    detail = (
+        f"the middle wires miss by {mean_mm:.2f} mm on average, needed at most {options.max_mean_mm:g} mm; "
+        "check the phantom's wiring, its registration and the tracker's latency"
+    )
+    return (Refusal(Gate.RESIDUAL, detail),)
 
 
 def _inliers(points: TrackedPoints, wires: MiddleWires, rng: Generator, options: NWireOptions) -> BoolArray:

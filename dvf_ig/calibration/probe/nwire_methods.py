@@ -28,13 +28,14 @@ class NWireVariants:
         results: of the methods that gave one.
         cross_validated_mm: mean of the lowest 95 % of the 3-D errors of the middle wires, each frame under
             a fit without its block of time.
-        refused: why the other methods gave none.
-        chosen: the method with the least cross-validated error; validation recordings play no part.
+        failed: why the other methods gave none.
+        chosen: the method with the least cross-validated error, among those that no gate refuses where there
+            are any; validation recordings play no part.
     """
 
     results: dict[NWireMethod, NWireResult]
     cross_validated_mm: dict[NWireMethod, float]
-    refused: dict[NWireMethod, str]
+    failed: dict[NWireMethod, str]
     chosen: NWireMethod
 
     @property
@@ -59,7 +60,7 @@ def compare_nwire_methods(
     start = fit_linear(recording, rng, options)
     results: dict[NWireMethod, NWireResult] = {}
     errors: dict[NWireMethod, float] = {}
-    refused: dict[NWireMethod, str] = {}
+    failed: dict[NWireMethod, str] = {}
     failure: DvfIgError | None = None
     for method in NWIRE_METHODS:
         try:
@@ -67,11 +68,12 @@ def compare_nwire_methods(
             errors[method] = cross_validated_mm(recording, found)
             results[method] = found
         except (InvalidInputError, QualityGateError, NotConvergedError) as exc:
-            refused[method] = str(exc)
+            failed[method] = str(exc)
             failure = failure or exc
     if failure is not None and not results:
         raise failure
-    return NWireVariants(results, errors, refused, min(results, key=lambda m: errors[m]))
+    chosen = min(results, key=lambda method: (bool(results[method].refusals), errors[method]))
+    return NWireVariants(results, errors, failed, chosen)
 
 
 def cross_validated_mm(recording: NWireRecording, found: NWireResult) -> float:

@@ -7,6 +7,7 @@ from typing import Generic
 import numpy as np
 
 from dvf_ig.calibration.inliers import InlierRule, fit_inliers
+from dvf_ig.calibration.refusal import Gate, Refusal
 from dvf_ig.calibration.rejection import RejectedFrame
 from dvf_ig.core import (
     BoolArray,
@@ -18,12 +19,14 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 
-from .covariance import MapUncertainty, block_jackknife, refuse_unconstrained
+from .covariance import MapUncertainty, block_jackknife, undetermined_refusals
 from .errors import CalibrationErrors, calibration_errors
 from .map_fit import MapFit, P, levenberg_marquardt, start_fit
 from .tracked_points import TrackedPoints, rejected_frames
 
 MAX_CONCENTRATION_STEPS = 12
+LEAST_FRAMES = 12
+"""Frames that agree below which nothing is fitted: as many as a cross-wire's unknowns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +90,7 @@ class TargetResult(Generic[P]):
         uncertainty: 95 % intervals.
         inliers: (n,) frames of the recording that took part.
         rejected: (frame, reason) of all others.
+        refusals: the gates that the estimate failed; it must not be used unless there are none.
     """
 
     probe_from_image: ImageMap
@@ -96,6 +100,7 @@ class TargetResult(Generic[P]):
     uncertainty: MapUncertainty
     inliers: BoolArray
     rejected: tuple[tuple[int, RejectedFrame], ...]
+    refusals: tuple[Refusal, ...] = ()
 
 
 def best_start(
@@ -149,7 +154,8 @@ def calibrate_target(
         start: of `best_start`.
         advice: which motion determines which parameter.
     Raises:
-        QualityGateError: too few inliers, large residuals, or a motion that leaves a parameter undetermined.
+        QualityGateError: hardly a frame agrees with the others. What is computed but fails a gate (too few
+            inliers, large residuals, a motion that leaves a parameter undetermined) carries its refusals.
     """
     points, frames = recording.usable, len(recording.poses)
     rule = InlierRule(options.keep_sigma, dimensions=start.residuals(points).shape[1])
@@ -160,14 +166,11 @@ def calibrate_target(
         first,
         rule,
     )
-    needed = max(options.min_frames, len(points) // 2)
-    if agreed.model is None or agreed.inliers.sum() < needed:
-        raise QualityGateError(
-            f"only {int(agreed.inliers.sum())} of {len(points)} frames agree on one calibration, needed "
-            f"{needed}; check that the target stood still and that the points belong to these frames"
-        )
+    refusals = _few_agree(agreed.inliers, options)
+    if agreed.model is None or agreed.inliers.sum() < min(options.min_frames, LEAST_FRAMES):
+        raise QualityGateError(_few_agree_text(agreed.inliers, options))
     fit = agreed.model
-    uncertainty = _uncertainty(fit, points.part(agreed.inliers), options, advice)
+    uncertainty, unsure = _uncertainty(fit, points.part(agreed.inliers), options, advice)
     lengths = fit.lengths(points)
     per_point = np.sqrt(points.pixels.shape[1])
     return TargetResult(
@@ -178,25 +181,43 @@ def calibrate_target(
         uncertainty=uncertainty,
         inliers=points.recorded(agreed.inliers, frames),
         rejected=_rejected(recording, lengths, agreed.limits[0]),
+        refusals=refusals + unsure,
+    )
+
+
+def _few_agree(inliers: BoolArray, options: TargetOptions) -> tuple[Refusal, ...]:
+    if inliers.sum() >= max(options.min_frames, len(inliers) // 2):
+        return ()
+    return (Refusal(Gate.FEW_AGREE, _few_agree_text(inliers, options)),)
+
+
+def _few_agree_text(inliers: BoolArray, options: TargetOptions) -> str:
+    return (
+        f"only {int(inliers.sum())} of {len(inliers)} frames agree on one calibration, needed "
+        f"{max(options.min_frames, len(inliers) // 2)}; check that the target stood still and that the "
+        "points belong to these frames"
     )
 
 
 def _uncertainty(
     fit: MapFit[P], points: TrackedPoints, options: TargetOptions, advice: dict[str, str]
-) -> MapUncertainty:
-    """Uncertainty of a converged fit.
+) -> tuple[MapUncertainty, tuple[Refusal, ...]]:
+    """Uncertainty of a converged fit, and what refuses it.
 
     Raises:
-        QualityGateError: large residuals, or a motion that leaves a parameter undetermined.
+        QualityGateError: it is refused, and too weakly determined for an uncertainty.
+        InvalidInputError: one block of frames alone determines an unknown.
     """
     residuals = fit.residuals(points)
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
+    refusals: tuple[Refusal, ...] = ()
     if rms > options.max_rms_mm:
-        raise QualityGateError(
+        detail = (
             f"the frames that agree still miss the target by {rms:.2f} mm RMS, needed at most "
             f"{options.max_rms_mm:g} mm; check that the target stood still and that poses and images belong "
             "together"
         )
+        refusals = (Refusal(Gate.RESIDUAL, detail),)
     jacobian = fit.phantom.jacobian(fit.parameters, points)
     count = fit.parameters.count
     freedom = max(1, residuals.size - jacobian.shape[2])
@@ -206,11 +227,15 @@ def _uncertainty(
         options.max_position_sd_mm,
         options.max_scale_sd_percent / 100,
     )
-    refuse_unconstrained(fit.parameters, jacobian, noise, limits, advice)
-    covariance, held_out = block_jackknife(jacobian, residuals)
-    return MapUncertainty(
-        fit.parameters, covariance[:count, :count], len(points), np.linalg.norm(held_out, axis=1)
-    )
+    refusals += undetermined_refusals(fit.parameters, jacobian, noise, limits, advice)
+    try:
+        covariance, held_out = block_jackknife(jacobian, residuals)
+    except InvalidInputError as exc:
+        if refusals:  # they say better what to do
+            raise QualityGateError("; ".join(refusal.detail for refusal in refusals)) from exc
+        raise
+    errors_mm = np.linalg.norm(held_out, axis=1)
+    return MapUncertainty(fit.parameters, covariance[:count, :count], len(points), errors_mm), refusals
 
 
 def _rejected(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import find_peaks
 
+from dvf_ig.calibration.refusal import Gate, Refusal
 from dvf_ig.core import (
     BoolArray,
     FloatArray,
@@ -16,6 +17,9 @@ from dvf_ig.core import (
 )
 
 from .lag_fit import Motions, excess_sigmas, lag_interval, period_lags
+
+MIN_PERIODS = 0.5
+"""Movements below which there is no motion to compare, whatever the options ask for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +71,7 @@ class LatencyResult:
             synchronised with the scanner, filtered time stamps).
         lags_s, correlations: (k,) the signed correlation over all lags tried.
         motions: the two motions compared.
+        refusals: the gates that the lag failed; it must not be used unless there are none.
     """
 
     lag_s: float
@@ -83,6 +88,7 @@ class LatencyResult:
     lags_s: FloatArray
     correlations: FloatArray
     motions: Motions
+    refusals: tuple[Refusal, ...] = ()
 
     @property
     def wander_s(self) -> float:
@@ -98,18 +104,17 @@ def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | N
         options: see LatencyOptions.
     Raises:
         NoOverlapError: the two recordings share too little time.
-        QualityGateError: no motion, too few periods, poor correlation, or a second lag that fits as well.
+        QualityGateError: there is no motion to compare. A lag from too few movements, of poor correlation, at
+            the end of the search, or beside a second that fits as well carries its refusals.
     Source: PLUS temporal calibration (principal axis against line position).
     Differs from source: of the two motion signs the better fit is kept, not the smaller lag.
     """
     options = options or LatencyOptions()
     motions = _motions(recording, options)
     periods = _periods(motions)
-    if periods < options.min_periods:
-        raise QualityGateError(
-            f"the recording holds {periods:.1f} up-and-down movements, needed at least "
-            f"{options.min_periods:g}; move the probe up and down for ten seconds or more"
-        )
+    refusals = _few_movements(periods, options)
+    if periods < MIN_PERIODS:
+        raise QualityGateError(refusals[0].detail)
     lags = np.arange(-options.search_s, options.search_s + options.coarse_s / 2, options.coarse_s)
     correlations = np.array([motions.correlation(float(lag)) for lag in lags])
     best = int(np.abs(correlations).argmax())
@@ -118,7 +123,7 @@ def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | N
     second_lag, second = _second_peak(motions, lags, correlations, best, options)
     ratio = second / abs(value) if value else 1.0
     sigmas = excess_sigmas(motions, lag, second_lag, memory_s) if second else np.inf
-    _refuse_poor(lag, abs(value), second_lag, ratio, sigmas, options)
+    refusals += _poor(lag, abs(value), options) + _second_lag(lag, second_lag, ratio, sigmas, options)
     sign = float(np.sign(value))
     early = np.arange(len(motions.video_t_s)) < len(motions.video_t_s) // 2
     halves = tuple(_refined(motions.part(keep), lag, sign, options)[0] for keep in (early, ~early))
@@ -138,6 +143,7 @@ def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | N
         lags_s=lags,
         correlations=correlations,
         motions=motions,
+        refusals=refusals,
     )
 
 
@@ -231,28 +237,43 @@ def _second_peak(
     return lag, abs(value)
 
 
-def _refuse_poor(
-    lag_s: float,
-    correlation: float,
-    second_lag_s: float,
-    ratio: float,
-    sigmas: float,
-    options: LatencyOptions,
-) -> None:
+def _few_movements(periods: float, options: LatencyOptions) -> tuple[Refusal, ...]:
+    least = max(options.min_periods, MIN_PERIODS)
+    if periods >= least:
+        return ()
+    detail = (
+        f"the recording holds {periods:.1f} up-and-down movements, needed at least {least:g}; "
+        "move the probe up and down for ten seconds or more"
+    )
+    return (Refusal(Gate.FEW_MOVEMENTS, detail),)
+
+
+def _poor(lag_s: float, correlation: float, options: LatencyOptions) -> tuple[Refusal, ...]:
+    refusals = []
     if correlation < options.min_correlation:
-        raise QualityGateError(
+        detail = (
             f"probe and line move together with correlation {correlation:.2f} at best, needed at least "
             f"{options.min_correlation:g}; check the line detection and that both belong to one recording"
         )
-    unclear = ratio > options.clear_ratio and sigmas < options.min_second_sigmas
-    if ratio > options.max_second_ratio or unclear:
-        raise QualityGateError(
-            f"two lags fit equally well ({lag_s:+.3f} s and {second_lag_s:+.3f} s, ratio {ratio:.3f}, "
-            f"{sigmas:.1f} standard errors apart, needed {options.min_second_sigmas:g}); "
-            "record again with movements of uneven pace so that only one can match"
-        )
+        refusals.append(Refusal(Gate.CORRELATION, detail))
     if abs(lag_s) >= options.search_s - options.coarse_s:
-        raise QualityGateError(
+        detail = (
             f"the best lag lies at the end of the search (±{options.search_s:g} s); check that both clocks "
             "are the same, or widen the search"
         )
+        refusals.append(Refusal(Gate.END_OF_SEARCH, detail))
+    return tuple(refusals)
+
+
+def _second_lag(
+    lag_s: float, second_lag_s: float, ratio: float, sigmas: float, options: LatencyOptions
+) -> tuple[Refusal, ...]:
+    unclear = ratio > options.clear_ratio and sigmas < options.min_second_sigmas
+    if not (ratio > options.max_second_ratio or unclear):
+        return ()
+    detail = (
+        f"two lags fit equally well ({lag_s:+.3f} s and {second_lag_s:+.3f} s, ratio {ratio:.3f}, "
+        f"{sigmas:.1f} standard errors apart, needed {options.min_second_sigmas:g}); "
+        "record again with movements of uneven pace so that only one can match"
+    )
+    return (Refusal(Gate.SECOND_ANSWER, detail),)

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command
 
-from .output import OutputOption, save, vector
+from .output import OutputOption, judge, marked, save, show, vector, verdict
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import HandEyeResult
@@ -44,9 +44,10 @@ def hand_eye(
         )
         result = _result(found, method)
         fitted = found.hand_from_camera
-        title = (
+        title = marked(
+            result,
             f"{fitted.name}: target seen to {found.rms_mm:.2f} mm, {found.rms_deg:.2f}° RMS by "
-            f"{int(found.inliers.sum())} of {len(found.inliers)} pairs"
+            f"{int(found.inliers.sum())} of {len(found.inliers)} pairs",
         )
         save(
             output, result, fitted.name, fitted.matrix, found.rms_mm, [robot, camera],
@@ -62,7 +63,8 @@ def hand_eye(
             ("pairs used", f"{int(found.inliers.sum())} of {len(found.inliers)}"),
             ("angular span", f"{found.span_deg:.1f} deg, spread of the axes {found.axis_spread:.2f}"),
         ]
-        emit(result, rows, as_json=as_json)
+        show(result, rows, as_json=as_json)
+        judge(result)
 
 
 def _poses(path: Path, target: str, source: str, chosen: str | None) -> "PoseStream":
@@ -80,6 +82,8 @@ def _result(found: "HandEyeResult", method: str) -> dict[str, Any]:
 
     fitted, errors = found.hand_from_camera, np.sqrt(np.diag(found.covariance))
     return {
+        "kind": "hand-eye",
+        **verdict(found.refusals),
         "hand_from_camera": fitted.matrix.tolist(),
         "base_from_target": found.base_from_target.matrix.tolist(),
         "rms_mm": found.rms_mm,

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, warn
+from dvf_ig.cli.shell import JsonFlag, command, warn
 
-from .output import DeviceSetOption, OutputOption, save, vector
+from .output import DeviceSetOption, OutputOption, judge, marked, save, show, vector, verdict
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import LandmarkResult, MapDifference, TipCheck
@@ -45,7 +45,7 @@ def landmarks(
         result = _result(found, phantom, samples, checked, difference)
         fitted = found.target_from_source
         errors = f"{found.rms_mm:.2f} mm RMS, {found.mean_mm:.2f} mm mean"
-        title = f"{fitted.name}: {errors} over {len(samples)} landmarks"
+        title = marked(result, f"{fitted.name}: {errors} over {len(samples)} landmarks")
         save(
             output, result, fitted.name, fitted.matrix, found.rms_mm, [stylus, device_set],
             lambda png: write_residual_picture(
@@ -53,8 +53,10 @@ def landmarks(
                 second=found.leave_one_out_mm,
             ),
         )  # fmt: skip
-        emit(result, _rows(found, phantom, samples, checked, difference), as_json=as_json)
+        rows = _rows(found, phantom, samples, checked, difference)
+        show(result, rows, as_json=as_json)
         _warn(found, checked, poses.source)
+        judge(result)
 
 
 def _stated_tip(poses: "PoseStream", device_set: Path) -> "Points":
@@ -97,6 +99,8 @@ def _result(
 ) -> dict[str, Any]:
     fitted = found.target_from_source
     return {
+        "kind": "landmarks",
+        **verdict(found.refusals),
         "target_from_source": fitted.matrix.tolist(),
         "rms_mm": found.rms_mm,
         "mean_mm": found.mean_mm,

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, warn
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command, warn
 
-from .output import save
+from .output import judge, marked, save, show, verdict
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import LatencyResult
@@ -38,21 +38,24 @@ def latency(
         found = estimate_latency(_recording(tracker, video, line_table, seed))
         result = _result(found)
         inputs = [p for p in (tracker, video, line_table) if p is not None]
-        title = f"Tracker against video: {_lag_text(found)}, r = {found.correlation:.3f}"
+        title = marked(result, f"Tracker against video: {_lag_text(found)}, r = {found.correlation:.3f}")
         save(
             output, result, None, None, None, inputs,
             lambda png: write_latency_picture(png, found, title=title),
         )  # fmt: skip
-        emit(result, _rows(found), as_json=as_json)
+        show(result, _rows(found), as_json=as_json)
         if found.wander_s > WANDER_S:
             warn(
                 f"single movements give lags that differ by {1000 * found.wander_s:.0f} ms (SD): the clocks "
                 "drift against one another, and the mean lag is off by as much at any one moment"
             )
+        judge(result)
 
 
 def _result(found: "LatencyResult") -> dict[str, Any]:
     return {
+        "kind": "latency",
+        **verdict(found.refusals),
         "lag_s": found.lag_s,
         "interval_s": list(found.interval_s),
         "correlation": found.correlation,

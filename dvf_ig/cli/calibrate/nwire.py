@@ -4,7 +4,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
-from .output import error_fields, error_row, wire_rows
+from .output import error_fields, error_row, verdict, wire_rows
 from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
 from .wires import read_wires, segmentation_json, segmentation_rows
 
@@ -19,6 +19,7 @@ def nwire_result(
     tables: tuple[Path | None, Path | None],
     method: str | None,
     picture: Path | None,
+    max_residual_mm: float | None,
     rng: Any,
 ) -> tuple[dict[str, Any], list[tuple[str, ...]], float]:
     """JSON, rows to print and the error to save.
@@ -27,7 +28,7 @@ def nwire_result(
         tables: PLUS results with the wire points of the calibration and of the validation sequence; None
             finds the wires in the images.
     """
-    from dvf_ig.calibration import compare_nwire_methods, validate_nwire
+    from dvf_ig.calibration import NWireOptions, compare_nwire_methods, validate_nwire
     from dvf_ig.core import InvalidInputError
 
     if device_set is None:
@@ -37,13 +38,17 @@ def nwire_result(
     if validate is not None:
         validated = read_wires(validate, device_set, tables[1], "ValidationData")
     recording, held_out = seen.recording, None if validated is None else validated.recording
-    variants = compare_nwire_methods(recording, rng=rng)
+    options = NWireOptions()
+    if max_residual_mm is not None:
+        options = NWireOptions(max_mean_mm=max_residual_mm)
+    variants = compare_nwire_methods(recording, rng=rng, options=options)
     found = _chosen(variants, method)
     checked = {
         name: None if held_out is None else validate_nwire(r.probe_from_image, held_out)
         for name, r in variants.results.items()
     }
     result = _result(found, checked[found.method])
+    result["max_residual_mm"] = options.max_mean_mm
     result["method_from"] = "cross-validation of the calibration frames" if method is None else "--method"
     result["variants"] = _variants(variants, checked)
     result["segmentation"] = segmentation_json(seen)
@@ -61,14 +66,16 @@ def _chosen(variants: "NWireVariants", method: str | None) -> "NWireResult":
         return variants.best
     for name in NWIRE_METHODS:
         if name == method:
-            if name in variants.refused:
-                raise QualityGateError(f"method {name}: {variants.refused[name]}")
+            if name in variants.failed:
+                raise QualityGateError(f"method {name}: {variants.failed[name]}")
             return variants.results[name]
     raise InvalidInputError(f"probe method '{method}' is unknown; choose {', '.join(NWIRE_METHODS)}")
 
 
 def _result(found: "NWireResult", checked: "CalibrationErrors | None") -> dict[str, Any]:
     return {
+        "kind": "probe",
+        **verdict(found.refusals),
         "sensor_from_image": found.matrix.tolist(),
         "sensor_frame": found.probe_from_image.rigid.target,
         "phantom": "nwire",
@@ -91,8 +98,8 @@ def _variants(
 
     table: dict[str, dict[str, Any]] = {}
     for name in NWIRE_METHODS:
-        if name in variants.refused:
-            table[name] = {"refused": variants.refused[name]}
+        if name in variants.failed:
+            table[name] = {"refused": variants.failed[name]}
             continue
         errors = checked[name]
         table[name] = {
@@ -101,6 +108,8 @@ def _variants(
             "cross_validated_mean95_mm": variants.cross_validated_mm[name],
             "in_plane_mm": fmean((errors or variants.results[name].calibration).in_plane_mm.values()),
         }
+        if variants.results[name].refusals:
+            table[name]["refused"] = "; ".join(why.detail for why in variants.results[name].refusals)
     return table
 
 

@@ -8,15 +8,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import wrote
+from dvf_ig.cli.shell import emit, warn, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import CalibrationErrors
+    from dvf_ig.calibration import CalibrationErrors, Refusal
     from dvf_ig.core import FloatArray
 
 OutputOption = Annotated[
     Path | None,
     typer.Option("-o", "--out", help="Write JSON here; PLUS XML and a picture go beside it."),
+]
+MaxResidualOption = Annotated[
+    float | None,
+    typer.Option(
+        "--max-residual-mm",
+        min=0.0,
+        help="Largest residual that is accepted; raise it only if you know that this error will do.",
+    ),
 ]
 DeviceSetOption = Annotated[
     Path, typer.Option("--device-set", help="PLUS device-set XML with the phantom and its placement.")
@@ -34,9 +42,11 @@ def save(
 ) -> None:
     """Write a result as JSON with date and digests of its inputs; beside it its transform and a picture.
 
+    A refused result has no PLUS XML: that format cannot say that it must not be used.
+
     Args:
         output: where to, or None to write nothing.
-        result: the JSON object.
+        result: the JSON object, with its `kind` and its verdict.
         name, matrix: the transform for PLUS XML, or None where there is none.
         error_mm: its error as PLUS records it.
         inputs: files whose digests are kept.
@@ -44,7 +54,7 @@ def save(
     """
     if output is None:
         return
-    from dvf_ig.io import CoordinateDefinition, write_coordinate_definitions, write_json
+    from dvf_ig.io import refuse_foreign, write_sidecar
 
     now = datetime.now(UTC)
     record = {
@@ -53,19 +63,66 @@ def save(
         "inputs": [{"file": path.name, "sha256": _digest(path)} for path in inputs],
     }
     json_path = output.with_suffix(".json") if output.suffix == ".xml" else output
-    write_json(json_path, record)
+    xml_path, png_path = output.with_suffix(".xml"), output.with_suffix(".png")
+    refuse_foreign(*([xml_path] if name else []), *([png_path] if picture else []), named=output)
+    write_sidecar(json_path, record, result["kind"], named=output)
     wrote(json_path)
     if name is not None and matrix is not None:
-        target, _, source = name.partition("_from_")
-        stamp = now.strftime("%y%m%d_%H%M%S")
-        xml_path = output.with_suffix(".xml")
-        definition = CoordinateDefinition(target, source, matrix, error_mm, stamp)
-        write_coordinate_definitions(xml_path, [definition])
-        wrote(xml_path, target)
+        if result["refused"]:
+            _warn_of_xml(xml_path)
+        else:
+            _write_transform(xml_path, name, matrix, error_mm, now)
     if picture is not None:
-        png_path = output.with_suffix(".png")
         picture(png_path)
         wrote(png_path)
+
+
+def _write_transform(
+    path: Path, name: str, matrix: "FloatArray", error_mm: float | None, now: datetime
+) -> None:
+    from dvf_ig.io import CoordinateDefinition, write_coordinate_definitions
+
+    target, _, source = name.partition("_from_")
+    stamp = now.strftime("%y%m%d_%H%M%S")
+    write_coordinate_definitions(path, [CoordinateDefinition(target, source, matrix, error_mm, stamp)])
+    wrote(path, target)
+
+
+def _warn_of_xml(path: Path) -> None:
+    if path.is_file():
+        warn(f"{path} is of an earlier calibration and was left as it is")
+    else:
+        warn(f"{path} was not written: PLUS XML cannot say that a calibration is refused")
+
+
+def verdict(refusals: "Sequence[Refusal]") -> dict[str, Any]:
+    """JSON fields: whether the result must not be used, and why."""
+    return {"refused": bool(refusals), "refused_because": [refusal.detail for refusal in refusals]}
+
+
+def show(result: dict[str, Any], rows: Sequence[tuple[str, ...]], *, as_json: bool) -> None:
+    """Print a result and why it is refused; what a refused one leaves infinite is null in JSON."""
+    from dvf_ig.io import plain
+
+    refused = [("REFUSED", why) for why in result["refused_because"]]
+    emit(plain(result), [*rows, *refused], as_json=as_json)
+
+
+def marked(result: dict[str, Any], title: str) -> str:
+    """Title of a picture, marked where the result is refused."""
+    return f"REFUSED - {title}" if result["refused"] else title
+
+
+def judge(result: dict[str, Any]) -> None:
+    """Last step of a command, after everything was written and printed.
+
+    Raises:
+        QualityGateError: the result is refused.
+    """
+    from dvf_ig.core import QualityGateError
+
+    if result["refused"]:
+        raise QualityGateError(f"this calibration must not be used: {'; '.join(result['refused_because'])}")
 
 
 def vector(values: Sequence[float]) -> str:

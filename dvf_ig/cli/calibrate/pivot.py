@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command
 
-from .output import OutputOption, save, vector
+from .output import MaxResidualOption, OutputOption, judge, marked, save, show, vector, verdict
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import PivotResult
@@ -18,6 +18,7 @@ def pivot(
         Path, typer.Argument(help="PLUS sequence, folder of 4x4 texts, or table x y z qx qy qz qw.")
     ],
     tool: Annotated[str | None, typer.Option("--tool", help="Frame of the tool in a sequence.")] = None,
+    max_residual_mm: MaxResidualOption = None,
     output: OutputOption = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
@@ -26,30 +27,38 @@ def pivot(
     with command():
         import numpy as np
 
-        from dvf_ig.calibration import calibrate_pivot
+        from dvf_ig.calibration import PivotOptions, calibrate_pivot
         from dvf_ig.io import read_poses
         from dvf_ig.report import write_residual_picture
 
-        found = calibrate_pivot(read_poses(poses, source=tool), rng=np.random.default_rng(seed))
-        result = _result(found)
+        options = PivotOptions()
+        if max_residual_mm is not None:
+            options = PivotOptions(max_rms_mm=max_residual_mm)
+        recorded = read_poses(poses, source=tool)
+        found = calibrate_pivot(recorded, rng=np.random.default_rng(seed), options=options)
+        result = {**_result(found), "max_residual_mm": options.max_rms_mm}
         matrix = np.eye(4)
         matrix[:3, 3] = result["tip_mm"]
         name = f"{found.tip.frame}_from_{found.tip.frame}_tip"
-        title = (
+        title = marked(
+            result,
             f"Tool tip of '{found.tip.frame}': {found.rms_3d_mm:.2f} mm RMS over {int(found.inliers.sum())} "
-            f"of {found.poses} poses that span {found.span_deg:.0f}°"
+            f"of {found.poses} poses that span {found.span_deg:.0f}°",
         )
         save(
             output, result, name, matrix, found.rms_3d_mm, [poses],
             lambda png: write_residual_picture(png, found.residuals_mm, title=title, used=found.inliers),
         )  # fmt: skip
-        emit(result, _rows(found), as_json=as_json)
+        show(result, _rows(found), as_json=as_json)
+        judge(result)
 
 
 def _result(found: "PivotResult") -> dict[str, Any]:
     import numpy as np
 
     return {
+        "kind": "tip",
+        **verdict(found.refusals),
         "tip_mm": found.tip.xyz_mm[0].tolist(),
         "pivot_mm": found.pivot.xyz_mm[0].tolist(),
         "rms_3d_mm": found.rms_3d_mm,

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command
 
-from .output import OutputOption, save
+from .output import MaxResidualOption, OutputOption, judge, save, show
 
 
 class Phantom(StrEnum):
@@ -52,6 +52,7 @@ def probe(
         Path | None,
         typer.Option("--picture", help="N-wire without --points: PNG of the dots and wires that were found."),
     ] = None,
+    max_residual_mm: MaxResidualOption = None,
     output: OutputOption = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
@@ -65,16 +66,19 @@ def probe(
             from .target import target_result
 
             calibrated = target_result(
-                phantom.value, sequence, points, validate, validate_points, method, rng
+                phantom.value, sequence, points, validate, validate_points, method, max_residual_mm, rng
             )
         else:
             from .nwire import nwire_result
 
             tables = (points, validate_points or points)
-            calibrated = nwire_result(sequence, device_set, validate, tables, method, picture, rng)
+            calibrated = nwire_result(
+                sequence, device_set, validate, tables, method, picture, max_residual_mm, rng
+            )
         result, rows, error_mm = calibrated
         files = (sequence, device_set, points, validate, validate_points)
         inputs = [p for p in files if p is not None]
         matrix = np.array(result["sensor_from_image"])
         save(output, result, f"{result['sensor_frame']}_from_image", matrix, error_mm, inputs)
-        emit(result, rows, as_json=as_json)
+        show(result, rows, as_json=as_json)
+        judge(result)

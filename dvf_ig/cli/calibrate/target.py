@@ -1,9 +1,10 @@
 """`dvf-ig calibrate probe --phantom cross-wire|wall`: one fixed point, or one flat wall."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .output import error_fields, error_row, vector
+from .output import error_fields, error_row, vector, verdict
 from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ def target_result(
     validate: Path | None,
     validate_points: Path | None,
     method: str | None,
+    max_residual_mm: float | None,
     rng: Any,
 ) -> Printed:
     """JSON, rows to print and the error to save."""
@@ -30,6 +32,8 @@ def target_result(
     if method not in (None, *METHODS):
         raise InvalidInputError(f"a {phantom} has no method '{method}'; choose {' or '.join(METHODS)}")
     options = TargetOptions(isotropic=method == "isotropic")
+    if max_residual_mm is not None:
+        options = replace(options, max_rms_mm=max_residual_mm)
     seen = _recording(phantom, sequence, points, "--points", rng)
     second = None
     if validate is not None:
@@ -37,6 +41,9 @@ def target_result(
     solve = _crosswire if phantom == "cross-wire" else _wall
     found, checked, place, rows = solve(seen, second, options, rng)
     result = {
+        "kind": "probe",
+        **verdict(found.refusals),
+        "max_residual_mm": options.max_rms_mm,
         "sensor_from_image": found.probe_from_image.matrix.tolist(),
         "sensor_frame": found.probe_from_image.rigid.target,
         "phantom": phantom,

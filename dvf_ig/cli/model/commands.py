@@ -1,4 +1,4 @@
-"""`dvf-ig model build|check`: from pre-operative surfaces, labels or images to the fixture's model file."""
+"""`dvf-ig model build|check|export`: from pre-operative data to the fixture's model file."""
 
 import time
 from pathlib import Path
@@ -20,7 +20,8 @@ from dvf_ig.cli.shell import (
 from dvf_ig.core import DvfModel
 
 from . import options as given
-from .output import model_payload, model_rows, phase_rows
+from .export import export
+from .output import file_megabytes, model_payload, model_rows, phase_rows
 from .request import BuildRequest
 from .sources import model_of
 
@@ -30,7 +31,11 @@ if TYPE_CHECKING:
 CHECK_POINTS = 4000
 """Random points on each phase at which a model is checked."""
 
-app = typer.Typer(help="Build a dynamic fixture from pre-operative data, and check it.", no_args_is_help=True)
+app = typer.Typer(
+    help="Build a dynamic fixture from pre-operative data, check it, export its surface.",
+    no_args_is_help=True,
+)
+app.command("export")(export)
 
 
 @app.command("build")
@@ -91,8 +96,9 @@ def _build(request: BuildRequest, seed: int, *, as_json: bool) -> None:
     _warn_of_assumptions(model)
     write_model(model, request.output)
     result = _errors(model, CHECK_POINTS, seed)
-    payload = {**model_payload(model, result, seed, seconds), **evidence}
-    emit(payload, model_rows(model, result, seconds), as_json=as_json)
+    size_mb = file_megabytes(request.output)
+    payload = {**model_payload(model, result, seed, seconds, size_mb), **evidence}
+    emit(payload, model_rows(model, result, seconds, size_mb), as_json=as_json)
     wrote(request.output, model.frame)
 
 
@@ -106,7 +112,10 @@ def check(
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Measure a model's error against the surfaces kept in it, at random points of their triangles."""
+    """Measure a model's spline fit error, at random points of the surfaces kept in it.
+
+    It says how well the splines describe those surfaces, not how well these describe the patient's anatomy.
+    """
     with command(threads):
         from dvf_ig.io import read_model
 
@@ -115,8 +124,9 @@ def check(
         _warn_of_assumptions(model)
         result = _errors(model, points, seed)
         seconds = time.perf_counter() - start
-        rows = model_rows(model, result, seconds) + phase_rows(model, result)
-        emit(model_payload(model, result, seed, seconds), rows, as_json=as_json)
+        size_mb = file_megabytes(model_file)
+        rows = model_rows(model, result, seconds, size_mb) + phase_rows(model, result)
+        emit(model_payload(model, result, seed, seconds, size_mb), rows, as_json=as_json)
 
 
 def _errors(model: DvfModel, points: int, seed: int) -> "ModelCheck":

@@ -59,11 +59,12 @@ def _write_evidence(
     result: "CineModel", image: VolumeSeries, payload: dict[str, Any], request: BuildRequest
 ) -> None:
     """JSON and a picture beside the model."""
-    from dvf_ig.io import write_json
+    from dvf_ig.io import refuse_foreign, write_sidecar
     from dvf_ig.report import write_motion_picture
 
     evidence, picture = request.output.with_suffix(".json"), request.output.with_suffix(".png")
-    write_json(evidence, payload)
+    refuse_foreign(picture)
+    write_sidecar(evidence, payload, "model")
     es_phase = int(result.volume_mm3.argmin())
     write_motion_picture(
         picture, image, result.surfaces, result.quality, ed_phase=request.ed_phase, es_phase=es_phase

@@ -1,5 +1,6 @@
 """Output of `dvf-ig model build` and `check`: numbers with their definitions."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dvf_ig.core import DvfModel
@@ -8,14 +9,22 @@ if TYPE_CHECKING:
     from dvf_ig.preop import ModelCheck
 
 DEFINITIONS = {
-    "surface_error_mm": "|d|/|grad d| at random points of the reference triangles, no caps nor rim",
+    "surface_error_mm": "spline fit error, |d|/|grad d| at random points of the reference triangles, no caps "
+    "nor rim; not the error of the anatomy",
     "normal_error_deg": "grad d against the smooth surface's normal at the nearest point, within 2 mm of it",
     "normal_error_deg.facet": "grad d against the exact distance to the flat facets, at the same points",
+    "file_megabytes": "size of the model's file, 10^6 bytes",
     "megabytes": "float32 spline coefficients of all phases, 10^6 bytes",
 }
 
 
-def model_payload(model: DvfModel, result: "ModelCheck", seed: int, seconds: float | None) -> dict[str, Any]:
+def file_megabytes(path: Path) -> float:
+    return path.stat().st_size / 1e6
+
+
+def model_payload(
+    model: DvfModel, result: "ModelCheck", seed: int, seconds: float | None, file_mb: float
+) -> dict[str, Any]:
     from dvf_ig.preop import border_distance_mm, potential_at_border
 
     border_mm = border_distance_mm(model)
@@ -36,6 +45,7 @@ def model_payload(model: DvfModel, result: "ModelCheck", seed: int, seconds: flo
         },
         "knot_spacing_mm": model.knot_spacing_mm,
         "megabytes": model.megabytes,
+        "file_megabytes": file_mb,
         "phases": model.phases,
         "seconds": seconds,
         "patient_id": model.patient_id,
@@ -56,7 +66,9 @@ def model_payload(model: DvfModel, result: "ModelCheck", seed: int, seconds: flo
     }
 
 
-def model_rows(model: DvfModel, result: "ModelCheck", seconds: float | None) -> list[tuple[str, str]]:
+def model_rows(
+    model: DvfModel, result: "ModelCheck", seconds: float | None, file_mb: float
+) -> list[tuple[str, str]]:
     from dvf_ig.preop import border_distance_mm, potential_at_border
 
     border_mm = border_distance_mm(model)
@@ -70,9 +82,9 @@ def model_rows(model: DvfModel, result: "ModelCheck", seconds: float | None) -> 
             f"{border_mm:.1f} mm off the surface at the nearest: a sigmoid of 1/mm has fallen to "
             f"{potential_at_border(border_mm, 1.0):.0e} of its cap",
         ),
-        ("size", f"{model.megabytes:.1f} MB: {DEFINITIONS['megabytes']}"),
+        ("size", f"{file_mb:.1f} MB on disk; {model.megabytes:.1f} MB of {DEFINITIONS['megabytes']}"),
         (
-            "surface error",
+            "spline fit error",
             f"{result.mean_mm:.3f} mm mean, {result.p99_mm:.3f} p99, {result.max_mm:.3f} max "
             f"({result.points} random points): {DEFINITIONS['surface_error_mm']}",
         ),
@@ -107,7 +119,7 @@ def phase_rows(model: DvfModel, result: "ModelCheck") -> list[tuple[str, str]]:
     return [
         (
             f"phase {i}",
-            f"at {fraction:.3f} RR: surface {mean:.4f} mm mean, {p99:.3f} p99; normal {turn:.2f}° p95; "
+            f"at {fraction:.3f} RR: spline fit {mean:.4f} mm mean, {p99:.3f} p99; normal {turn:.2f}° p95; "
             f"{megabytes:.2f} MB",
         )
         for i, (fraction, mean, p99, turn) in enumerate(columns)

@@ -17,6 +17,7 @@ from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import (
     MapUncertainty,
     NWireOptions,
+    accepted,
     calibrate_crosswire,
     calibrate_nwire,
     calibrate_wall,
@@ -122,9 +123,9 @@ def _nwire(
     )
     method = settings["method"]
     if method == "chosen":
-        found = compare_nwire_methods(recording, rng=rng).best
+        found = accepted(compare_nwire_methods(recording, rng=rng).best)
     else:
-        found = calibrate_nwire(recording, rng=rng, options=NWireOptions(method=method))
+        found = accepted(calibrate_nwire(recording, rng=rng, options=NWireOptions(method=method)))
     return found.uncertainty, {"method": found.method}
 
 
@@ -135,7 +136,7 @@ def _crosswire(
         truth.probe_from_image, probe, Preset().nwire_tracker, CrossWireSpec(), rng, rendered=False
     ).recording
     poses = made.sequence.stream("tracker", "probe")
-    return calibrate_crosswire(poses, made.features_px, rng=rng).uncertainty, {}
+    return accepted(calibrate_crosswire(poses, made.features_px, rng=rng)).uncertainty, {}
 
 
 def _wall(
@@ -145,7 +146,7 @@ def _wall(
         truth.probe_from_image, probe, Preset().nwire_tracker, WallSpec(), rng, rendered=False
     ).recording
     poses = made.sequence.stream("tracker", "probe")
-    return calibrate_wall(poses, made.features_px, rng=rng).uncertainty, {}
+    return accepted(calibrate_wall(poses, made.features_px, rng=rng)).uncertainty, {}
 
 
 def _latency_trial(truth: GroundTruth, probe: SectorProbe, rng: np.random.Generator) -> dict[str, Any]:
@@ -158,7 +159,7 @@ def _latency_trial(truth: GroundTruth, probe: SectorProbe, rng: np.random.Genera
         options.watertank,
         rng,
     )
-    found = estimate_latency(recording)
+    found = accepted(estimate_latency(recording))
     low, high = found.interval_s
     # an interval need not lie evenly about its estimate: its middle is what is judged
     middle, half = 0.5 * (low + high), 0.5 * (high - low)

@@ -7,9 +7,11 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.calibration import (
     HAND_EYE_METHODS,
+    Gate,
     HandEyeMethod,
     HandEyeOptions,
     HandEyeResult,
+    accepted,
     calibrate_hand_eye,
 )
 from dvf_ig.core import FloatArray, InvalidInputError, NoOverlapError, PoseStream, QualityGateError, Rigid
@@ -146,9 +148,10 @@ def test_the_hand_is_interpolated_at_the_cameras_times() -> None:
 
 def test_refusals() -> None:
     with pytest.raises(QualityGateError, match=r"rotates by \d\.\d° only, needed at least 15°"):
-        Bench(0, tilt_deg=3.0).solve()
+        accepted(Bench(0, tilt_deg=3.0).solve())
+    assert [why.gate for why in Bench(0, tilt_deg=3.0).solve().refusals] == [Gate.SMALL_ROTATION]
     with pytest.raises(QualityGateError, match="about one axis only"):
-        Bench(0, one_axis=True).solve()
+        accepted(Bench(0, one_axis=True).solve())
     with pytest.raises(InvalidInputError, match="2 pairs of valid poses; needed at least 3"):
         Bench(0, count=2).solve()
     bench = Bench(0)
@@ -160,7 +163,7 @@ def test_refusals() -> None:
         np.ones(40, bool),
     )  # fmt: skip
     with pytest.raises(QualityGateError, match="pairs agree on one place of 'camera'"):
-        calibrate_hand_eye(bench.hand, shuffled, rng=rng)
+        accepted(calibrate_hand_eye(bench.hand, shuffled, rng=rng))
     later = PoseStream(
         "camera", "target", bench.t_s + 1e3, bench.camera.rotations, bench.camera.translations_mm,
         np.ones(40, bool),

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.calibration import PivotOptions, calibrate_pivot
+from dvf_ig.calibration import PivotOptions, accepted, calibrate_pivot
 from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, PoseStream, QualityGateError
 from dvf_ig.io import read_poses
 
@@ -86,7 +86,7 @@ def test_same_seed_same_result_bit_by_bit() -> None:
 def test_static_tool_is_refused() -> None:
     still = np.tile(np.eye(3), (100, 1, 1))
     with pytest.raises(QualityGateError, match=r"rotates by 0\.\d° only, needed at least 15°"):
-        calibrate_pivot(pivoting(still, noise_mm=0.2), rng=np.random.default_rng(0))
+        accepted(calibrate_pivot(pivoting(still, noise_mm=0.2), rng=np.random.default_rng(0)))
 
 
 def test_spin_about_one_axis_is_refused() -> None:
@@ -95,7 +95,7 @@ def test_spin_about_one_axis_is_refused() -> None:
         np.outer(np.linspace(0, 2, 100), [0, 0, 1]) + 0.002 * rng.normal(size=(100, 3))
     )
     with pytest.raises(QualityGateError, match="about one axis only"):
-        calibrate_pivot(pivoting(spin.as_matrix(), noise_mm=0.2), rng=rng)
+        accepted(calibrate_pivot(pivoting(spin.as_matrix(), noise_mm=0.2), rng=rng))
 
 
 def test_two_poses_and_all_invalid_are_refused() -> None:
@@ -111,7 +111,7 @@ def test_a_tip_that_slips_is_refused() -> None:
     shifts = np.random.default_rng(0).uniform(-30, 30, (100, 3))
     stream = PoseStream("tracker", "tool", np.arange(100.0), rotations, shifts, np.ones(100, dtype=np.bool_))
     with pytest.raises(QualityGateError, match="rotate about one point"):
-        calibrate_pivot(stream, rng=np.random.default_rng(0))
+        accepted(calibrate_pivot(stream, rng=np.random.default_rng(0)))
 
 
 def test_a_residual_above_the_gate_is_refused_with_its_size() -> None:
@@ -119,7 +119,7 @@ def test_a_residual_above_the_gate_is_refused_with_its_size() -> None:
     found = calibrate_pivot(loose, rng=np.random.default_rng(0), options=PivotOptions(max_rms_mm=1.0))
     assert found.rms_3d_mm == pytest.approx(0.4 * np.sqrt(3), rel=0.1)
     with pytest.raises(QualityGateError, match=r"is 0\.\d\d mm RMS, needed at most 0\.5 mm"):
-        calibrate_pivot(loose, rng=np.random.default_rng(0), options=PivotOptions(max_rms_mm=0.5))
+        accepted(calibrate_pivot(loose, rng=np.random.default_rng(0), options=PivotOptions(max_rms_mm=0.5)))
 
 
 def test_real_clean_set(data_dir: Path) -> None:

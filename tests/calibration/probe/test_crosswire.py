@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from data_synth.phantoms.crosswire import CrossWireSpec, crosswire_recording
 from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.calibration import Rejection, TargetOptions, calibrate_crosswire, validate_crosswire
+from dvf_ig.calibration import Rejection, TargetOptions, accepted, calibrate_crosswire, validate_crosswire
 from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, PoseStream, QualityGateError, Rigid
 
 SCALE = np.array([0.21, 0.17])
@@ -93,14 +93,18 @@ def test_too_little_motion_is_refused_by_name(
     rotation_vectors: FloatArray, undetermined: str, advice: str
 ) -> None:
     with pytest.raises(QualityGateError, match=undetermined) as caught:
-        calibrate_crosswire(*sightings(40, 0.1, 3, rotation_vectors), rng=np.random.default_rng(0))
+        accepted(calibrate_crosswire(*sightings(40, 0.1, 3, rotation_vectors), rng=np.random.default_rng(0)))
     assert advice in str(caught.value)
 
 
 def test_a_crossing_that_never_moves_in_the_image_is_refused() -> None:
     poses, points = sightings(40, 0.0, 4)
     with pytest.raises(QualityGateError, match="stays at one pixel"):
-        calibrate_crosswire(poses, np.broadcast_to(points[:1], points.shape), rng=np.random.default_rng(0))
+        accepted(
+            calibrate_crosswire(
+                poses, np.broadcast_to(points[:1], points.shape), rng=np.random.default_rng(0)
+            )
+        )
 
 
 def test_points_at_one_depth_do_not_determine_the_pixel_height() -> None:
@@ -112,7 +116,7 @@ def test_points_at_one_depth_do_not_determine_the_pixel_height() -> None:
     shifts = CROSSING - np.einsum("fij,fj->fi", poses.rotations, seen)
     moved = PoseStream("tracker", "probe", poses.t_s, poses.rotations, shifts, poses.valid)
     with pytest.raises(QualityGateError, match=r"pixel height.*near and far"):
-        calibrate_crosswire(moved, level, rng=rng)
+        accepted(calibrate_crosswire(moved, level, rng=rng))
 
 
 def test_misuse() -> None:
@@ -125,7 +129,7 @@ def test_misuse() -> None:
     with pytest.raises(InvalidInputError, match="needed at least 15"):
         calibrate_crosswire(poses, np.where(np.arange(40)[:, None, None] < 5, points, np.nan), rng=rng)
     with pytest.raises(QualityGateError, match=r"agree|miss"):
-        calibrate_crosswire(poses, points[::-1], rng=rng)
+        accepted(calibrate_crosswire(poses, points[::-1], rng=rng))
     other = ImageMap(Rigid.identity("stylus", "image"), SCALE)
     with pytest.raises(InvalidInputError, match="sensor 'stylus'"):
         validate_crosswire(other, poses, points)

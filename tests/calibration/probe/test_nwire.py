@@ -8,6 +8,7 @@ from dvf_ig.calibration import (
     NWIRE_METHODS,
     NWireMethod,
     NWireOptions,
+    accepted,
     calibrate_nwire,
     diagonal_crossings,
     validate_nwire,
@@ -146,7 +147,7 @@ def test_refusals() -> None:
         calibrate_nwire(recording, rng=rng, options=NWireOptions(method="magic"))
     swapped = recording.points_px[:, [2, 1, 0, 5, 4, 3, 8, 7, 6]]
     with pytest.raises(QualityGateError):
-        calibrate_nwire(altered(recording, swapped), rng=rng)
+        accepted(calibrate_nwire(altered(recording, swapped), rng=rng))
     other = ImageMap(Rigid.identity("stylus", "image"), SCALE)
     with pytest.raises(InvalidInputError, match="belongs to sensor 'stylus'"):
         validate_nwire(other, recording)

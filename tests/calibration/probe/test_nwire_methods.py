@@ -8,6 +8,7 @@ from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import (
     NWIRE_METHODS,
+    Gate,
     MapParameters,
     NWireMethod,
     NWireOptions,
@@ -74,7 +75,7 @@ def test_every_frame_left_out_has_its_reason() -> None:
     assert "a middle wire misses by" in reasons[7].detail
 
 
-def test_one_failing_method_does_not_stop_the_others() -> None:
+def test_a_refused_method_is_not_chosen() -> None:
     made = recording((0.5, 0.5), 0.2, 4)
     points = np.where(np.arange(120)[:, None, None] < 5, made.points_px, np.nan)
     with pytest.raises(InvalidInputError, match="frames are usable"):
@@ -83,8 +84,8 @@ def test_one_failing_method_does_not_stop_the_others() -> None:
         )
     oblong = recording((0.6, 0.4), 0.2, 4)
     found = compare_nwire_methods(oblong, rng=np.random.default_rng(0))
-    assert "isotropic" in found.refused
-    assert found.chosen in found.results
+    assert [why.gate for why in found.results["isotropic"].refusals] == [Gate.RESIDUAL]
+    assert not found.best.refusals
 
 
 def test_real_sweeps_agree_within_their_intervals(real_sweeps: tuple[NWireRecording, NWireRecording]) -> None:

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from data_synth.phantoms.wall import WallSpec, wall_recording
 from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.calibration import TargetOptions, calibrate_wall, find_wall_lines, validate_wall
+from dvf_ig.calibration import TargetOptions, accepted, calibrate_wall, find_wall_lines, validate_wall
 from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, PoseStream, QualityGateError, Rigid
 
 SCALE = np.array([0.21, 0.17])
@@ -78,14 +78,14 @@ def test_noise_is_averaged_out_and_wrong_lines_are_left_out() -> None:
 
 def test_a_wall_seen_face_on_is_refused_by_name() -> None:
     with pytest.raises(QualityGateError, match="axial position") as caught:
-        calibrate_wall(*lines(60, 0.15, 1.0, 3), rng=np.random.default_rng(0))
+        accepted(calibrate_wall(*lines(60, 0.15, 1.0, 3), rng=np.random.default_rng(0)))
     assert "tilt the probe further" in str(caught.value)
 
 
 def test_a_probe_that_slides_along_one_line_only_is_refused() -> None:
     # the image's origin stays in a plane across the wall: an image of no size fits as well
     with pytest.raises(QualityGateError, match="along the wall"):
-        calibrate_wall(*lines(60, 0.6, 1.0, 3, (1.0, 0.0)), rng=np.random.default_rng(0))
+        accepted(calibrate_wall(*lines(60, 0.6, 1.0, 3, (1.0, 0.0)), rng=np.random.default_rng(0)))
 
 
 def test_misuse() -> None:
@@ -98,7 +98,7 @@ def test_misuse() -> None:
     with pytest.raises(InvalidInputError, match="needed at least 15"):
         calibrate_wall(poses, np.full_like(points, np.nan), rng=rng)
     with pytest.raises(QualityGateError):
-        calibrate_wall(poses, points[::-1], rng=rng)
+        accepted(calibrate_wall(poses, points[::-1], rng=rng))
     other = ImageMap(Rigid.identity("stylus", "image"), SCALE)
     with pytest.raises(InvalidInputError, match="sensor 'stylus'"):
         validate_wall(other, poses, points)

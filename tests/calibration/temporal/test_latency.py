@@ -12,7 +12,7 @@ from data_synth.phantoms.watertank import watertank_recording
 from data_synth.scenario.ground_truth import draw_ground_truth
 from data_synth.scenario.presets import Preset
 from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.calibration import estimate_latency, wall_trace
+from dvf_ig.calibration import Gate, accepted, estimate_latency, wall_trace
 from dvf_ig.core import FloatArray, LatencyRecording, NoOverlapError, PoseStream, QualityGateError, Trace
 from dvf_ig.io import read_latency_recording, read_sequence
 
@@ -58,16 +58,20 @@ def test_the_half_period_alias_of_the_other_sign_is_not_taken() -> None:
 
 def test_a_perfect_sine_cannot_be_told_from_its_alias() -> None:
     with pytest.raises(QualityGateError, match="two lags fit equally well"):
-        estimate_latency(recording(-0.065, wander=0.0))
+        accepted(estimate_latency(recording(-0.065, wander=0.0)))
+    found = estimate_latency(recording(-0.065, wander=0.0))
+    assert [why.gate for why in found.refusals] == [Gate.SECOND_ANSWER]
+    either = np.abs(np.array([found.lag_s, found.second_lag_s]) + 0.065)
+    assert either.min() < 0.005
 
 
 def test_refusals() -> None:
     with pytest.raises(QualityGateError, match="no motion to compare"):
-        estimate_latency(recording(0.0, amplitude=0.01))
+        accepted(estimate_latency(recording(0.0, amplitude=0.01)))
     with pytest.raises(QualityGateError, match="up-and-down movements"):
-        estimate_latency(recording(0.0, video_s=2.2))
+        accepted(estimate_latency(recording(0.0, video_s=2.2)))
     with pytest.raises(QualityGateError, match="correlation"):
-        estimate_latency(recording(0.0, noise_px=400.0))
+        accepted(estimate_latency(recording(0.0, noise_px=400.0)))
     moved = recording(0.0)
     later = Trace(moved.wall_row_px.t_s + 1000.0, moved.wall_row_px.values)
     with pytest.raises(NoOverlapError, match="0 valid poses while the video ran"):

@@ -38,10 +38,10 @@ def test_pivot_json_and_xml(tmp_path: Path) -> None:
     assert matrix[:3, 3].tolist() == result["tip_mm"]
 
 
-def test_a_still_tool_exits_7_and_writes_nothing(tmp_path: Path) -> None:
+def test_a_tool_that_does_not_turn_exits_7_and_writes_nothing(tmp_path: Path) -> None:
     out = tmp_path / "tip.json"
     done = CliRunner().invoke(
-        app, ["calibrate", "pivot", str(table(tmp_path / "p.txt", 2.0)), "-o", str(out)]
+        app, ["calibrate", "pivot", str(table(tmp_path / "p.txt", 0.0)), "-o", str(out)]
     )
     assert done.exit_code == 7
     assert "tilt the tool" in done.output

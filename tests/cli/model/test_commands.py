@@ -1,10 +1,13 @@
 """`dvf-ig model` and `dvf-ig force` as a user types them."""
 
+import base64
 import json
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import typer
+from scipy.spatial import KDTree
 from typer.testing import CliRunner
 
 from dvf_ig.cli import force
@@ -48,7 +51,45 @@ def test_check_repeats_with_a_seed(built):
     assert first.exit_code == 0
     one, two = json.loads(first.stdout), json.loads(second.stdout)
     assert one["surface_error_mm"] == two["surface_error_mm"]
-    assert "surface error" in run("model", "check", built[0]).stdout
+    shown = run("model", "check", built[0]).stdout
+    assert "spline fit error" in shown
+    size_mb = built[0].stat().st_size / 1e6
+    assert one["file_megabytes"] == size_mb
+    assert f"{size_mb:.1f} MB on disk" in shown
+
+
+@pytest.mark.parametrize(("ending", "within_mm"), [("vtp", 1e-9), ("stl", 1e-5)])
+def test_export_puts_every_phase_at_its_place(built, beating_sphere, tmp_path, ending, within_mm):
+    """Read without our readers: the vertices of each phase are those that the model was built from."""
+    result = run("model", "export", built[0], "-o", tmp_path / "out", "--format", ending, "--json")
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.stdout)
+    assert (report["frame"], report["space"], len(report["files"])) == ("mr", "LPS", 3)
+    for name, vertices in zip(report["files"], beating_sphere.vertices_mm, strict=True):
+        data = (tmp_path / "out" / name).read_bytes()
+        places = vtp_points(data) if ending == "vtp" else stl_points(data)
+        for axis in range(3):
+            found, known = np.unique(places[:, axis]), np.sort(vertices[:, axis])
+            assert np.abs(found - known[0]).min() < within_mm
+            assert np.abs(found - known[-1]).min() < within_mm
+        distances, _ = KDTree(vertices).query(places)
+        assert np.max(distances) < within_mm
+
+
+def vtp_points(data):
+    """(n, 3) points of a VTP file with inline base64, which must be tagged LPS."""
+    root = ElementTree.fromstring(data)
+    assert root.findtext(".//FieldData/Array[@Name='SPACE']", "").split() == ["76", "80", "83", "0"]
+    return np.frombuffer(base64.b64decode(root.findtext(".//Points/DataArray", ""))[8:], "<f8").reshape(-1, 3)
+
+
+def stl_points(data):
+    """(3 n, 3) corners of a binary STL file, which must be tagged LPS."""
+    assert b"SPACE=LPS" in data[:80]
+    facets = np.frombuffer(
+        data[84:], np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("", "<u2")])
+    )
+    return facets["corners"].reshape(-1, 3).astype(float)
 
 
 def test_wanted_accuracy_sets_the_knots(built, tmp_path):

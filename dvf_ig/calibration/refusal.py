@@ -1,0 +1,50 @@
+"""Why a calibration that gave an estimate must not be used: the quality gates that it failed."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol, TypeVar
+
+from dvf_ig.core import QualityGateError
+
+
+class Gate(StrEnum):
+    """What is asked of an estimate; the value says what is wrong where it fails."""
+
+    SMALL_ROTATION = "rotations too small"
+    ONE_AXIS = "rotations about one axis only"
+    FEW_AGREE = "too few samples agree"
+    RESIDUAL = "residual too large"
+    UNCERTAIN = "parameters left uncertain by the motion"
+    FEW_MOVEMENTS = "too few movements"
+    CORRELATION = "motions that do not match"
+    SECOND_ANSWER = "another answer fits as well"
+    END_OF_SEARCH = "best at the end of the search"
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """The gate that failed, and in one sentence what was seen, what was needed and what to do."""
+
+    gate: Gate
+    detail: str
+
+
+class Judged(Protocol):
+    """A result with its verdict: it may be used where no gate refused it."""
+
+    @property
+    def refusals(self) -> tuple[Refusal, ...]: ...
+
+
+R = TypeVar("R", bound=Judged)
+
+
+def accepted(result: R) -> R:
+    """The result, for callers that must not use a refused one.
+
+    Raises:
+        QualityGateError: a gate refused it; the message holds the sentence of each gate that did.
+    """
+    if result.refusals:
+        raise QualityGateError("; ".join(refusal.detail for refusal in result.refusals))
+    return result

@@ -1,0 +1,192 @@
+"""Calibrations made earlier, read back: tool tip, image calibration, lag, landmark map, hand-eye.
+
+Each is the JSON that `dvf-ig calibrate … -o FILE` writes; those that are a transform may also be PLUS XML. A
+calibration that a quality gate refused is refused here too, unless it is asked for knowingly.
+"""
+
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar, get_args
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from dvf_ig.core import ImageMap, Points, QualityGateError, Rigid
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+
+from .json_file import read_json
+from .plus.image_map import read_image_map
+from .plus.xml import read_calibrations
+from .reading import reading
+from .transform import rigid_from_matrix
+from .yaml_config import validated
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Row = tuple[Number, Number, Number, Number]
+Matrix = tuple[Row, Row, Row, Row]
+
+
+class CalibrationFile(BaseModel):
+    """What every calibration says: its verdict. Fields that are not named here are evidence."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    refused: bool
+    refused_because: tuple[str, ...]
+
+
+class TipFile(CalibrationFile):
+    """Of `calibrate pivot`: the tip in mm, in the tool's own frame."""
+
+    kind: Literal["tip"]
+    tip_mm: tuple[Number, Number, Number]
+    tip_frame: str
+
+
+class ProbeFile(CalibrationFile):
+    """Of `calibrate probe`: sensor_from_image in mm per pixel."""
+
+    kind: Literal["probe"]
+    sensor_from_image: Matrix
+    sensor_frame: str
+
+
+class LatencyFile(CalibrationFile):
+    """Of `calibrate latency`: t_tracker = t_video + lag_s."""
+
+    kind: Literal["latency"]
+    lag_s: Number
+
+
+class LandmarksFile(CalibrationFile):
+    """Of `calibrate landmarks`: target_from_source, mm."""
+
+    kind: Literal["landmarks"]
+    target_from_source: Matrix
+    target: str
+    source: str
+
+
+class HandEyeFile(CalibrationFile):
+    """Of `calibrate hand-eye`: hand_from_camera, mm; its frames by their recorded names."""
+
+    kind: Literal["hand-eye"]
+    hand_from_camera: Matrix
+    target: str
+    source: str
+
+
+F = TypeVar("F", bound=CalibrationFile)
+
+
+def read_tip(path: Path | str, tool: str | None = None, *, allow_refused: bool = False) -> Points:
+    """One point, mm, in the tool's own frame: of `calibrate pivot`, JSON or PLUS XML (StylusTipToStylus).
+
+    Args:
+        path: the file.
+        tool: frame of the tool; needed where an XML holds the tips of several.
+        allow_refused: read a calibration that a quality gate refused.
+    Raises:
+        UnreadableFileError: absent, not such a file, or the tip of another tool.
+        QualityGateError: it was refused.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".xml":
+        found = _read(TipFile, path, "a tool tip", "pivot", allow_refused=allow_refused)
+        if tool not in (None, found.tip_frame):
+            raise UnreadableFileError(f"{path} is the tip of '{found.tip_frame}'; needed that of '{tool}'")
+        return Points(found.tip_frame, np.array([found.tip_mm]))
+    tips = {
+        d.target: d.matrix[:3, 3]
+        for d in read_calibrations(path).values()
+        if d.source == f"{d.target}_tip" and tool in (None, d.target)
+    }
+    if len(tips) != 1:
+        listed = ", ".join(sorted(tips)) or "none"
+        raise UnreadableFileError(
+            f"{path} has tips of {len(tips)} tools ({listed}); needed one: name the tool"
+        )
+    frame, tip_mm = tips.popitem()
+    return Points(frame, tip_mm[None])
+
+
+def read_probe(path: Path | str, sensor: str = "probe", *, allow_refused: bool = False) -> ImageMap:
+    """probe_from_image: of `calibrate probe`, JSON, or ImageToProbe of a PLUS device set or result.
+
+    Args:
+        path: the file.
+        sensor: frame of the probe's sensor, which PLUS files may hold several of.
+        allow_refused: read a calibration that a quality gate refused.
+    Raises:
+        UnreadableFileError: absent, not such a file, or another sensor's.
+        QualityGateError: it was refused.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".xml":
+        return read_image_map(path, sensor)
+    found = _read(ProbeFile, path, "a probe calibration", "probe", allow_refused=allow_refused)
+    if found.sensor_frame != sensor:
+        raise UnreadableFileError(f"{path} calibrates '{found.sensor_frame}'; needed '{sensor}'")
+    with reading(path, "a probe calibration"):
+        return ImageMap.from_matrix(found.sensor_from_image, sensor)
+
+
+def read_lag(path: Path | str, *, allow_refused: bool = False) -> float:
+    """lag_s of `calibrate latency`: t_tracker = t_video + lag_s; negative where the tracker leads.
+
+    Raises:
+        UnreadableFileError: absent, or not such a file.
+        QualityGateError: it was refused.
+    """
+    return _read(LatencyFile, Path(path), "a latency", "latency", allow_refused=allow_refused).lag_s
+
+
+def read_landmark_map(path: Path | str, *, allow_refused: bool = False) -> Rigid:
+    """target_from_source of `calibrate landmarks`, for example reference_from_phantom.
+
+    Raises:
+        UnreadableFileError: absent, or not such a file.
+        QualityGateError: it was refused.
+    """
+    path, what = Path(path), "a landmark calibration"
+    found = _read(LandmarksFile, path, what, "landmarks", allow_refused=allow_refused)
+    with reading(path, what):
+        return rigid_from_matrix(found.target_from_source, found.target, found.source)
+
+
+def read_hand_eye(
+    path: Path | str, hand: str = "hand", camera: str = "camera", *, allow_refused: bool = False
+) -> Rigid:
+    """hand_from_camera of `calibrate hand-eye`: JSON, or PLUS XML in which `hand` and `camera` name it.
+
+    JSON names its frames itself.
+
+    Raises:
+        UnreadableFileError: absent, or not such a file.
+        QualityGateError: it was refused.
+    """
+    path, what = Path(path), "a hand-eye calibration"
+    with reading(path, what):
+        if path.suffix.lower() != ".xml":
+            found = _read(HandEyeFile, path, what, "hand-eye", allow_refused=allow_refused)
+            return rigid_from_matrix(found.hand_from_camera, found.target, found.source)
+        definition = read_calibrations(path).get(f"{hand}_from_{camera}")
+        if definition is None:
+            raise InvalidInputError(f"it has no transform {hand}_from_{camera}")
+        return rigid_from_matrix(definition.matrix, hand, camera)
+
+
+def _read(schema: type[F], path: Path, what: str, command: str, *, allow_refused: bool) -> F:
+    """The file by its schema, where it was not refused."""
+    document = read_json(path, what)
+    kind = document.get("kind") if isinstance(document, dict) else None
+    if (kind,) != get_args(schema.model_fields["kind"].annotation):
+        raise UnreadableFileError(
+            f"{path} is not {what}" + (f" but of kind '{kind}'" if kind else "") + "; give what dvf-ig "
+            f"calibrate {command} -o FILE wrote"
+        )
+    found = validated(schema, document, path)
+    if found.refused and not allow_refused:
+        raise QualityGateError(
+            f"{path} is a calibration that was refused: {'; '.join(found.refused_because)}; calibrate again"
+        )
+    return found
