@@ -5,6 +5,7 @@ tracker_from_probe. Frame names are camel case there, lower snake case here: "St
 """
 
 import re
+from dataclasses import dataclass
 
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.frames import check_frame
@@ -54,3 +55,27 @@ def join_transform(target: str, source: str) -> str:
     if split_transform(name) != (target, source):
         raise InvalidInputError(f"{target}_from_{source} has no PLUS name that reads back; rename a frame")
     return name
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeNames:
+    """What a recording calls the probe's sensor and the sensor or tracker that its poses are relative to.
+
+    Attributes:
+        probe: frame of the probe.
+        reference: frame of the reference; None takes "reference" where it is recorded, else "tracker".
+    """
+
+    probe: str = "probe"
+    reference: str | None = None
+
+    @classmethod
+    def from_plus(cls, probe: str | None, reference: str | None) -> "ProbeNames":
+        """From names as PLUS writes them ("Probe", "StylusTip") or as here; None keeps the default."""
+        return cls(
+            "probe" if probe is None else frame_from_plus(probe),
+            None if reference is None else frame_from_plus(reference),
+        )
+
+
+USUAL_NAMES = ProbeNames()
