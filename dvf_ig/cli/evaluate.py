@@ -23,9 +23,7 @@ def evaluate(
     moving: Annotated[Path | None, typer.Argument(help="The same points on the moving side.")] = None,
     start: Annotated[
         Path | None,
-        typer.Option(
-            "--start", help="Start pose (.tfm); default: the one in what `register` wrote."
-        ),
+        typer.Option("--start", help="Start pose (.tfm); default: the one in what `register` wrote."),
     ] = None,
     truth: Annotated[Path | None, typer.Option("--truth", help="True transform (.tfm).")] = None,
     moving_first: Annotated[

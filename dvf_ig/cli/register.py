@@ -66,7 +66,8 @@ def register(
 
 def _scenario(folder: Path, model: Path | None, init: Path | None, seed: int) -> "Registered":
     from dvf_ig.io import read_scenario, read_transform
-    from dvf_ig.replay import register_scenario, start_pose
+    from dvf_ig.replay import register_scenario
+    from dvf_ig.replay.start import start_pose
 
     given = read_transform(init, target="mr", source="tracker") if init is not None else None
     recorded = read_scenario(folder)

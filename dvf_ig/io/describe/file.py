@@ -57,6 +57,10 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
         InvalidInputError: a rate for what is no ECG table, or names for what is no sequence or not in it.
     """
     if names_ecg(spec):
+        if names is not None:
+            raise InvalidInputError(
+                f"names of probe and reference belong to a tracked sequence; '{spec}' is an ECG"
+            )
         return Description("ECG", _ecg_facts(spec, rate_hz))
     if rate_hz is not None:
         raise InvalidInputError(f"a sampling rate belongs to an ECG as a text table; '{spec}' is none")

@@ -19,7 +19,7 @@ from .timing import read_timing
 
 DIRECTION_TOLERANCE = 1e-3
 _EXACT_KEY = "dvf_ig_origin_spacing_direction"
-_NRRD_KIND = "NRRD_kinds[0]"
+_NRRD_KIND = "NRRD_kinds[pixel]"
 _VOXEL_FILE = re.compile(rb"^(?:ElementDataFile[ \t]*=|data ?file:)[ \t]*([^\r\n]+?)[ \t]*$", re.MULTILINE)
 SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 
