@@ -103,10 +103,7 @@ class TrackedSequence:
             if first is not None and second is not None:
                 return first @ second
         known = ", ".join(sorted(self.poses)) or "none"
-        raise InvalidInputError(
-            f"the sequence has no transform {target}_from_{source}; it records {known}: name the frames that "
-            "are meant"
-        )
+        raise InvalidInputError(f"the sequence has no transform {target}_from_{source}; it records {known}")
 
     def _one_step(self, target: str, source: str) -> PoseStream | None:
         forward = self.poses.get(f"{target}_from_{source}")

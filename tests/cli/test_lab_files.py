@@ -348,13 +348,20 @@ def test_a_probe_and_a_reference_under_other_names(tmp_path: Path) -> None:
     usual = found(*command, sequence)
     other = tmp_path / "other.igs.mha"
     other.write_bytes(sequence.read_bytes().replace(b"ProbeToTracker", b"UltrasoundHeadToStepper"))
-    assert "stepper_from_ultrasound_head" in refused(*command, other)
+    assert "--probe-name, --reference-name" in refused(*command, other)
     names = ("--probe-name", "UltrasoundHead", "--reference-name", "Stepper")
     named = found(*command, other, *names)
     assert named["sensor_frame"] == "ultrasound_head"
     assert named["sensor_from_image"] == usual["sensor_from_image"]
     assert list(found("inspect", other, *names)["probe"]) == ["stepper_from_ultrasound_head"]
     assert "belong to a tracked sequence" in refused("inspect", points, *names)
+
+
+def test_a_real_stepper_has_neither_name(data_dir: Path) -> None:
+    sequence = next((data_dir / "plus-nwire-segmentation").glob("*.igs.mha"))
+    assert "it records tracker_from_tool" in refused("inspect", sequence, "--reference-name", "Tracker")
+    told = found("inspect", sequence, "--probe-name", "Tool", "--reference-name", "Tracker")
+    assert list(told["probe"]) == ["tracker_from_tool"]
 
 
 # evaluate

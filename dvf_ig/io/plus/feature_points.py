@@ -85,7 +85,7 @@ def tracked_probe(sequence: TrackedSequence, names: ProbeNames = USUAL_NAMES) ->
         InvalidInputError: the sequence does not connect the two frames.
     """
     held = any("reference" in (stream.target, stream.source) for stream in sequence.poses.values())
-    return sequence.stream(names.reference or ("reference" if held else "tracker"), names.probe)
+    return names.stream(sequence, names.reference or ("reference" if held else "tracker"))
 
 
 def _cells(line: str) -> list[str]:

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.frames import check_frame
+from dvf_ig.core.sequence import TrackedSequence
+from dvf_ig.core.stream import PoseStream
 
 _TRANSFORM = re.compile(r"(.+?)To([A-Z].*)")
 _WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
@@ -76,6 +78,17 @@ class ProbeNames:
             "probe" if probe is None else frame_from_plus(probe),
             None if reference is None else frame_from_plus(reference),
         )
+
+    def stream(self, sequence: TrackedSequence, held: str) -> PoseStream:
+        """held_from_probe over time.
+
+        Raises:
+            InvalidInputError: the sequence does not connect the two frames.
+        """
+        try:
+            return sequence.stream(held, self.probe)
+        except InvalidInputError as exc:
+            raise InvalidInputError(f"{exc}; name what is meant (--probe-name, --reference-name)") from exc
 
 
 USUAL_NAMES = ProbeNames()

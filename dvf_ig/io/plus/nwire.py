@@ -120,7 +120,7 @@ def phantom_from_probe(
         placed = definitions.get(f"{held}_from_phantom")
         if placed is not None:
             with reading(path, "a sequence with a tracked probe"):
-                tracked = sequence.stream(held, names.probe)
+                tracked = names.stream(sequence, held)
             with reading(device_set_xml, "a PLUS device set"):
                 phantom_from_held = rigid_from_matrix(placed.matrix, held, "phantom").inverse()
             return _moved(phantom_from_held, tracked)
