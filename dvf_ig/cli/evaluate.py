@@ -8,9 +8,11 @@ import typer
 from .shell import JsonFlag, command, emit, warn
 
 if TYPE_CHECKING:
-    from dvf_ig.core import Landmarks, Points, Rigid
+    from dvf_ig.core import FloatArray, Landmarks, Points, Rigid
 
 FEWEST_PAIRS = 3
+SWAPPED_SHARE = 0.5
+"""Sides count as swapped where exchanging them at least halves the mean TRE."""
 
 
 def evaluate(
@@ -19,6 +21,10 @@ def evaluate(
         Path, typer.Option("--landmarks", help="Points on the fixed side (.mrk.json, .fcsv), or a .tag pair.")
     ],
     moving: Annotated[Path | None, typer.Argument(help="The same points on the moving side.")] = None,
+    start: Annotated[
+        Path | None,
+        typer.Option("--start", help="Start pose (.tfm); default: the one in what `register` wrote."),
+    ] = None,
     truth: Annotated[Path | None, typer.Option("--truth", help="True transform (.tfm).")] = None,
     moving_first: Annotated[
         bool, typer.Option("--moving-first", help="The .tag pair lists the moving side first.")
@@ -31,12 +37,15 @@ def evaluate(
     side is the tracker, the moving side the MR; for a pair of images they are the fixed and the moving image.
     """
     with command():
-        result = _result(transform, landmarks, moving, truth, moving_first)
+        result = _result(transform, landmarks, moving, truth, start, moving_first=moving_first)
         tre = result["tre_mm"]
         rows = [
             ("TRE", f"{tre['mean']:.2f} mm mean, {tre['median']:.2f} median, {tre['p95']:.2f} p95"),
             ("worst", f"{tre['max']:.2f} mm of {tre['n']} landmarks"),
         ]
+        before = result["start_tre_mm"]
+        if before is not None:
+            rows.append(("TRE at the start", f"{before['mean']:.2f} mm mean, {before['max']:.2f} worst"))
         if result["rotation_deg"] is not None:
             shift = ", ".join(f"{v:.2f}" for v in result["translation_mm"])
             rows.append(("rotation error", f"{result['rotation_deg']:.2f} deg"))
@@ -45,33 +54,79 @@ def evaluate(
 
 
 def _result(
-    transform: Path, landmarks: Path, moving: Path | None, truth: Path | None, moving_first: bool
+    transform: Path,
+    landmarks: Path,
+    moving: Path | None,
+    truth: Path | None,
+    start: Path | None,
+    *,
+    moving_first: bool,
 ) -> dict[str, Any]:
-    import numpy as np
-
-    from dvf_ig.core import InvalidInputError, summarise_errors
+    from dvf_ig.core import InvalidInputError
     from dvf_ig.io import read_transform
     from dvf_ig.registration import pose_difference
 
-    estimate = read_transform(_transform_file(transform))
+    file = _transform_file(transform)
+    estimate = read_transform(file)
     fixed, theirs = _sides(landmarks, moving, estimate, moving_first)
     difference: tuple[float | None, list[float] | None] = (None, None)
     if truth is not None:
         true = read_transform(truth, target=estimate.target, source=estimate.source)
-        wanted, got = true.apply(fixed.points).xyz_mm, estimate.apply(fixed.points).xyz_mm
+        points, wanted = fixed.points, true.apply(fixed.points).xyz_mm
         turn, shift = pose_difference(estimate, true, wanted.mean(axis=0))
         difference = (turn, shift.tolist())
     elif theirs is not None:
         points, targets = _pairs(fixed, theirs)
-        wanted, got = targets.xyz_mm, estimate.apply(points).xyz_mm
+        wanted = targets.xyz_mm
+        _suspect_swapped_sides(estimate, points.xyz_mm, wanted)
     else:
         raise InvalidInputError("one landmark file says nothing alone; add the moving side, or --truth FILE")
-    errors = np.linalg.norm(got - wanted, axis=1)
+    before = _start(file, start, estimate)
     return {
-        "tre_mm": summarise_errors(errors).tre_fields(),
+        "tre_mm": _tre_mm(estimate, points, wanted),
+        "start_tre_mm": None if before is None else _tre_mm(before, points, wanted),
         "rotation_deg": difference[0],
         "translation_mm": difference[1],
     }
+
+
+def _tre_mm(pose: "Rigid", points: "Points", wanted: "FloatArray") -> dict[str, Any]:
+    import numpy as np
+
+    from dvf_ig.core import summarise_errors
+
+    return summarise_errors(np.linalg.norm(pose.apply(points).xyz_mm - wanted, axis=1)).tre_fields()
+
+
+def _start(file: Path, given: Path | None, estimate: "Rigid") -> "Rigid | None":
+    """The pose that the registration started from: a file's, or the one in the evidence beside the result."""
+    from dvf_ig.core import Rigid
+    from dvf_ig.io import read_json, read_transform
+
+    if given is not None:
+        return read_transform(given, target=estimate.target, source=estimate.source)
+    names = (f"{file.stem}.result.json", "result.json")
+    evidence = next((file.with_name(name) for name in names if file.with_name(name).is_file()), None)
+    written = read_json(evidence) if evidence is not None else None
+    if not isinstance(written, dict) or written.get("start") is None or estimate.name not in written:
+        return None
+    return Rigid.from_matrix(written["start"], estimate.target, estimate.source)
+
+
+def _suspect_swapped_sides(estimate: "Rigid", fixed_mm: "FloatArray", moving_mm: "FloatArray") -> None:
+    """Say so where the transform fits the landmarks far better with their sides exchanged."""
+    import numpy as np
+
+    def mean_mm(source: "FloatArray", target: "FloatArray") -> float:
+        moved = source @ estimate.rotation.T + estimate.translation_mm
+        return float(np.linalg.norm(moved - target, axis=1).mean())
+
+    given, exchanged = mean_mm(fixed_mm, moving_mm), mean_mm(moving_mm, fixed_mm)
+    if exchanged < SWAPPED_SHARE * given:
+        warn(
+            f"with the two sides of the landmarks exchanged the mean TRE is {exchanged:.2f} mm instead of "
+            f"{given:.2f} mm: fixed and moving are probably swapped"
+        )
 
 
 def _sides(

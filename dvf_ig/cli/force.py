@@ -1,14 +1,11 @@
 """`dvf-ig force`: forces of fixtures at given points and one phase."""
 
-import csv
 import dataclasses
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-
-from dvf_ig.core import FloatArray, UnreadableFileError
 
 from .fixture_options import (
     BlendOption,
@@ -25,6 +22,7 @@ from .fixture_options import (
 from .shell import JsonFlag, command, emit, warn
 
 if TYPE_CHECKING:
+    from dvf_ig.core import FloatArray
     from dvf_ig.guidance import DeviceLimits, FixtureSet, ForceSamples
 
 
@@ -32,7 +30,11 @@ def force(
     model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.")],
     points: Annotated[
         Path,
-        typer.Option("--points", help="CSV of x,y,z in mm in the model's frame (LPS); a header is allowed."),
+        typer.Option(
+            "--points",
+            help="Points in the model's frame, in mm: CSV of x,y,z (LPS; a header is allowed), or 3D "
+            "Slicer's .mrk.json or .fcsv (LPS or RAS, as the file says).",
+        ),
     ],
     phase: Annotated[
         float, typer.Option("--phase", help="Phase of the model's cycle, 0 at the R peak, modulo 1.")
@@ -71,7 +73,7 @@ def force(
             raise typer.BadParameter(f"--phase is {phase}; needed a finite number")
         from dvf_ig.core import Rigid
         from dvf_ig.guidance import DeviceLimits, Fixtures
-        from dvf_ig.io import read_model
+        from dvf_ig.io import read_model, read_points
 
         limits = DeviceLimits(stiffness_n_per_m=stiffness, damping_n_s_per_m=damping)
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
@@ -84,7 +86,7 @@ def force(
                     "--free-zone-mm goes with --law guidance and chooses its --delta and --m"
                 )
             options = _with_free_zone(options, free_zone_mm, detection_threshold_n, limits)
-        xyz_mm = _read_points(points)
+        xyz_mm = read_points(points, model.frame).xyz_mm
         here = Rigid.identity(model.frame, model.frame)
         samples = Fixtures(model, options, device=limits).evaluate(here, xyz_mm, phase)
         _print(samples, xyz_mm, as_json)
@@ -103,7 +105,7 @@ def _with_free_zone(
     return FixtureSet((dataclasses.replace(one, law=law),))
 
 
-def _print(samples: "ForceSamples", xyz_mm: FloatArray, as_json: bool) -> None:
+def _print(samples: "ForceSamples", xyz_mm: "FloatArray", as_json: bool) -> None:
     from dvf_ig.guidance import Status
 
     names = [Status(code).name for code in samples.status.tolist()]
@@ -118,33 +120,3 @@ def _print(samples: "ForceSamples", xyz_mm: FloatArray, as_json: bool) -> None:
         where = " ".join(f"{c:8.2f}" for c in point)
         rows.append((where, " ".join(f"{c:7.3f}" for c in push) + f"  {distance:12.3f}  {name}"))
     emit(payload, rows, as_json=as_json)
-
-
-def _read_points(path: Path) -> FloatArray:
-    """(n, 3) rows of a CSV; the first row may be a header.
-
-    Raises:
-        UnreadableFileError: absent, empty, or a row that is not three numbers.
-    """
-    import numpy as np
-
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as exc:
-        raise UnreadableFileError(f"cannot read points from {path}: {exc}") from exc
-    rows: list[list[float]] = []
-    for number, row in enumerate(csv.reader(text.splitlines()), start=1):
-        if not row:
-            continue
-        try:
-            values = [float(cell) for cell in row]
-        except ValueError as exc:
-            if number == 1:
-                continue
-            raise UnreadableFileError(f"{path}, line {number}: '{','.join(row)}' is not x,y,z in mm") from exc
-        if len(values) != 3:
-            raise UnreadableFileError(f"{path}, line {number}: {len(values)} columns; needed x,y,z in mm")
-        rows.append(values)
-    if not rows:
-        raise UnreadableFileError(f"{path} holds no points; needed lines of x,y,z in mm")
-    return np.array(rows)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .shell import JsonFlag, command, emit, wrote
+from .shell import EcgRateOption, JsonFlag, command, emit, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import PhaseClockOptions, PhaseTracking
@@ -17,8 +17,14 @@ TRIGGER_PREFIX = "trigger:"
 
 def gate(
     ecg: Annotated[
-        str, typer.Argument(help="wfdb:RECORD, edf:FILE, csv:FILE or trigger:FILE.", metavar="ECG")
+        str,
+        typer.Argument(
+            help="wfdb:RECORD, edf:FILE or csv:FILE (the ending .hea, .dat, .edf, .csv or .tsv says it "
+            "too), or trigger:FILE.",
+            metavar="ECG",
+        ),
     ],
+    rate: EcgRateOption = None,
     phase_at: Annotated[
         float | None,
         typer.Option("--phase-at", help="Also give phase at this rate (Hz).", min=0.1, max=10_000.0),
@@ -38,7 +44,7 @@ def gate(
         from dvf_ig.io import refuse_foreign, write_json
 
         rate_hz = phase_at or VALIDITY_RATE_HZ
-        signal, tracking = _track(ecg, rate_hz, predictor, delay_s)
+        signal, tracking = _track(ecg, rate, rate_hz, predictor, delay_s)
         result = _result(tracking, with_phase=phase_at is not None)
         if output is not None:
             refuse_foreign(output.with_suffix(".png"))
@@ -49,7 +55,7 @@ def gate(
 
 
 def _track(
-    spec: str, rate_hz: float, predictor: str, delay_s: float | None
+    spec: str, ecg_rate_hz: float | None, rate_hz: float, predictor: str, delay_s: float | None
 ) -> "tuple[Signal | None, PhaseTracking]":
     import numpy as np
 
@@ -59,12 +65,14 @@ def _track(
 
     options = _options(predictor)
     if spec.startswith(TRIGGER_PREFIX):
+        if ecg_rate_hz is not None:
+            raise InvalidInputError(f"--rate belongs to an ECG table; '{spec}' holds the times of pulses")
         return None, _track_trigger(Path(spec[len(TRIGGER_PREFIX) :]), rate_hz, options, delay_s or 0.0)
     if delay_s is not None:
         raise InvalidInputError(
             f"--delay-s belongs to trigger:FILE; '{spec}' is an ECG, whose R peaks are found"
         )
-    signal = read_ecg(spec)
+    signal = read_ecg(spec, ecg_rate_hz)
     duration_s = len(signal) / signal.rate_hz
     t_s = signal.start_s + np.arange(max(1, int(duration_s * rate_hz))) / rate_hz
     return signal, track_phase(signal, t_s, options=options)
@@ -127,7 +135,7 @@ def _draw(path: Path, spec: str, signal: "Signal | None", tracking: "PhaseTracki
     from dvf_ig.io.atomic import write_bytes
     from dvf_ig.report import gate_png
 
-    name = Path(spec.partition(":")[2]).name
+    name = Path(spec.rpartition(":")[2]).name
     peaks_s = np.array([peak.t_s for peak in tracking.peaks])
     write_bytes(path, gate_png(name, signal, peaks_s, tracking.track))
     wrote(path)

@@ -9,7 +9,11 @@ from .patient_model import patient_model
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
 
 if TYPE_CHECKING:
+    from dvf_ig.core import Rigid
     from dvf_ig.registration import RegistrationResult
+
+    Registered = tuple[RegistrationResult, Rigid]
+    """What was found, and the pose it started from."""
 
 
 def register(
@@ -50,10 +54,10 @@ def register(
             refuse_foreign(evidence, kind="registration")
             refuse_foreign(transform.with_suffix(".json"), kind="transform")
             if scenario is not None:
-                result = _scenario(scenario, model, init, seed)
+                result, start = _scenario(scenario, model, init, seed)
             else:
-                result = _pair(fixed, moving, init, mask, seed)
-            payload = _payload(result, name, seed)
+                result, start = _pair(fixed, moving, init, mask, seed)
+            payload = _payload(result, start, name, seed)
             for file in write_transforms(result.target_from_source, transform):
                 wrote(file, name)
             write_sidecar(evidence, payload, "registration")
@@ -62,22 +66,24 @@ def register(
         _judge(result)
 
 
-def _scenario(folder: Path, model: Path | None, init: Path | None, seed: int) -> "RegistrationResult":
+def _scenario(folder: Path, model: Path | None, init: Path | None, seed: int) -> "Registered":
     from dvf_ig.io import read_scenario, read_transform
     from dvf_ig.replay import register_scenario
+    from dvf_ig.replay.start import start_pose
 
-    start = read_transform(init, target="mr", source="tracker") if init is not None else None
+    given = read_transform(init, target="mr", source="tracker") if init is not None else None
     recorded = read_scenario(folder)
+    start = given or start_pose(recorded)
     built, origin = patient_model(recorded.preop, model)
     with progress("register") as report:
         result = register_scenario(recorded, start, model=built, seed=seed, progress=report)
     typer.echo(origin, err=True)
-    return result
+    return result, start
 
 
 def _pair(
     fixed: Path | None, moving: Path | None, init: Path | None, mask: Path | None, seed: int
-) -> "RegistrationResult":
+) -> "Registered":
     from time import perf_counter
 
     import numpy as np
@@ -96,7 +102,7 @@ def _pair(
     )
     allowed = read_volume(mask, frame="fixed") if mask is not None else None
     with progress("register") as report:
-        return register_pair(
+        result = register_pair(
             ultrasound,
             anatomy,
             start,
@@ -105,14 +111,16 @@ def _pair(
             mask=allowed,
             progress=report,
         )
+    return result, start
 
 
-def _payload(result: "RegistrationResult", name: str, seed: int) -> dict[str, Any]:
+def _payload(result: "RegistrationResult", start: "Rigid", name: str, seed: int) -> dict[str, Any]:
     from dvf_ig.kernels.compiled import thread_count
     from dvf_ig.replay import evidence_of
 
     return {
         name: result.target_from_source.matrix.tolist(),
+        "start": start.matrix.tolist(),
         "stop": result.stop.name,
         "reason": result.sentence,
         **evidence_of(result),

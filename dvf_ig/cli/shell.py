@@ -30,6 +30,21 @@ SeedOption = Annotated[int, typer.Option("--seed", help="Seed of every random ch
 ThreadsOption = Annotated[
     int | None, typer.Option("--threads", min=1, help="Threads to use (default: all cores).")
 ]
+EcgRateOption = Annotated[
+    float | None,
+    typer.Option("--rate", help="Sampling rate (Hz) of an ECG table without times.", min=1.0, max=100_000.0),
+]
+ProbeNameOption = Annotated[
+    str | None,
+    typer.Option("--probe-name", help="The probe's sensor, as the recording names it (default: Probe)."),
+]
+ReferenceNameOption = Annotated[
+    str | None,
+    typer.Option(
+        "--reference-name",
+        help="What its poses are relative to (default: Reference where it is recorded, else Tracker).",
+    ),
+]
 
 EXIT_CODES: tuple[tuple[type[DvfIgError], int], ...] = (
     (MissingDependencyError, 2),

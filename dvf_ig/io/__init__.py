@@ -19,6 +19,7 @@ from .image.labels import read_cine_labels as read_cine_labels
 from .image.seeds import read_seeds as read_seeds
 from .image.timing import read_timing as read_timing
 from .image.timing import write_timing as write_timing
+from .image.volume import image_dimension as image_dimension
 from .image.volume import read_volume as read_volume
 from .image.volume import read_volume_series as read_volume_series
 from .image.volume import write_volume as write_volume
@@ -46,6 +47,7 @@ from .plus.image_map import read_image_map as read_image_map
 from .plus.latency import read_latency_recording as read_latency_recording
 from .plus.latency import read_line_table as read_line_table
 from .plus.latency import write_line_table as write_line_table
+from .plus.names import ProbeNames as ProbeNames
 from .plus.nwire import phantom_from_probe as phantom_from_probe
 from .plus.nwire import read_nwire_phantom as read_nwire_phantom
 from .plus.nwire import read_nwire_recording as read_nwire_recording
@@ -62,6 +64,7 @@ from .plus.xml import CoordinateDefinition as CoordinateDefinition
 from .plus.xml import read_calibrations as read_calibrations
 from .plus.xml import read_coordinate_definitions as read_coordinate_definitions
 from .plus.xml import write_coordinate_definitions as write_coordinate_definitions
+from .points_file import read_points as read_points
 from .scenario.read import read_scenario as read_scenario
 from .scenario.readme import ScenarioNotes as ScenarioNotes
 from .scenario.write import write_scenario as write_scenario

@@ -19,6 +19,7 @@ _SCHEMA = (
     "markups-schema-v1.0.3.json#"
 )
 _TO_LPS = {"LPS": (1.0, 1.0, 1.0), "1": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0), "0": (-1.0, -1.0, 1.0)}
+LANDMARK_ENDINGS = (".json", ".fcsv", ".tag")
 _TAG_ROW = re.compile(r'((?:[-+\d.eE]+\s+)*[-+\d.eE]+)\s*(?:"([^"]*)")?')
 
 
@@ -32,20 +33,28 @@ def read_landmarks(path: Path | str, frame: str) -> Landmarks:
         UnreadableFileError: absent, another format, no points, repeated names, or no coordinate system.
     """
     path = Path(path)
+    with reading(path, "landmarks"):
+        return _landmarks(path, *named_points(path), frame)
+
+
+def named_points(path: Path) -> tuple[list[str], FloatArray]:
+    """Names, which may repeat, and (n, 3) LPS positions of a file of any of LANDMARK_ENDINGS.
+
+    Raises:
+        UnreadableFileError: absent, another format, two volumes, or no coordinate system.
+    """
     name = path.name.lower()
     with reading(path, "landmarks"):
         if name.endswith(".json"):
-            names, xyz = markup_points(path)
-        elif name.endswith(".fcsv"):
-            names, xyz = _from_fcsv(path)
-        elif name.endswith(".tag"):
-            names, sides = _from_tag(path)
-            if len(sides) != 1:
-                raise UnreadableFileError(f"{path} pairs the points of two volumes; read it as a pair")
-            xyz = sides[0]
-        else:
+            return markup_points(path)
+        if name.endswith(".fcsv"):
+            return _from_fcsv(path)
+        if not name.endswith(".tag"):
             raise UnreadableFileError(f"{path} has no landmark ending; needed .mrk.json, .fcsv or .tag")
-        return _landmarks(path, names, xyz, frame)
+        names, sides = _from_tag(path)
+        if len(sides) != 1:
+            raise UnreadableFileError(f"{path} pairs the points of two volumes; read it as a pair")
+        return names, sides[0]
 
 
 def read_tag_pair(path: Path | str, frame_first: str, frame_second: str) -> tuple[Landmarks, Landmarks]:

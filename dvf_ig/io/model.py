@@ -61,8 +61,9 @@ def read_model(path: Path | str, patient_id: str | None = None) -> DvfModel:
     model = parse_model(read_bytes(Path(path), "a model file"), Path(path))
     if patient_id is not None and model.patient_id != patient_id:
         raise InvalidInputError(
-            f"{path} is the model of patient '{model.patient_id}', needed patient '{patient_id}'; "
-            "choose the right patient's model"
+            f"{path} is the model of patient '{model.patient_id}', needed patient '{patient_id}'; choose "
+            "the right patient's model, or, where it is the same patient, build it again with: dvf-ig model "
+            f"build … --patient '{patient_id}'"
         )
     return model
 

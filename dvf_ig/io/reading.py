@@ -6,6 +6,29 @@ from pathlib import Path
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 
+_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+
+
+def refuse_lfs_pointer(path: Path) -> None:
+    """Refuse the short text that Git-LFS leaves in place of a large file that was not downloaded.
+
+    Source: git-lfs docs/spec.md, "The Pointer".
+
+    Raises:
+        UnreadableFileError: `path` is such a pointer.
+    """
+    try:
+        if not path.is_file():
+            return
+        with path.open("rb") as file:
+            head = file.read(len(_LFS_POINTER))
+    except OSError:
+        return  # whoever reads the file says why it cannot be opened
+    if head == _LFS_POINTER:
+        raise UnreadableFileError(
+            f"{path} is a Git-LFS pointer, not the file itself; download it with: git lfs pull"
+        )
+
 
 @contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
@@ -16,8 +39,9 @@ def reading(path: Path, what: str) -> Iterator[None]:
         what: what it should be, with its article, for example "a tracked sequence".
     Raises:
         UnreadableFileError: the file is absent, unreadable, or its content breaks an invariant of the value
-            it should become. Errors that are this class already pass unchanged.
+            it should become, or is a Git-LFS pointer. Errors that are this class already pass unchanged.
     """
+    refuse_lfs_pointer(path)
     try:
         yield
     except UnreadableFileError:

@@ -11,7 +11,7 @@ from dvf_ig.core.rigid import Rigid, rigidity_defect
 
 from .atomic import atomic_file, write_text
 from .json_file import read_json
-from .reading import read_bytes, reading
+from .reading import read_bytes, reading, refuse_lfs_pointer
 from .sidecar import refuse_foreign, write_sidecar
 
 CONVENTION = "ITK: maps points of 'from' (fixed image) to 'to' (moving image); LPS, mm"
@@ -35,6 +35,7 @@ def read_transform(path: Path | str, target: str | None = None, source: str | No
         InvalidInputError: no sidecar and no frames given.
     """
     path = Path(path)
+    refuse_lfs_pointer(path)
     sidecar = path.with_suffix(".json")
     recorded = _sidecar_frames(sidecar) if sidecar.is_file() and sidecar != path else None
     if recorded is not None:

@@ -10,6 +10,7 @@ from .wires import read_wires, segmentation_json, segmentation_rows
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import CalibrationErrors, NWireResult, NWireVariants
+    from dvf_ig.io import ProbeNames
 
 
 def nwire_result(
@@ -17,6 +18,7 @@ def nwire_result(
     device_set: Path | None,
     validate: Path | None,
     tables: tuple[Path | None, Path | None],
+    names: "ProbeNames",
     method: str | None,
     picture: Path | None,
     max_residual_mm: float | None,
@@ -27,16 +29,17 @@ def nwire_result(
     Args:
         tables: PLUS results with the wire points of the calibration and of the validation sequence; None
             finds the wires in the images.
+        names: of the probe and its reference in the sequences.
     """
     from dvf_ig.calibration import NWireOptions, compare_nwire_methods, validate_nwire
     from dvf_ig.core import InvalidInputError
 
     if device_set is None:
         raise InvalidInputError("an N-wire phantom needs --device-set XML with its wires and its placement")
-    seen = read_wires(sequence, device_set, tables[0], "CalibrationData", picture)
+    seen = read_wires(sequence, device_set, tables[0], "CalibrationData", names, picture)
     validated = None
     if validate is not None:
-        validated = read_wires(validate, device_set, tables[1], "ValidationData")
+        validated = read_wires(validate, device_set, tables[1], "ValidationData", names)
     recording, held_out = seen.recording, None if validated is None else validated.recording
     options = NWireOptions()
     if max_residual_mm is not None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command
+from dvf_ig.cli.shell import JsonFlag, ProbeNameOption, ReferenceNameOption, SeedOption, command
 
 from .output import MaxResidualOption, OutputOption, judge, save, show
 
@@ -20,7 +20,12 @@ class Phantom(StrEnum):
 
 
 def probe(
-    sequence: Annotated[Path, typer.Argument(help="Tracked images of the phantom.")],
+    sequence: Annotated[
+        Path,
+        typer.Argument(
+            help="Tracked images of the phantom; cross-wire and wall with --points: also poses as text."
+        ),
+    ],
     phantom: Annotated[Phantom, typer.Option("--phantom", help="What was imaged.")] = Phantom.nwire,
     device_set: Annotated[
         Path | None,
@@ -28,7 +33,9 @@ def probe(
     ] = None,
     points: Annotated[
         Path | None,
-        typer.Option("--points", help="N-wire: PLUS results XML (CalibrationData). Others: CSV of points."),
+        typer.Option(
+            "--points", help="N-wire: PLUS results XML (CalibrationData). Others: table of points, px."
+        ),
     ] = None,
     validate: Annotated[
         Path | None, typer.Option("--validate", help="A second sequence to measure the error on.")
@@ -37,7 +44,7 @@ def probe(
         Path | None,
         typer.Option(
             "--validate-points",
-            help="N-wire: PLUS results XML (ValidationData; default: --points). Others: CSV of points.",
+            help="N-wire: PLUS results XML (ValidationData; default: --points). Others: table of points, px.",
         ),
     ] = None,
     method: Annotated[
@@ -53,6 +60,8 @@ def probe(
         typer.Option("--picture", help="N-wire without --points: PNG of the dots and wires that were found."),
     ] = None,
     max_residual_mm: MaxResidualOption = None,
+    probe_name: ProbeNameOption = None,
+    reference_name: ReferenceNameOption = None,
     output: OutputOption = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
@@ -61,19 +70,28 @@ def probe(
     with command():
         import numpy as np
 
+        from dvf_ig.io import ProbeNames
+
+        names = ProbeNames.from_plus(probe_name, reference_name)
         rng = np.random.default_rng(seed)
         if phantom is not Phantom.nwire:
             from .target import target_result
 
             calibrated = target_result(
-                phantom.value, sequence, points, validate, validate_points, method, max_residual_mm, rng
+                phantom.value,
+                (sequence, points),
+                (validate, validate_points),
+                names,
+                method,
+                max_residual_mm,
+                rng,
             )
         else:
             from .nwire import nwire_result
 
             tables = (points, validate_points or points)
             calibrated = nwire_result(
-                sequence, device_set, validate, tables, method, picture, max_residual_mm, rng
+                sequence, device_set, validate, tables, names, method, picture, max_residual_mm, rng
             )
         result, rows, error_mm = calibrated
         files = (sequence, device_set, points, validate, validate_points)

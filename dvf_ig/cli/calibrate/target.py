@@ -10,6 +10,7 @@ from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
 if TYPE_CHECKING:
     from dvf_ig.calibration import CalibrationErrors, TargetResult
     from dvf_ig.core import FloatArray, PoseStream
+    from dvf_ig.io import ProbeNames
 
 METHODS = ("orthogonal", "isotropic")
 Printed = tuple[dict[str, Any], list[tuple[str, ...]], float]
@@ -17,15 +18,19 @@ Printed = tuple[dict[str, Any], list[tuple[str, ...]], float]
 
 def target_result(
     phantom: str,
-    sequence: Path,
-    points: Path | None,
-    validate: Path | None,
-    validate_points: Path | None,
+    recorded: tuple[Path, Path | None],
+    validate: tuple[Path | None, Path | None],
+    names: "ProbeNames",
     method: str | None,
     max_residual_mm: float | None,
     rng: Any,
 ) -> Printed:
-    """JSON, rows to print and the error to save."""
+    """JSON, rows to print and the error to save.
+
+    Args:
+        recorded, validate: file of the poses (and images), and table of the points.
+        names: of the probe and its reference in the poses.
+    """
     from dvf_ig.calibration import TargetOptions
     from dvf_ig.core import InvalidInputError
 
@@ -34,10 +39,10 @@ def target_result(
     options = TargetOptions(isotropic=method == "isotropic")
     if max_residual_mm is not None:
         options = replace(options, max_rms_mm=max_residual_mm)
-    seen = _recording(phantom, sequence, points, "--points", rng)
+    seen = _recording(phantom, *recorded, names, "--points", rng)
     second = None
-    if validate is not None:
-        second = _recording(phantom, validate, validate_points, "--validate-points", rng)
+    if validate[0] is not None:
+        second = _recording(phantom, validate[0], validate[1], names, "--validate-points", rng)
     solve = _crosswire if phantom == "cross-wire" else _wall
     found, checked, place, rows = solve(seen, second, options, rng)
     result = {
@@ -100,19 +105,23 @@ def _wall(seen: PosesAndPoints, second: PosesAndPoints | None, options: Any, rng
     return found, checked, place, [("wall", shown)]
 
 
-def _recording(phantom: str, sequence: Path, points: Path | None, option: str, rng: Any) -> PosesAndPoints:
+def _recording(
+    phantom: str, sequence: Path, points: Path | None, names: "ProbeNames", option: str, rng: Any
+) -> PosesAndPoints:
     """Poses and points; a wall's line is found in the images where no points are given."""
     from dvf_ig.calibration import find_wall_lines
     from dvf_ig.core import InvalidInputError
     from dvf_ig.io import read_sequence, read_target_recording, tracked_probe
 
     if points is not None:
-        return read_target_recording(sequence, points)
+        return read_target_recording(sequence, points, names)
     frames = read_sequence(sequence)
     if phantom != "wall" or frames.images is None:
         what = "the crossing is not looked for in the images" if phantom != "wall" else "it has no images"
         raise InvalidInputError(
-            f"{sequence}: {what}; give {option} CSV with the columns frame, column1_px, row1_px"
+            f"{sequence}: {what}; give {option} FILE, a table of the columns frame, column1_px, row1_px"
             + (", column2_px, row2_px" if phantom == "wall" else "")
         )
-    return tracked_probe(frames), find_wall_lines(frames.images, rng=rng).end_points_px(frames.image_valid)
+    return tracked_probe(frames, names), find_wall_lines(frames.images, rng=rng).end_points_px(
+        frames.image_valid
+    )

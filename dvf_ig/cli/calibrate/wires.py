@@ -9,6 +9,7 @@ from dvf_ig.cli.shell import wrote
 if TYPE_CHECKING:
     from dvf_ig.calibration import WireImageOptions, WireSegmentation
     from dvf_ig.core import NWireRecording, WireSearch
+    from dvf_ig.io import ProbeNames
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,11 +25,13 @@ def read_wires(
     device_set: Path,
     table: Path | None,
     section: Literal["CalibrationData", "ValidationData"],
+    names: "ProbeNames",
     picture: Path | None = None,
 ) -> WireRecording:
     """Wires from a section of a PLUS result, or from the images where there is no table.
 
     Args:
+        names: of the probe and its reference in the sequence.
         picture: PNG of what was found in the images; written even where too little was found.
     """
     from dvf_ig.calibration import recording_of, segment_wires
@@ -45,10 +48,10 @@ def read_wires(
     if table is not None:
         if picture is not None:
             raise InvalidInputError("--picture shows wires found in images; leave out --points to find them")
-        return WireRecording(read_nwire_recording(sequence, device_set, table, section), None)
+        return WireRecording(read_nwire_recording(sequence, device_set, table, section, names), None)
     phantom = read_nwire_phantom(device_set)
     recorded = read_sequence(sequence)
-    poses = phantom_from_probe(sequence, recorded, device_set)
+    poses = phantom_from_probe(sequence, recorded, device_set, names)
     found = segment_wires(recorded, phantom, options=wire_image_options(read_wire_search(device_set)))
     if picture is not None:
         title = f"{sequence.name}: wires found in {found.used} of {len(found.frames)} frames"

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, command, emit
+from dvf_ig.cli.shell import EcgRateOption, JsonFlag, ProbeNameOption, ReferenceNameOption, command, emit
 
 from .sequence import sequence_rows
 
@@ -14,13 +14,18 @@ SHOWN_VALUES = 12
 
 def inspect(
     file: Annotated[str, typer.Argument(help="A file or folder, or an ECG as wfdb:, edf: or csv:PATH.")],
+    rate: EcgRateOption = None,
+    probe_name: ProbeNameOption = None,
+    reference_name: ReferenceNameOption = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Say what a file is: sequence, image, mesh, model, transform, landmarks, ECG, PLUS XML, scenario."""
     with command():
-        from dvf_ig.io import describe, plain
+        from dvf_ig.io import ProbeNames, describe, plain
 
-        description = describe(file)
+        named = probe_name is not None or reference_name is not None
+        names = ProbeNames.from_plus(probe_name, reference_name) if named else None
+        description = describe(file, rate, names)
         facts = plain(description.facts)
         told = sequence_rows(facts) if description.kind == "tracked sequence" else _rows(facts)
         rows = [("file", file), ("kind", description.kind), *told]

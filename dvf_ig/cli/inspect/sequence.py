@@ -8,7 +8,7 @@ Row = tuple[str, str]
 
 def sequence_rows(facts: Facts) -> list[Row]:
     """Rows (label, text) of the facts of one tracked sequence."""
-    return [("frames", str(facts["frames"])), _images(facts), *_clock(facts), *_tree(facts)]
+    return [("frames", str(facts["frames"])), _images(facts), *_clock(facts), *_tree(facts), *_probe(facts)]
 
 
 def _images(facts: Facts) -> Row:
@@ -66,6 +66,11 @@ def _tree(facts: Facts) -> list[Row]:
         told = _transform(facts, parents[depth - 1], name) if depth else ""
         rows.append(("poses" if not rows else "", f"{line:<{width}}  {told}".rstrip()))
     return rows
+
+
+def _probe(facts: Facts) -> list[Row]:
+    """The pose that the user named, joined from what is recorded."""
+    return [("probe", f"{name}: {_moves(known)}") for name, known in facts.get("probe", {}).items()]
 
 
 def _transform(facts: Facts, parent: str, child: str) -> str:

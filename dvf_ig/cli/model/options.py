@@ -11,13 +11,21 @@ SurfacesOption = Annotated[
 ]
 SurfaceOption = Annotated[str, typer.Option("--surface", help="Name of the surface to guard.")]
 LabelsOption = Annotated[
-    Path | None, typer.Option("--labels", help="4-D label image; with --image, end-diastole's.")
+    Path | None,
+    typer.Option(
+        "--labels",
+        help="4-D label image; with --image, a 3-D one of end-diastole is enough (also .seg.nrrd).",
+    ),
 ]
 ImageOption = Annotated[
     Path | None, typer.Option("--image", help="4-D image, for the motion of --labels or --seeds.")
 ]
 SeedsOption = Annotated[
-    Path | None, typer.Option("--seeds", help="Points named heart, cavity, background (.mrk.json, JSON).")
+    Path | None,
+    typer.Option(
+        "--seeds",
+        help="Points named heart, cavity, background, any number of each name (.mrk.json, .fcsv, JSON).",
+    ),
 ]
 OrganOption = Annotated[
     str | None, typer.Option("--organ", help="Label values inside the surface, for example 1,2,5.")
@@ -30,7 +38,9 @@ EdPhaseOption = Annotated[
 ]
 MotionOption = Annotated[str, typer.Option("--motion", help="With --image: bspline or demons.")]
 TimingOption = Annotated[Path | None, typer.Option("--timing", help="JSON file of phase times and RR.")]
-PatientOption = Annotated[str | None, typer.Option("--patient", help="Patient id (for --labels).")]
+PatientOption = Annotated[
+    str | None, typer.Option("--patient", help="Patient id (default: by the file's name).")
+]
 KnotOption = Annotated[float | None, typer.Option("--knot-mm", help="Spline knot pitch in mm (default 3).")]
 AccuracyOption = Annotated[
     float | None,

@@ -1,5 +1,6 @@
 """From the source of a `BuildRequest` to the model: surfaces, labels, or an image."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,8 @@ def _from_surfaces(request: BuildRequest, folder: Path) -> DvfModel:
     series = read_surface_series(folder, request.surface, request.timing)
     has_cavity = LV_CAVITY in surface_names(folder)
     cavity = read_surface_series(folder, LV_CAVITY, request.timing) if has_cavity else None
+    if request.patient:
+        series = replace(series, patient_id=request.patient)
     with progress("fitting phases") as report:
         return model_from_surfaces(
             series,
@@ -43,9 +46,15 @@ def _from_surfaces(request: BuildRequest, folder: Path) -> DvfModel:
 
 
 def _from_labels(request: BuildRequest, image: Path) -> DvfModel:
-    from dvf_ig.io import read_volume_series
+    from dvf_ig.core import InvalidInputError
+    from dvf_ig.io import image_dimension, read_volume_series
     from dvf_ig.preop import model_from_labels
 
+    if image_dimension(image) == 3:
+        raise InvalidInputError(
+            f"{image} labels one phase; give the 4-D image whose motion carries it through the cycle, too: "
+            "--image CINE"
+        )
     preop = Preop(
         patient_id=request.patient_id(image),
         labels=read_volume_series(image, request.timing),

@@ -10,12 +10,15 @@ import numpy as np
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.image_map import ImageMap
-from dvf_ig.io.ecg.recording import read_ecg
+from dvf_ig.io.ecg.recording import names_ecg, read_ecg
 from dvf_ig.io.mesh.file import DECODERS
 from dvf_ig.io.mesh.series import surface_names
+from dvf_ig.io.plus.feature_points import tracked_probe
+from dvf_ig.io.plus.names import ProbeNames
 from dvf_ig.io.plus.poses import read_poses
-from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES
+from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES, read_sequence
 from dvf_ig.io.plus.xml import CoordinateDefinition, parse_xml, read_transforms
+from dvf_ig.io.reading import read_bytes
 from dvf_ig.io.scenario.layout import CONFIG
 from dvf_ig.io.scenario.read import read_scenario
 
@@ -42,21 +45,37 @@ class Description:
     facts: Facts
 
 
-def describe(spec: str) -> Description:
+def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None = None) -> Description:
     """Tell what a file is by its name and content, read it, and summarise it.
 
     Args:
         spec: a path, or an ECG as `wfdb:PATH`, `edf:PATH`, `csv:PATH`.
+        rate_hz: sampling rate of an ECG table without times.
+        names: of the probe and its reference in a tracked sequence, whose joined pose is then told, too.
     Raises:
         UnreadableFileError: absent, of no known kind, or not readable as what it claims to be.
+        InvalidInputError: a rate for what is no ECG table, or names for what is no sequence or not in it.
     """
-    if spec.partition(":")[0] in ("wfdb", "edf", "csv"):
-        return Description("ECG", _ecg_facts(spec))
+    if names_ecg(spec):
+        if names is not None:
+            raise InvalidInputError(
+                f"names of probe and reference belong to a tracked sequence; '{spec}' is an ECG"
+            )
+        return Description("ECG", _ecg_facts(spec, rate_hz))
+    if rate_hz is not None:
+        raise InvalidInputError(f"a sampling rate belongs to an ECG as a text table; '{spec}' is none")
     path = Path(spec)
     if not path.exists():
-        raise UnreadableFileError(f"{path} does not exist; check the name (an ECG is named wfdb:RECORD)")
+        raise UnreadableFileError(f"{path} does not exist; check the name")
     kind, facts = _folder_kind(path) if path.is_dir() else _file_kind(path)
-    return Description(kind, facts(path))
+    if names is None:
+        return Description(kind, facts(path))
+    if facts is not sequence_file_facts:
+        raise InvalidInputError(
+            f"names of probe and reference belong to a tracked sequence; {path} is: {kind}"
+        )
+    stream = tracked_probe(read_sequence(path), names)
+    return Description(kind, {**facts(path), "probe": {stream.name: stream_facts(stream)}})
 
 
 def _folder_kind(path: Path) -> tuple[str, Reader]:
@@ -77,16 +96,15 @@ def _file_kind(path: Path) -> tuple[str, Reader]:
         ((".tag",), "landmarks in two volumes", tag_facts),
         ((".nii", ".nii.gz"), "image", image_facts),
         ((".xml",), "PLUS configuration or result", _xml_facts),
-        ((".edf",), "ECG", lambda p: _ecg_facts(f"edf:{p}")),
-        ((".hea", ".dat", ".atr"), "ECG", lambda p: _ecg_facts(f"wfdb:{p.with_suffix('')}")),
-        ((".csv",), "ECG", lambda p: _ecg_facts(f"csv:{p}")),
         ((".txt",), "tool poses, one row each", _pose_facts),
     ]
     for endings, kind, facts in by_ending:
         if name.endswith(endings):
             return kind, facts
     if name.endswith((".mha", ".mhd", ".nrrd", ".nhdr")):
-        tracked = ".igs." in name or b"Seq_Frame" in path.read_bytes()[:65536]
+        tracked = (
+            ".igs." in name or b"Seq_Frame" in read_bytes(path, "an image or a tracked sequence")[:65536]
+        )
         return ("tracked sequence", sequence_file_facts) if tracked else ("image", image_facts)
     raise UnreadableFileError(
         f"{path} is of no kind known here; known are tracked sequences (.igs.mha, .igs.nrrd), images "
@@ -100,8 +118,8 @@ def _pose_facts(path: Path) -> Facts:
     return {"transform": stream.name, **stream_facts(stream)}
 
 
-def _ecg_facts(spec: str) -> Facts:
-    signal = read_ecg(spec)
+def _ecg_facts(spec: str, rate_hz: float | None) -> Facts:
+    signal = read_ecg(spec, rate_hz)
     return {
         "leads": list(signal.leads),
         "unit": signal.unit,

@@ -10,6 +10,7 @@ from dvf_ig.core.arrays import BoolArray, FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io.reading import read_bytes
 
+from .recording import split_spec
 from .wfdb_edf import DAMAGE, existing_record, quiet, wfdb_package
 
 BEAT_SYMBOLS = frozenset("NLRBAaJSVrFejnE/fQ?")
@@ -42,16 +43,16 @@ def read_annotations(spec: str) -> BeatAnnotations:
     """Beats and rhythms of a WFDB record.
 
     Args:
-        spec: `wfdb:PATH`; PATH.atr and PATH.hea must exist.
+        spec: `wfdb:PATH` or one of the record's files; PATH.atr and PATH.hea must exist.
     Raises:
         MissingDependencyError: the package wfdb is absent.
         UnreadableFileError: no annotations, or not readable.
     """
-    kind, colon, name = spec.partition(":")
-    if not colon or kind != "wfdb":
+    kind, path = split_spec(spec)
+    if kind != "wfdb":
         raise UnreadableFileError(f"'{spec}' has no beat annotations; give a WFDB record as wfdb:RECORD")
     wfdb = wfdb_package()
-    record = existing_record(Path(name))
+    record = existing_record(path)
     read_bytes(Path(f"{record}.atr"), "beat annotations")
     try:
         with quiet():

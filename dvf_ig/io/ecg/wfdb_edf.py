@@ -12,6 +12,7 @@ import numpy as np
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError
 from dvf_ig.core.signal import Signal
+from dvf_ig.io.reading import refuse_lfs_pointer
 
 DAMAGE = (ValueError, LookupError, TypeError, ArithmeticError, OSError)
 """What these packages raise on damaged files."""
@@ -70,7 +71,9 @@ def existing_record(record: Path) -> Path:
     if record.suffix in (".hea", ".dat", ".atr"):
         record = record.with_suffix("")
     if not Path(f"{record}.hea").is_file():
-        raise UnreadableFileError(f"{record}.hea does not exist; name a WFDB record without its suffix")
+        raise UnreadableFileError(f"{record}.hea does not exist; a WFDB record needs .hea and .dat together")
+    for ending in (".hea", ".dat"):
+        refuse_lfs_pointer(Path(f"{record}{ending}"))
     return record
 
 

@@ -4,10 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
+from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.volume import Grid, Volume, VolumeSeries
 
-from .volume import image_dimension, read_volume, read_volume_series
+from .segments import merged_segments, read_segments
+from .volume import image_dimension, read_array
 
 PLACE_TOLERANCE_MM = 0.05
 
@@ -18,36 +20,64 @@ def read_cine_labels(
     """Labels of end-diastole, and those of every phase where the file has them.
 
     Args:
-        path: a 3-D label image of end-diastole, or a 4-D one with the image's phases.
+        path: a 3-D label image of end-diastole, a segmentation of 3D Slicer (`.seg.nrrd`), or a 4-D image
+            with one phase or all of the image's. It may be cropped, and its axes may run otherwise, as long
+            as each of its voxels is one of the image's.
         image: the 4-D image that they belong to.
         ed_phase: which phase of it end-diastole is.
     Raises:
         UnreadableFileError: not a readable image.
-        InvalidInputError: voxels that do not coincide with the image's, or no such phase.
+        InvalidInputError: voxels that do not coincide with the image's, segments that overlap, another number
+            of phases, or no such phase.
     """
     path = Path(path)
-    if not 0 <= ed_phase < len(image.timing):
+    phases = len(image.timing)
+    if not 0 <= ed_phase < phases:
+        raise InvalidInputError(f"end-diastole is phase {ed_phase}; the image has phases 0 to {phases - 1}")
+    dimension = image_dimension(path)
+    grid, values = read_array(path, image.grid.frame, dimension)
+    layers = values[None] if dimension == 3 else values
+    segments = read_segments(path)
+    if segments:
+        layers = merged_segments(path, layers, segments)[None]
+    if len(layers) not in (1, phases):
         raise InvalidInputError(
-            f"end-diastole is phase {ed_phase}; the image has phases 0 to {len(image.timing) - 1}"
+            f"{path} has labels of {len(layers)} phases, the image has {phases}; needed those of "
+            "end-diastole or of every phase"
         )
-    if image_dimension(path) == 3:
-        labels = read_volume(path, image.grid.frame)
-        _check_place(path, labels.grid, image.grid)
-        return Volume(image.grid, labels.values), None
-    series = read_volume_series(path, image.timing, image.grid.frame)
-    _check_place(path, series.grid, image.grid)
-    return Volume(image.grid, series.values[ed_phase]), VolumeSeries(image.grid, series.values, image.timing)
+    placed = _on_grid(path, grid, layers, image.grid)
+    if len(placed) == 1:
+        return Volume(image.grid, placed[0]), None
+    return Volume(image.grid, placed[ed_phase]), VolumeSeries(image.grid, placed, image.timing)
 
 
-def _check_place(path: Path, labels: Grid, image: Grid) -> None:
-    if labels.shape != image.shape:
+def _on_grid(path: Path, labels: Grid, values: AnyArray, image: Grid) -> AnyArray:
+    """(phases, x, y, z) labels on the image's grid; 0 where they were cropped."""
+    turn = np.rint(np.linalg.solve(image.axes_mm, labels.axes_mm))
+    if not (np.abs(turn).sum(axis=0) == 1).all() or not (np.abs(turn).sum(axis=1) == 1).all():
         raise InvalidInputError(
-            f"{path} has {labels.shape} voxels, the 4-D image {image.shape}; draw the labels on a phase of it"
+            f"the voxels of {path} have another size or direction than the 4-D image's; needed the same "
+            "(resample the labels onto a phase of it)"
         )
-    corners = np.vstack([np.zeros(3), np.diag(np.array(labels.shape) - 1.0)])
-    apart = float(np.abs(labels.to_mm(corners) - image.to_mm(corners)).max())
+    first = np.rint(image.to_index(labels.origin_mm))
+    ends = np.array(labels.shape) - 1.0
+    corners: FloatArray = np.vstack([np.zeros(3), np.diag(ends), ends])
+    index = corners @ turn.T + first
+    apart = float(np.abs(labels.to_mm(corners) - image.to_mm(index)).max())
     if apart > PLACE_TOLERANCE_MM:
         raise InvalidInputError(
             f"the voxels of {path} lie up to {apart:.2f} mm from the 4-D image's; needed the same place "
             "(resample the labels onto a phase of it)"
         )
+    low, high = index.min(axis=0).astype(int), index.max(axis=0).astype(int) + 1
+    if (low < 0).any() or (high > image.shape).any():
+        raise InvalidInputError(
+            f"{path} reaches beyond the 4-D image by up to {max(-low.min(), (high - image.shape).max())} "
+            "voxels; crop the labels to it"
+        )
+    source = np.abs(turn).argmax(axis=1)  # the label axis along each image axis
+    turned = values.transpose(0, *(source + 1))
+    turned = turned[(slice(None), *(slice(None, None, int(turn[a, source[a]])) for a in range(3)))]
+    out = np.zeros((len(values), *image.shape), values.dtype)
+    out[(slice(None), *(slice(int(a), int(b)) for a, b in zip(low, high, strict=True)))] = turned
+    return out

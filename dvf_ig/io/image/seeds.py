@@ -10,7 +10,7 @@ from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.points import Points, Seeds
 from dvf_ig.io.json_file import read_json
-from dvf_ig.io.landmarks import markup_points
+from dvf_ig.io.landmarks import named_points
 from dvf_ig.io.reading import reading
 
 KINDS = ("heart", "background", "cavity")
@@ -20,23 +20,31 @@ def read_seeds(path: Path | str, frame: str = "mr") -> Seeds:
     """Read seeds, LPS, mm.
 
     Args:
-        path: `.mrk.json` with points labelled heart, background or cavity (a number may follow: "heart-3"),
-            or JSON `{"heart": [[x, y, z], …], "background": […], "cavity": […]}` in LPS.
+        path: `.mrk.json` or `.fcsv` with points labelled heart, background or cavity (a name may repeat,
+            and a number may follow: "heart-3"), or JSON
+            `{"heart": [[x, y, z], …], "background": […], "cavity": […]}` in LPS.
         frame: name of the image's frame.
     Raises:
         UnreadableFileError: absent, another format, an unknown name, or heart or background without points.
     """
     path = Path(path)
     with reading(path, "a file of seeds"):
-        document = read_json(path, "a file of seeds")
-        named = _of_markups(path) if isinstance(document, dict) and "markups" in document else None
-        found = named if named is not None else _of_lists(path, document)
+        found = (
+            _of_markups(path) if _is_markups(path) else _of_lists(path, read_json(path, "a file of seeds"))
+        )
         heart, background, cavity = (Points(frame, found[kind]) for kind in KINDS)
         return Seeds(heart, background, cavity)
 
 
+def _is_markups(path: Path) -> bool:
+    if path.suffix.lower() == ".fcsv":
+        return True
+    document = read_json(path, "a file of seeds")
+    return isinstance(document, dict) and "markups" in document
+
+
 def _of_markups(path: Path) -> dict[str, FloatArray]:
-    names, xyz = markup_points(path)
+    names, xyz = named_points(path)
     rows: dict[str, list[FloatArray]] = {kind: [] for kind in KINDS}
     for name, point in zip(names, xyz, strict=True):
         rows[_kind(path, re.sub(r"[\s_-]*\d*$", "", name))].append(point)

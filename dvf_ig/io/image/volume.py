@@ -1,5 +1,6 @@
 """3-D and cyclic 4-D images: NIfTI, NRRD, MetaImage through SimpleITK; LPS, mm."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,15 @@ from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileErr
 from dvf_ig.core.rigid import rigidity_defect
 from dvf_ig.core.volume import Grid, Volume, VolumeSeries
 from dvf_ig.io.atomic import atomic_file
-from dvf_ig.io.reading import reading
+from dvf_ig.io.reading import reading, refuse_lfs_pointer
 
 from .nifti_check import check_nifti
 from .timing import read_timing
 
 DIRECTION_TOLERANCE = 1e-3
 _EXACT_KEY = "dvf_ig_origin_spacing_direction"
+_NRRD_KIND = "NRRD_kinds[pixel]"
+_VOXEL_FILE = re.compile(rb"^(?:ElementDataFile[ \t]*=|data ?file:)[ \t]*([^\r\n]+?)[ \t]*$", re.MULTILINE)
 SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 
@@ -33,7 +36,7 @@ def read_volume(path: Path | str, frame: str = "mr") -> Volume:
     Raises:
         UnreadableFileError: absent, damaged, not 3-D, not scalar, or with a sheared grid.
     """
-    grid, values = _read(Path(path), frame, 3)
+    grid, values = read_array(Path(path), frame, 3)
     return Volume(grid, values)
 
 
@@ -52,7 +55,7 @@ def read_volume_series(
         InvalidInputError: timing of another number of phases.
     """
     path = Path(path)
-    grid, values = _read(path, frame, 4)
+    grid, values = read_array(path, frame, 4)
     if not isinstance(timing, CycleTiming):
         timing = read_timing(timing, beside=path.parent, phases=len(values), image=path.name)
     if len(timing) != len(values):
@@ -78,7 +81,13 @@ def image_dimension(path: Path | str) -> int:
         except RuntimeError as exc:
             check_nifti(path)
             raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
-        return int(header.GetDimension())
+        return 4 if _is_list(header) else int(header.GetDimension())
+
+
+def _is_list(image: Any) -> bool:
+    """Whether a 3-D NRRD image, or the reader of its header, holds a list of values at each voxel."""
+    kind = image.GetMetaData(_NRRD_KIND) if image.HasMetaDataKey(_NRRD_KIND) else ""
+    return image.GetDimension() == 3 and kind == "list"
 
 
 def write_volume(volume: Volume, path: Path | str) -> None:
@@ -103,8 +112,15 @@ def write_volume_series(series: VolumeSeries, path: Path | str) -> None:
     _write(joined, Path(path))
 
 
-def _read(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
-    """Grid and values, indexed [x, y, z] or [phase, x, y, z]."""
+def read_array(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
+    """Grid and values, indexed [x, y, z] or [phase, x, y, z].
+
+    3D Slicer stores sequences and layers of segments as NRRD with a list of values at each voxel; such a list
+    is the fourth dimension.
+
+    Raises:
+        UnreadableFileError: as `read_volume`, or of another dimension.
+    """
     import SimpleITK
 
     with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
@@ -113,8 +129,10 @@ def _read(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
         try:
             image = SimpleITK.ReadImage(str(path))
         except RuntimeError as exc:
+            _refuse_pointer_to_voxels(path)
             raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
-        if image.GetDimension() != dimension or image.GetNumberOfComponentsPerPixel() != 1:
+        listed = dimension == 4 and _is_list(image)
+        if not listed and (image.GetDimension() != dimension or image.GetNumberOfComponentsPerPixel() != 1):
             raise UnreadableFileError(
                 f"{path} is {image.GetDimension()}-D with {image.GetNumberOfComponentsPerPixel()} value(s) a "
                 f"voxel; needed {dimension}-D with one"
@@ -122,10 +140,17 @@ def _read(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
         size = image.GetDimension()
         direction = np.array(image.GetDirection()).reshape(size, size)[:3, :3]
         values = np.transpose(SimpleITK.GetArrayViewFromImage(image))
-        if dimension == 4:
+        if dimension == 4 and not listed:
             values = np.moveaxis(values, -1, 0)
         origin, spacing = np.array(image.GetOrigin()[:3]), np.array(image.GetSpacing()[:3])
         return _right_handed(path, frame, *_exact(image, origin, spacing, direction), values)
+
+
+def _refuse_pointer_to_voxels(path: Path) -> None:
+    """Refuse a Git-LFS pointer in the separate voxel file that a `.mhd` or `.nhdr` header names."""
+    if path.suffix.lower() in (".mhd", ".nhdr"):
+        for name in _VOXEL_FILE.findall(path.read_bytes()):
+            refuse_lfs_pointer(path.parent / name.decode("utf-8", "replace"))
 
 
 def _exact(

@@ -1,6 +1,5 @@
-"""Points of a calibration target as segmented in each image: a CSV with one row an image."""
+"""Points of a calibration target as segmented in each image: a table with one row an image."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,8 @@ from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
 from dvf_ig.io.reading import read_text, reading
 
+from .names import USUAL_NAMES, ProbeNames
+from .poses import SEQUENCE_SUFFIXES, read_poses
 from .sequence_read import read_indexed_sequence
 
 
@@ -18,8 +19,9 @@ def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArr
     """Segmented points of the images of a sequence.
 
     Args:
-        path: CSV with the columns frame, column1_px, row1_px, column2_px, row2_px, … ; cells are empty where
-            a point was not found.
+        path: text table, with commas or blanks, with the columns frame, column1_px, row1_px, column2_px,
+            row2_px, … ; cells are empty or nan where a point was not found. Without a header the columns are
+            the same, or, where their number is even, the points alone: row i is then of frame i.
         frames: images in the sequence; None takes the highest frame number + 1.
     Returns:
         (frames, points, 2) column, row in px; NaN where not found or not listed.
@@ -28,13 +30,10 @@ def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArr
             the sequence.
     """
     path = Path(path)
-    lines = [line for line in csv.reader(read_text(path, "segmented points").splitlines()) if line]
-    head = [name.strip() for name in lines[0]] if lines else []
+    text = read_text(path, "segmented points")
+    lines = [_cells(line) for line in text.splitlines() if line.strip() and line.lstrip()[0] not in "#%"]
+    head = _header(path, lines)
     count = (len(head) - 1) // 2
-    needed = ["frame", *(f"{axis}{k + 1}_px" for k in range(count) for axis in ("column", "row"))]
-    if count < 1 or head != needed:
-        shown = ", ".join(head)[:60] or "none"
-        raise UnreadableFileError(f"{path} has the columns {shown}; needed frame, column1_px, row1_px, …")
     numbers: list[int] = []
     rows: list[FloatArray] = []
     for number, line in enumerate(lines[1:], start=2):
@@ -54,32 +53,71 @@ def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArr
     return points
 
 
-def read_target_recording(sequence_path: Path | str, points_csv: Path | str) -> tuple[PoseStream, FloatArray]:
+def read_target_recording(
+    poses_path: Path | str, points_path: Path | str, names: ProbeNames = USUAL_NAMES
+) -> tuple[PoseStream, FloatArray]:
     """Poses of the tracked probe and the target's points, matched frame by frame.
 
     Args:
-        sequence_path: PLUS sequence with the probe tracked against the reference sensor or the tracker.
-        points_csv: see `read_feature_points`; frame numbers count the frames of the sequence file.
+        poses_path: PLUS sequence with the probe tracked against the reference sensor or the tracker; or poses
+            as text, one row or file a frame (see `read_poses`).
+        points_path: see `read_feature_points`; frame numbers count the frames of the poses' file from 0.
+        names: of probe and reference in the sequence; poses as text are given these names.
     Returns:
         reference_from_probe where a reference was tracked, else tracker_from_probe, and (n, points, 2) px.
     Raises:
         UnreadableFileError: either cannot be read, or they do not belong together.
     """
-    path = Path(sequence_path)
-    with reading(path, "a sequence with a tracked probe"):
+    path = Path(poses_path)
+    with reading(path, "a sequence with a tracked probe, or its poses as text"):
+        if path.suffix.lower() not in SEQUENCE_SUFFIXES:
+            poses = read_poses(path, names.reference, names.probe)
+            return poses, read_feature_points(points_path, len(poses))
         sequence, kept, frames = read_indexed_sequence(path)
-        poses = tracked_probe(sequence)
-    return poses, read_feature_points(points_csv, frames)[kept]
+        poses = tracked_probe(sequence, names)
+    return poses, read_feature_points(points_path, frames)[kept]
 
 
-def tracked_probe(sequence: TrackedSequence) -> PoseStream:
+def tracked_probe(sequence: TrackedSequence, names: ProbeNames = USUAL_NAMES) -> PoseStream:
     """The probe against the reference sensor where one was tracked, else against the tracker.
 
     Raises:
-        InvalidInputError: the sequence does not track the probe.
+        InvalidInputError: the sequence does not connect the two frames.
     """
     held = any("reference" in (stream.target, stream.source) for stream in sequence.poses.values())
-    return sequence.stream("reference" if held else "tracker", "probe")
+    return names.stream(sequence, names.reference or ("reference" if held else "tracker"))
+
+
+def _cells(line: str) -> list[str]:
+    """Cells between commas where there are any, else between blanks."""
+    return [cell.strip() for cell in line.split(",")] if "," in line else line.split()
+
+
+def _header(path: Path, lines: list[list[str]]) -> list[str]:
+    """The names of the columns, which end up on the first line, and the frame number on every other."""
+    head = lines[0] if lines else []
+    bare = bool(head) and all(_is_number(cell) for cell in head)
+    count = len(head) // 2 if bare else (len(head) - 1) // 2
+    needed = ["frame", *(f"{axis}{k + 1}_px" for k in range(count) for axis in ("column", "row"))]
+    if bare and count:
+        if len(head) % 2 == 0:
+            lines[:] = [[str(i), *line] for i, line in enumerate(lines)]
+        lines.insert(0, needed)
+    elif count < 1 or head != needed:
+        shown = ", ".join(head)[:60] or "none"
+        raise UnreadableFileError(
+            f"{path} has the columns {shown}; needed frame, column1_px, row1_px, … (or those "
+            "numbers without names)"
+        )
+    return needed
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _numbers(path: Path, number: int, line: list[str], count: int) -> list[float]:

@@ -5,9 +5,12 @@ tracker_from_probe. Frame names are camel case there, lower snake case here: "St
 """
 
 import re
+from dataclasses import dataclass
 
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.frames import check_frame
+from dvf_ig.core.sequence import TrackedSequence
+from dvf_ig.core.stream import PoseStream
 
 _TRANSFORM = re.compile(r"(.+?)To([A-Z].*)")
 _WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
@@ -54,3 +57,38 @@ def join_transform(target: str, source: str) -> str:
     if split_transform(name) != (target, source):
         raise InvalidInputError(f"{target}_from_{source} has no PLUS name that reads back; rename a frame")
     return name
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeNames:
+    """What a recording calls the probe's sensor and the sensor or tracker that its poses are relative to.
+
+    Attributes:
+        probe: frame of the probe.
+        reference: frame of the reference; None takes "reference" where it is recorded, else "tracker".
+    """
+
+    probe: str = "probe"
+    reference: str | None = None
+
+    @classmethod
+    def from_plus(cls, probe: str | None, reference: str | None) -> "ProbeNames":
+        """From names as PLUS writes them ("Probe", "StylusTip") or as here; None keeps the default."""
+        return cls(
+            "probe" if probe is None else frame_from_plus(probe),
+            None if reference is None else frame_from_plus(reference),
+        )
+
+    def stream(self, sequence: TrackedSequence, held: str) -> PoseStream:
+        """held_from_probe over time.
+
+        Raises:
+            InvalidInputError: the sequence does not connect the two frames.
+        """
+        try:
+            return sequence.stream(held, self.probe)
+        except InvalidInputError as exc:
+            raise InvalidInputError(f"{exc}; name what is meant (--probe-name, --reference-name)") from exc
+
+
+USUAL_NAMES = ProbeNames()

@@ -15,6 +15,7 @@ from dvf_ig.core.stream import PoseStream
 from dvf_ig.io.reading import reading
 from dvf_ig.io.transform import rigid_from_matrix
 
+from .names import USUAL_NAMES, ProbeNames, frame_to_plus
 from .sequence_read import read_indexed_sequence
 from .xml import CoordinateDefinition, definitions_element, numbers, parse_xml, read_calibrations, write_xml
 
@@ -80,7 +81,11 @@ def read_wire_points(
 
 
 def read_nwire_recording(
-    sequence_path: Path | str, device_set_xml: Path | str, points_xml: Path | str, section: Section
+    sequence_path: Path | str,
+    device_set_xml: Path | str,
+    points_xml: Path | str,
+    section: Section,
+    names: ProbeNames = USUAL_NAMES,
 ) -> NWireRecording:
     """Phantom, probe poses against it and wire crossings, matched frame by frame.
 
@@ -89,29 +94,39 @@ def read_nwire_recording(
         device_set_xml: phantom geometry, and where the phantom lies: Phantom to Reference (or Tracker).
         points_xml: segmented points; their frame index counts the frames of the sequence file.
         section: which section of it.
+        names: of probe and reference, see `phantom_from_probe`.
     Raises:
         UnreadableFileError: any of the three cannot be read or lacks what is needed.
     """
     phantom = read_nwire_phantom(device_set_xml)
     sequence, kept, frames = read_indexed_sequence(sequence_path)
-    stream = phantom_from_probe(Path(sequence_path), sequence, Path(device_set_xml))
+    stream = phantom_from_probe(Path(sequence_path), sequence, Path(device_set_xml), names)
     points = read_wire_points(points_xml, section, phantom, frames)
     return NWireRecording(phantom, stream, points[kept])
 
 
-def phantom_from_probe(path: Path, sequence: TrackedSequence, device_set_xml: Path) -> PoseStream:
-    """The probe against the phantom, over the reference sensor where the device set places it there."""
+def phantom_from_probe(
+    path: Path, sequence: TrackedSequence, device_set_xml: Path, names: ProbeNames = USUAL_NAMES
+) -> PoseStream:
+    """The probe against the phantom, over the reference sensor where the device set places it there.
+
+    Args:
+        path: the sequence's file, named in errors.
+        names: of probe and reference in the sequence and the device set; without a reference the phantom is
+            sought as placed against "reference", then against "tracker".
+    """
     definitions = read_calibrations(device_set_xml)
-    for held in ("reference", "tracker"):
+    for held in ("reference", "tracker") if names.reference is None else (names.reference,):
         placed = definitions.get(f"{held}_from_phantom")
         if placed is not None:
             with reading(path, "a sequence with a tracked probe"):
-                probe = sequence.stream(held, "probe")
+                tracked = names.stream(sequence, held)
             with reading(device_set_xml, "a PLUS device set"):
                 phantom_from_held = rigid_from_matrix(placed.matrix, held, "phantom").inverse()
-            return _moved(phantom_from_held, probe)
+            return _moved(phantom_from_held, tracked)
+    to = "Reference" if names.reference is None else frame_to_plus(names.reference)
     raise UnreadableFileError(
-        f'{device_set_xml} does not place the phantom; needed a Transform From="Phantom" To="Reference"'
+        f'{device_set_xml} does not place the phantom; needed a Transform From="Phantom" To="{to}"'
     )
 
 

@@ -118,4 +118,4 @@ def test_labels_on_another_grid_are_refused(folder):
         *("-o", folder / "refused.npz"),
     )
     assert result.exit_code == 3
-    assert "3.00 mm from the 4-D image's" in " ".join(result.output.split())
+    assert "1.00 mm from the 4-D image's" in " ".join(result.output.split())

@@ -90,8 +90,8 @@ def test_uneven_sampling_is_refused(tmp_path: Path, steps: list[float]) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "needed a header t_s"),
-        ("time,II\n0,1\n", "needed a header t_s"),
+        ("", "has 0 samples"),
+        ("time,II\n0,1\n", "has 1 samples"),
         ("t_s,II\n", "has 0 samples"),
         ("t_s,II\n0,1\n", "has 1 samples"),
         ("t_s,II\n0,one\n0.1,2\n", "needed numbers only"),

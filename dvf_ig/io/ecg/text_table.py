@@ -1,0 +1,167 @@
+"""ECG as a text table: one row a sample; commas, semicolons or tabs; with or without a header and times."""
+
+import logging
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.signal import Signal
+from dvf_ig.io.reading import read_text
+
+from .even_rate import even_rate_hz
+
+log = logging.getLogger(__name__)
+
+_UNIT_SUFFIX = re.compile(r"(.*?)\s*[\[(](.+)[\])]|(.*?)[_ ](s|sec|ms|us|ns|mv|uv)", re.IGNORECASE)
+_TIME_NAMES = {"t", "time", "times", "timestamp", "timestamps", "elapsed time", "elapsed", "seconds", "sec"}
+_COUNT_NAMES = {"sample", "samples", "sample #", "index", "sample index", "sample number"}
+_IN_ONE_SECOND = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "μs": 1e6, "ns": 1e9}
+_LONGEST_STEP_S = 0.05
+"""Slower than 20 Hz is no ECG; with steps of 0.05 ms and more (20 kHz), no two time units fit one step."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """Names of the columns (None without a header) and (n, columns) values; NaN where a cell is empty."""
+
+    names: tuple[str, ...] | None
+    values: FloatArray
+
+
+def read_ecg_table(path: Path, rate_hz: float | None = None) -> Signal:
+    """Read an ECG from a text table, one row a sample.
+
+    Cells are separated by commas, semicolons or tabs; with semicolons, tabs or one column alone a comma may
+    be the decimal mark. A header names the columns, `t_s,II,V1` or `Timestamp;ECG (mV)`. Times stand in a
+    column named t, time or timestamp, or in a first column that always increases; a unit in its name counts
+    (`t_ms`, `time [ms]`), else the unit is the one of s, ms, µs and ns that gives 20 Hz or more. Leads are in
+    mV unless their names say otherwise.
+
+    Args:
+        path: the file.
+        rate_hz: sampling rate of a table without times; sample 0 is then at 0 s.
+    Raises:
+        UnreadableFileError: absent, no table of numbers, unevenly sampled, or times of another rate.
+        InvalidInputError: neither times nor a rate.
+    """
+    table = _parse(path, read_text(path, "an ECG table"))
+    names = table.names or tuple(f"column {i + 1}" for i in range(table.values.shape[1]))
+    at, counts = _time_column(table), _count_column(table)
+    leads = [i for i in range(len(names)) if i not in (at, counts)]
+    if not leads:
+        raise UnreadableFileError(f"{path} has no column of an ECG, only {', '.join(names)[:60]}")
+    labels, unit = _leads_and_unit(path, [names[i] for i in leads])
+    samples = table.values[:, leads]
+    if at is None:
+        if rate_hz is None:
+            raise InvalidInputError(
+                f"{path} has no column of times (named t_s, time or timestamp) among "
+                f"{', '.join(names)[:60]}; give its sampling rate in Hz (--rate)"
+            )
+        return Signal(samples, rate_hz, 0.0, labels, unit)
+    t_s = _seconds(path, table, at)
+    measured_hz = even_rate_hz(path, t_s)
+    if rate_hz is not None and abs(rate_hz - measured_hz) > 0.01 * measured_hz:
+        raise UnreadableFileError(
+            f"{path}: its times are of {measured_hz:.4g} Hz, the rate given is {rate_hz:g} Hz; leave it out"
+        )
+    return Signal(samples, rate_hz or measured_hz, float(t_s[0]), labels, unit)
+
+
+def _parse(path: Path, text: str) -> _Table:
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    separator = next((mark for mark in ";\t" if any(mark in line for line in lines[:2])), ",")
+    header = _cells(lines[0], separator) if lines else []
+    has_header = not all(_is_number(cell, separator) for cell in header)
+    rows = lines[1:] if has_header else lines
+    if separator == "," and _decimal_commas(header if has_header else None, rows):
+        separator = ";"  # one column, whose commas are decimal marks
+        header = _cells(lines[0], separator)
+    if separator != ",":
+        rows = [row.replace(",", ".") for row in rows]
+    empty = re.compile(rf"(?<={separator})[ ]*(?={separator}|$)|^[ ]*(?={separator})")
+    rows = [empty.sub("nan", row).replace('"', "") for row in rows]
+    if len(rows) < 2:
+        raise UnreadableFileError(f"{path} has {len(rows)} samples; needed at least 2")
+    try:
+        values = np.loadtxt(rows, delimiter=separator, ndmin=2)
+    except ValueError as exc:
+        raise UnreadableFileError(f"{path}: {str(exc).split(';')[0]}; needed numbers only") from exc
+    if values.shape[1] != len(header):
+        raise UnreadableFileError(f"{path}: {values.shape[1]} columns under {len(header)} names")
+    return _Table(tuple(header) if has_header else None, values)
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    return [cell.strip().strip("\"'").strip() for cell in line.split(separator)]
+
+
+def _is_number(cell: str, separator: str) -> bool:
+    try:
+        float(cell.replace(",", ".") if separator != "," else cell or "nan")
+    except ValueError:
+        return cell == ""
+    return True
+
+
+def _decimal_commas(header: list[str] | None, rows: list[str]) -> bool:
+    """Whether the one comma a row is a decimal mark: under one name, or before digits such as 05."""
+    if any(row.count(",") != 1 or "." in row for row in rows[:1000]):
+        return False
+    if header is not None:
+        return len(header) == 1
+    return any(re.search(r",0\d|^\s*-0,", row) for row in rows)
+
+
+def _time_column(table: _Table) -> int | None:
+    """The column named as a time; else the first of several, where it always increases and does not count."""
+    for i, name in enumerate(table.names or ()):
+        if _name_and_unit(name)[0].lower() in _TIME_NAMES or name.lower() in _IN_ONE_SECOND:
+            return i
+    first = table.values[:, 0]
+    increases = table.values.shape[1] > 1 and bool((np.diff(first) > 0).all())
+    return 0 if increases and _count_column(table) is None else None
+
+
+def _count_column(table: _Table) -> int | None:
+    """The column of sample numbers: named so, or without a header the first of several, if it is n, n+1, …"""
+    for i, name in enumerate(table.names or ()):
+        if name.lower() in _COUNT_NAMES:
+            return i
+    several = table.names is None and table.values.shape[1] > 1
+    return 0 if several and bool((np.diff(table.values[:, 0]) == 1).all()) else None
+
+
+def _name_and_unit(name: str) -> tuple[str, str | None]:
+    """ "time [ms]" → ("time", "ms"), "t_s" → ("t", "s"), "II" → ("II", None)."""
+    match = _UNIT_SUFFIX.fullmatch(name)
+    if match is None:
+        return name, None
+    return (match[1], match[2]) if match[2] else (match[3], match[4])
+
+
+def _seconds(path: Path, table: _Table, at: int) -> FloatArray:
+    """The times in s, by the unit that the column's name states, else by the one that its steps fit."""
+    times, name = table.values[:, at], table.names[at] if table.names else ""
+    stated = (_name_and_unit(name)[1] or name).lower()
+    if stated in _IN_ONE_SECOND:
+        return times / _IN_ONE_SECOND[stated]
+    step = float(np.median(np.diff(times)))
+    for unit in ("s", "ms", "us", "ns"):
+        if step / _IN_ONE_SECOND[unit] <= _LONGEST_STEP_S:
+            if unit != "s":
+                log.warning("%s: its times step by %g, so they are taken as %s", path, step, unit)
+            return times / _IN_ONE_SECOND[unit]
+    raise UnreadableFileError(f"{path}: times step by {step:g}; name their unit in the header, as in t_ms")
+
+
+def _leads_and_unit(path: Path, names: list[str]) -> tuple[tuple[str, ...], str]:
+    found = [_name_and_unit(name) for name in names]
+    units = {"mV" if unit is None or unit.lower() == "mv" else unit for _, unit in found}
+    if len(units) > 1:
+        raise UnreadableFileError(f"{path}: leads in different units ({', '.join(sorted(units))}); use one")
+    return tuple(label for label, _ in found), units.pop()

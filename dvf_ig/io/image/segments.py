@@ -1,0 +1,82 @@
+"""Segments of a 3D Slicer segmentation (`.seg.nrrd`): which value in which layer is which."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dvf_ig.core.arrays import AnyArray
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A segment's name, its layer (segments that may overlap lie in several) and its value there."""
+
+    name: str
+    layer: int
+    value: int
+
+
+def read_segments(path: Path) -> tuple[Segment, ...]:
+    """The segments that a readable image's header lists; none where it is no segmentation of 3D Slicer.
+
+    Source: Slicer's vtkMRMLSegmentationStorageNode, keys Segment<N>_Name, _Layer and _LabelValue.
+
+    Raises:
+        UnreadableFileError: a layer or a value that is no number.
+    """
+    import SimpleITK
+
+    header = SimpleITK.ImageFileReader()
+    header.SetFileName(str(path))
+    header.ReadImageInformation()
+    found: list[Segment] = []
+    while header.HasMetaDataKey(f"Segment{len(found)}_LabelValue"):
+        n = len(found)
+        fields = {
+            name: header.GetMetaData(f"Segment{n}_{name}")
+            if header.HasMetaDataKey(f"Segment{n}_{name}")
+            else ""
+            for name in ("Name", "Layer", "LabelValue")
+        }
+        try:
+            layer, value = int(fields["Layer"] or 0), int(fields["LabelValue"])
+        except ValueError as exc:
+            raise UnreadableFileError(f"{path}: layer or value of segment {n} is no number ({exc})") from exc
+        found.append(Segment(fields["Name"] or f"segment {n}", layer, value))
+    return tuple(found)
+
+
+def merged_segments(path: Path, layers: AnyArray, segments: tuple[Segment, ...]) -> AnyArray:
+    """(x, y, z) one label image of all segments, with their own values where these differ.
+
+    Where two segments have one value in different layers, segment n gets n + 1; which is which is logged.
+
+    Args:
+        layers: (layers, x, y, z).
+    Raises:
+        InvalidInputError: segments that overlap, or a layer that is not in the file.
+    """
+    values = [segment.value for segment in segments]
+    renumbered = len(set(values)) < len(values)
+    out = np.zeros(layers.shape[1:], np.uint16)
+    for n, segment in enumerate(segments):
+        if not 0 <= segment.layer < len(layers):
+            raise InvalidInputError(
+                f"{path}: segment '{segment.name}' is in layer {segment.layer}, not stored"
+            )
+        inside = layers[segment.layer] == segment.value
+        if out[inside].any():
+            raise InvalidInputError(
+                f"{path}: segment '{segment.name}' overlaps another; save them without overlap (Segment "
+                "Editor, Modify other segments: overwrite all)"
+            )
+        out[inside] = n + 1 if renumbered else segment.value
+    numbers = ", ".join(f"{n + 1 if renumbered else s.value} {s.name}" for n, s in enumerate(segments))
+    if renumbered:
+        log.warning("%s: segments share a value, so they are numbered: %s", path, numbers)
+    return out
