@@ -52,7 +52,7 @@ def replay(
     with command(threads):
         from dvf_ig.core import QualityGateError
         from dvf_ig.io import output_folder, read_scenario, write_json, write_text
-        from dvf_ig.replay import result_of, run_replay, table
+        from dvf_ig.replay import require_replayable, result_of, run_replay, table
         from dvf_ig.replay.report import report_html
 
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
@@ -61,6 +61,7 @@ def replay(
         mode = chosen_retiming(retiming, of_file)
         recorded = read_scenario(scenario)
         result_path, report_path = out / "result.json", out / "report.html"
+        require_replayable(recorded)
         with output_folder(out):
             built, origin = patient_model(recorded.preop, model)
             with progress("replay") as report:

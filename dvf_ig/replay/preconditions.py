@@ -7,6 +7,8 @@ import numpy as np
 from dvf_ig.cardiac import MIN_BEATS
 from dvf_ig.core import FloatArray, InvalidInputError, NoOverlapError, Scenario
 
+from .start import start_pose
+
 RATE_HZ = 1000.0
 
 
@@ -27,6 +29,18 @@ def tick_times(scenario: Scenario) -> FloatArray:
             f"{scenario.tool.t_s[-1]:.1f} s) share less than a second; they must be on one clock"
         )
     return begin + np.arange(count) / RATE_HZ
+
+
+def require_replayable(scenario: Scenario) -> None:
+    """Raise what keeps a recording from being replayed, as far as it shows without a model or calibrations.
+
+    Raises:
+        InvalidInputError: no start, or probe or tool was never tracked.
+        NoOverlapError: ECG and tool share less than a second.
+    """
+    start_pose(scenario)
+    require_tracked_poses(scenario)
+    tick_times(scenario)
 
 
 def require_tracked_poses(scenario: Scenario) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.arrays import FloatArray, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.signal import Signal
 from dvf_ig.io.reading import read_text
@@ -24,6 +24,7 @@ _LONGEST_STEP_S = 0.05
 """Slower than 20 Hz is no ECG; with steps of 0.05 ms and more (20 kHz), no two time units fit one step."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Table:
     """Names of the columns (None without a header) and (n, columns) values; NaN where a cell is empty."""
