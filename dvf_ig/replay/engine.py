@@ -19,7 +19,6 @@ from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
 from dvf_ig.registration import RegistrationResult
 from dvf_ig.session import (
     Attempt,
-    Beside,
     CalibrationsInUse,
     Heart,
     Session,
@@ -128,10 +127,7 @@ def run_replay(
     history, recorder, operator = SessionHistory(), TickRecorder(t_s), SimulatedOperator()
     events = events_of(scenario, ecg_chunk=ecg_chunk)
     upcoming, session_began = next(events), clock()
-    with (
-        Beside(waits=True) as executor,
-        Session(setup, executor=executor, clock=clock, history=history) as session,
-    ):
+    with Session(setup, clock=clock, history=history) as session:
         for i, now_s in enumerate(t_s.tolist()):
             while upcoming[0] <= now_s:
                 session.push(upcoming[1])
