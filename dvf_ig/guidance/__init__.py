@@ -25,6 +25,7 @@ from .free_zone import FreeZone as FreeZone
 from .free_zone import gaussian_for_free_zone as gaussian_for_free_zone
 from .free_zone import tightest_gaussian as tightest_gaussian
 from .hazards import HAZARD_RULES as HAZARD_RULES
+from .hazards import WITHHOLDING as WITHHOLDING
 from .hazards import Hazard as Hazard
 from .hazards import HazardRule as HazardRule
 from .hazards import Latch as Latch

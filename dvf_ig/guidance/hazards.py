@@ -153,3 +153,6 @@ _OF_STATUS = {
     Status.STALE_TOOL: Hazard.STALE_TOOL,
     Status.FAULT: Hazard.NOT_FINITE,
 }
+
+WITHHOLDING = hazards_with(Response.FADE) | hazards_with(Response.FAST_FADE)
+"""While any of these is active no force is given."""

@@ -10,7 +10,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 
 from .device import COMMON_DEVICE, DeviceLimits
-from .hazards import Hazard, Latch, Response, hazards_that_latch, hazards_with
+from .hazards import WITHHOLDING, Hazard, Latch, Response, hazards_that_latch, hazards_with
 
 FADE_S = 0.250
 """A hand of 100 N/m that lets go of 0.6 N within this time moves 6 mm, 7 with overshoot."""
@@ -144,9 +144,9 @@ class Supervisor:
         )
 
     def rearm(self, t_s: float) -> RearmAnswer:
-        """An operator's wish to leave LATCHED; nothing else may call this, least of all a network message.
+        """An operator's request to leave LATCHED; nothing else may call this, least of all a network message.
 
-        It is judged by what the last step saw and dropped if refused: it has to be repeated. A wish that
+        It is judged by what the last step saw and dropped if refused: it has to be repeated. A request that
         stayed pending would bring the force back seconds later, when the operator no longer expects it.
 
         Raises:
@@ -196,7 +196,7 @@ class Supervisor:
             self._fade_end_s = t_s + duration_s if any(self._sent) else t_s
             self._state = SupervisorState.FADE
         if int(self._hazards) & _FADING & ~int(self._cause):
-            self._cause |= self._hazards & _WITHHOLDING
+            self._cause |= self._hazards & WITHHOLDING
 
     def _release(self, t_s: float, bits: int) -> float:
         """The fade's share of the force at its beginning; after its end, where to go from here."""
@@ -249,9 +249,8 @@ class Supervisor:
         return len(self._clamps_s) == CLAMPS_THAT_LATCH and t_s - self._clamps_s[0] <= CLAMPS_WITHIN_S
 
 
-_WITHHOLDING = hazards_with(Response.FADE) | hazards_with(Response.FAST_FADE)
 # plain integers: an IntFlag's operators cost as much as the rest of a step
-_FADING = int(_WITHHOLDING)
+_FADING = int(WITHHOLDING)
 _FAST = int(hazards_with(Response.FAST_FADE))
 _SLOW = int(hazards_with(Response.SLOW))
 _LATCH_LATE = int(hazards_that_latch(Latch.AFTER_1_S))

@@ -1,8 +1,5 @@
 """ECG-gated rigid US/MR registration: from gated, tracked slices to `mr_from_tracker` with its evidence."""
 
-from dvf_ig.core import HEART_RADIUS_MM as HEART_RADIUS_MM
-from dvf_ig.core import mean_displacement_mm as mean_displacement_mm
-
 from .accuracy import pose_difference as pose_difference
 from .accuracy import target_errors_mm as target_errors_mm
 from .boundary.fit import EPICARDIUM_FIT as EPICARDIUM_FIT

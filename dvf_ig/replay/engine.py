@@ -34,7 +34,7 @@ from dvf_ig.session import (
 from .calibrations import Calibrations, calibrate
 from .events import ECG_CHUNK, events_of
 from .operator import SimulatedOperator
-from .preconditions import require_heart_beats, require_replayable, require_tracked_poses, tick_times
+from .preconditions import require_heart_beats, require_tracked_poses, tick_times
 from .start import landmark_pose, landmark_prior, start_pose
 from .ticks import TickRecorder, Ticks
 
@@ -108,11 +108,11 @@ def run_replay(
     """
     report_progress = progress or (lambda _: None)
     began = clock()
-    require_replayable(scenario)
     start = start_pose(scenario)
+    require_tracked_poses(scenario)
+    t_s = tick_times(scenario)
     calibrations = calibrate(scenario, seed)
     report_progress(0.05)
-    t_s = tick_times(scenario)
     heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.05 + 0.35 * f))
     setup = SessionSetup(
         heart,

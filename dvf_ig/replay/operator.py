@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass
 
-from dvf_ig.guidance import Response, SupervisorState, hazards_with
+from dvf_ig.guidance import WITHHOLDING, SupervisorState
 from dvf_ig.session import GuidanceState, Rearm
 
 REARM_AFTER_S = 1.0
-"""A recording holds no operator. This one waits so long after the hazards have gone, and between wishes."""
-_WITHHOLDING = hazards_with(Response.FADE) | hazards_with(Response.FAST_FADE)
+"""A recording holds no operator. This one waits so long after the hazards have gone, and between requests."""
 
 
 @dataclass(slots=True)
@@ -18,7 +17,7 @@ class SimulatedOperator:
 
     def action(self, state: GuidanceState) -> Rearm | None:
         """What the operator does now."""
-        if state.supervisor is not SupervisorState.LATCHED or state.supervised.hazards & _WITHHOLDING:
+        if state.supervisor is not SupervisorState.LATCHED or state.supervised.hazards & WITHHOLDING:
             self._clear_since_s = None
             return None
         if self._clear_since_s is None:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid, Stop, read_only_arrays
-from dvf_ig.registration import BeatMeasurement, PoseEstimate, mean_displacement_mm
+from dvf_ig.core import FloatArray, Rigid, Stop, mean_displacement_mm, read_only_arrays
+from dvf_ig.registration import BeatMeasurement, PoseEstimate
 
 from .refusal import Refusal, Refused
 

@@ -5,14 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid, Stop
-from dvf_ig.registration import (
-    BeatMeasurement,
-    Evidence,
-    PoseChart,
-    RegistrationResult,
-    mean_displacement_mm,
-)
+from dvf_ig.core import FloatArray, Rigid, Stop, mean_displacement_mm
+from dvf_ig.registration import BeatMeasurement, Evidence, PoseChart, RegistrationResult
 from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, BeatEvaluation
 
 DETECTION_S, SIGMA_MM = 0.12, 0.8

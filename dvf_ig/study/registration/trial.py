@@ -10,8 +10,8 @@ import numpy as np
 from scipy.optimize import bisect
 
 from data_synth.seeds import child_rng
-from dvf_ig.core import DvfIgError, FloatArray, NotConvergedError, Rigid
-from dvf_ig.registration import HEART_RADIUS_MM, pose_difference, target_errors_mm
+from dvf_ig.core import HEART_RADIUS_MM, DvfIgError, FloatArray, NotConvergedError, Rigid
+from dvf_ig.registration import pose_difference, target_errors_mm
 from dvf_ig.study.trials import Line, Settings
 
 from .baselines import mattes

@@ -8,6 +8,7 @@ from scipy import ndimage
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import (
+    HEART_RADIUS_MM,
     CycleTiming,
     DvfModel,
     FloatArray,
@@ -17,12 +18,12 @@ from dvf_ig.core import (
     Mesh,
     Rigid,
     VolumeSeries,
+    mean_displacement_mm,
 )
 from dvf_ig.kernels.boundary import SUMS, UNKNOWNS, DistanceSplines, OrientedPoints, boundary_step_sums
 from dvf_ig.kernels.spline import spline_batch
 from dvf_ig.registration import (
     EPICARDIUM_FIT,
-    HEART_RADIUS_MM,
     Boundary,
     BoundaryFitOptions,
     BoundaryPoints,
@@ -32,7 +33,6 @@ from dvf_ig.registration import (
     boundary_points,
     boundary_starts,
     fit_boundary,
-    mean_displacement_mm,
     signed_distance_mm,
     target_from_labels,
     target_from_model,

@@ -7,15 +7,8 @@ import numpy as np
 import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import BoolArray, FloatArray, Rigid
-from dvf_ig.registration import (
-    Lc2,
-    PoseChart,
-    RegistrationOptions,
-    SliceSet,
-    channels_from_mr,
-    mean_displacement_mm,
-)
+from dvf_ig.core import BoolArray, FloatArray, Rigid, mean_displacement_mm
+from dvf_ig.registration import Lc2, PoseChart, RegistrationOptions, SliceSet, channels_from_mr
 from dvf_ig.registration.evidence.checks import (
     SLICE_LIMITS,
     VOLUME_LIMITS,

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dvf_ig.core import InvalidInputError
-from dvf_ig.registration import HEART_RADIUS_MM, least_constrained_direction
+from dvf_ig.core import HEART_RADIUS_MM, InvalidInputError
+from dvf_ig.registration import least_constrained_direction
 
 SMALL = np.diag([(0.3 / HEART_RADIUS_MM) ** 2] * 3 + [0.3**2] * 3)
 

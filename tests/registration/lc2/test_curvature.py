@@ -4,16 +4,8 @@ import numpy as np
 import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import FloatArray, Grid, Points, Rigid
-from dvf_ig.registration import (
-    HEART_RADIUS_MM,
-    LandmarkPrior,
-    Lc2,
-    ModelChannels,
-    PoseChart,
-    channels_from_mr,
-    mean_displacement_mm,
-)
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Grid, Points, Rigid, mean_displacement_mm
+from dvf_ig.registration import LandmarkPrior, Lc2, ModelChannels, PoseChart, channels_from_mr
 from dvf_ig.registration.lc2.curvature import STEP_MM, Curvature, curvature_about
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 

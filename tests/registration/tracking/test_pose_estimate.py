@@ -6,17 +6,8 @@ import numpy as np
 import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import Rigid
-from dvf_ig.registration import (
-    HEART_RADIUS_MM,
-    BeatMeasurement,
-    Lc2,
-    PoseChart,
-    PoseEstimate,
-    channels_from_mr,
-    mean_displacement_mm,
-    measure_beat,
-)
+from dvf_ig.core import HEART_RADIUS_MM, Rigid, mean_displacement_mm
+from dvf_ig.registration import BeatMeasurement, Lc2, PoseChart, PoseEstimate, channels_from_mr, measure_beat
 from dvf_ig.registration.tracking.pose_estimate import PROCESS_NOISE_MM
 
 MR = toy_mr()
