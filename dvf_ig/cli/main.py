@@ -5,10 +5,11 @@ from typing import Annotated
 import typer
 
 import dvf_ig
-from dvf_ig.cli import bench, doctor, evaluate, force, gate, register, replay
+from dvf_ig.cli import bench, doctor, evaluate, force, gate, replay
 from dvf_ig.cli.calibrate import commands as calibrate
 from dvf_ig.cli.inspect import command as inspect
 from dvf_ig.cli.model import commands as model
+from dvf_ig.cli.register import command as register
 from dvf_ig.cli.study import commands as study
 from dvf_ig.cli.synth import commands as synth
 

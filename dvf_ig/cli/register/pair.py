@@ -1,0 +1,44 @@
+"""`dvf-ig register --fixed US --moving MR`: moving_from_fixed from a pair of images."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from dvf_ig.cli.shell import progress
+
+if TYPE_CHECKING:
+    from .output import Registered
+
+
+def register_images(
+    fixed: Path | None, moving: Path | None, init: Path | None, mask: Path | None, seed: int
+) -> "Registered":
+    from time import perf_counter
+
+    import numpy as np
+
+    from dvf_ig.core import Rigid
+    from dvf_ig.io import read_transform, read_volume
+    from dvf_ig.registration import register_pair
+
+    if fixed is None or moving is None:
+        raise typer.BadParameter("an image pair needs both --fixed US and --moving MR")
+    ultrasound, anatomy = read_volume(fixed, frame="fixed"), read_volume(moving, frame="moving")
+    start = (
+        read_transform(init, target="moving", source="fixed")
+        if init is not None
+        else Rigid.identity("moving", "fixed")
+    )
+    allowed = read_volume(mask, frame="fixed") if mask is not None else None
+    with progress("register") as report:
+        result = register_pair(
+            ultrasound,
+            anatomy,
+            start,
+            rng=np.random.default_rng(seed),
+            clock=perf_counter,
+            mask=allowed,
+            progress=report,
+        )
+    return result, start
