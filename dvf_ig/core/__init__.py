@@ -27,6 +27,7 @@ from .mesh import SurfaceSeries as SurfaceSeries
 from .model import DvfModel as DvfModel
 from .phantom import NWirePhantom as NWirePhantom
 from .phantom import NWireRecording as NWireRecording
+from .phantom import TargetRecording as TargetRecording
 from .phantom import Wire as Wire
 from .phantom import WireSearch as WireSearch
 from .phase import PhaseState as PhaseState

@@ -5,9 +5,9 @@ from collections.abc import Sized
 import numpy as np
 
 from dvf_ig.cardiac import MIN_BEATS
-from dvf_ig.core import FloatArray, InvalidInputError, NoOverlapError, Scenario
+from dvf_ig.core import FloatArray, InvalidInputError, NoOverlapError, PoseStream, Scenario
 
-from .start import start_pose
+from .start import require_start
 
 RATE_HZ = 1000.0
 
@@ -18,15 +18,15 @@ def tick_times(scenario: Scenario) -> FloatArray:
     Raises:
         NoOverlapError: ECG and tool share less than a second.
     """
-    ecg_s, tool_s = scenario.ecg.t_s, scenario.tool.t_s
+    ecg_s, tool_s = scenario.ecg.t_s, tool_of(scenario).t_s
     begin = max(float(ecg_s[0]), float(tool_s[0]))
     tracked_until = max(float(tool_s[-1]), float(scenario.ultrasound.t_s[-1]))
     end = min(float(ecg_s[-1]), tracked_until)
     count = int((end - begin) * RATE_HZ)
     if min(end, float(tool_s[-1])) - begin < 1.0:
         raise NoOverlapError(
-            f"ECG ({ecg_s[0]:.1f} to {ecg_s[-1]:.1f} s) and tool ({scenario.tool.t_s[0]:.1f} to "
-            f"{scenario.tool.t_s[-1]:.1f} s) share less than a second; they must be on one clock"
+            f"ECG ({ecg_s[0]:.1f} to {ecg_s[-1]:.1f} s) and tool ({tool_s[0]:.1f} to "
+            f"{tool_s[-1]:.1f} s) share less than a second; they must be on one clock"
         )
     return begin + np.arange(count) / RATE_HZ
 
@@ -38,20 +38,39 @@ def require_replayable(scenario: Scenario) -> None:
         InvalidInputError: no start, or probe or tool was never tracked.
         NoOverlapError: ECG and tool share less than a second.
     """
-    start_pose(scenario)
+    require_start(scenario)
     require_tracked_poses(scenario)
     tick_times(scenario)
 
 
+def tool_of(scenario: Scenario) -> PoseStream:
+    """The tool's poses, which a force needs.
+
+    Raises:
+        InvalidInputError: the recording has none.
+    """
+    if scenario.tool is None:
+        raise InvalidInputError("the recording has no tool; a replay needs its poses (tracker_from_tool)")
+    return scenario.tool
+
+
+def require_tracked_probe(scenario: Scenario) -> None:
+    """Raise InvalidInputError where the probe was never tracked."""
+    _require_valid(scenario.ultrasound.stream("tracker", "probe"), "ultrasound")
+
+
 def require_tracked_poses(scenario: Scenario) -> None:
     """Raise InvalidInputError where probe or tool was never tracked."""
-    probe = scenario.ultrasound.stream("tracker", "probe")
-    for stream, name in ((probe, "ultrasound.igs.mha"), (scenario.tool, "tool.igs.mha")):
-        if not stream.valid.any():
-            raise InvalidInputError(
-                f"{name}: none of the {len(stream)} poses of {stream.name} has status OK; "
-                "check the line of sight and record again"
-            )
+    require_tracked_probe(scenario)
+    _require_valid(tool_of(scenario), "tool")
+
+
+def _require_valid(stream: PoseStream, what: str) -> None:
+    if not stream.valid.any():
+        raise InvalidInputError(
+            f"{what} recording: none of the {len(stream)} poses of {stream.name} has status OK; "
+            "check the line of sight and record again"
+        )
 
 
 def require_heart_beats(peaks: Sized, scenario: Scenario) -> None:

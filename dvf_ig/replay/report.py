@@ -88,7 +88,7 @@ def _overlay(
     rows, columns = image.shape
     row, column = np.mgrid[:rows:PIXEL_STEP, :columns:PIXEL_STEP].astype(np.float64)
     pixels = np.column_stack([column.ravel(), row.ravel()])
-    probe = replay.calibrations.probe.probe_from_image.apply_pixels(pixels).xyz_mm
+    probe = replay.setup.calibrations.probe_from_image.apply_pixels(pixels).xyz_mm
     tracker = probe @ frames.rotations[frame].T + frames.translations_mm[frame]
     phase = float(frames.model_phase[frame])
     return PlaneOverlay(

@@ -2,6 +2,7 @@
 
 from .beat_evaluation import BeatEvaluation as BeatEvaluation
 from .calibrations import CalibrationsInUse as CalibrationsInUse
+from .calibrations import UltrasoundCalibration as UltrasoundCalibration
 from .events import EcgSamples as EcgSamples
 from .events import Event as Event
 from .events import Landmark as Landmark

@@ -156,7 +156,7 @@ fixtures:
             "fixtures.0.blend: .*'force', 'distance' or 'period",
         ),
         ("fixtures: [{law: forbidden, gamma: -1}]", "fixtures.0: sigmoid steepness gamma_per_mm is -1"),
-        ("fixtures: [{law: path}]", "fixtures.0.path: Field required"),
+        ("fixtures: [{law: path}]", "fixtures.0.path: it is missing"),
         ("fixtures: [{law: path, path: [[0, 0], [1, 1]]}]", r"fixtures.0.path: needed points \[\[x, y, z\]"),
         ("fixtures: [{law: path, path: [[0, 0, 0]]}]", "fixtures.0: .*at least 2 points"),
         (

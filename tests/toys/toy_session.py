@@ -54,7 +54,7 @@ def toy_heart() -> Heart:
 
 def toy_setup(*, start: Rigid | None = HOME) -> SessionSetup:
     probe_from_image = ImageMap(Rigid.identity("probe", "image"), np.array([4.0, 4.0]))
-    calibrations = CalibrationsInUse(TIP, probe_from_image, LAG_S)
+    calibrations = CalibrationsInUse(probe_from_image, LAG_S, TIP)
     everything = Fan(np.array([12.0, -40.0]), 1.0, 500.0, 1.5)
     return SessionSetup(toy_heart(), calibrations, ECG_HZ, start=start, fan=everything)
 

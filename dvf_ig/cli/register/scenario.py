@@ -15,13 +15,11 @@ if TYPE_CHECKING:
 def register_recording(folder: Path, model: Path | None, init: Path | None, seed: int) -> "Registered":
     from dvf_ig.io import read_scenario, read_transform
     from dvf_ig.replay import register_scenario
-    from dvf_ig.replay.start import start_pose
 
     given = read_transform(init, target="mr", source="tracker") if init is not None else None
     recorded = read_scenario(folder)
-    start = given or start_pose(recorded)
     built, origin = patient_model(recorded.preop, model)
     with progress("register") as report:
-        result = register_scenario(recorded, start, model=built, seed=seed, progress=report)
+        found = register_scenario(recorded, given, model=built, seed=seed, progress=report)
     typer.echo(origin, err=True)
-    return result, start
+    return found.result, found.start

@@ -10,6 +10,9 @@ import numpy as np
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.image_map import ImageMap
+from dvf_ig.core.phantom import NWireRecording
+from dvf_ig.core.scenario import LatencyRecording, Scenario
+from dvf_ig.core.stream import PoseStream
 from dvf_ig.io.ecg.recording import names_ecg, read_ecg
 from dvf_ig.io.mesh.file import DECODERS
 from dvf_ig.io.mesh.series import surface_names
@@ -186,11 +189,23 @@ def _scenario_facts(path: Path) -> Facts:
             "duration_s": len(scenario.ecg) / scenario.ecg.rate_hz,
         },
         "ultrasound": sequence_facts(scenario.ultrasound),
-        "tool": {**clock_facts(scenario.tool.t_s), **stream_facts(scenario.tool)},
-        "pivot_poses": len(scenario.pivot),
-        "nwire_frames": len(scenario.nwire.phantom_from_probe),
-        "latency_frames": len(scenario.latency.wall_row_px.t_s),
+        **_calibration_facts(scenario),
         "start": scenario.start is not None,
         "landmarks": 0 if scenario.landmarks_mr is None else len(scenario.landmarks_mr.names),
         "truth": scenario.truth is not None,
     }
+
+
+def _calibration_facts(scenario: Scenario) -> dict[str, Any]:
+    """Of the tool and of what was recorded to calibrate it, the probe and the latency."""
+    tool, tip, probe, latency = scenario.tool, scenario.tip, scenario.probe, scenario.latency
+    out: dict[str, Any] = {}
+    if tool is not None:
+        out["tool"] = {**clock_facts(tool.t_s), **stream_facts(tool)}
+    if isinstance(tip, PoseStream):
+        out["pivot_poses"] = len(tip)
+    if isinstance(probe, NWireRecording):
+        out["nwire_frames"] = len(probe.phantom_from_probe)
+    if isinstance(latency, LatencyRecording):
+        out["latency_frames"] = len(latency.wall_row_px.t_s)
+    return out

@@ -51,7 +51,7 @@ def readme_text(scenario: Scenario, notes: ScenarioNotes) -> str:
 
 def _rows(scenario: Scenario) -> list[tuple[str, str, str, str]]:
     ecg, images = scenario.ecg, scenario.ultrasound
-    tool_poses = len(scenario.tool) + len(scenario.tool_after_restart or ())
+    tool_poses = len(scenario.tool or ()) + len(scenario.tool_after_restart or ())
     size = "" if images.images is None else f" of {images.images.shape[2]} × {images.images.shape[1]} px"
     rows = [
         ("`scenario.yaml`", "which file is what; the ultrasound fan in pixels", "", ""),

@@ -23,6 +23,7 @@ from dvf_ig.io.plus.latency import write_line_table
 from dvf_ig.io.plus.nwire import write_nwire_phantom, write_wire_points
 from dvf_ig.io.plus.sequence_write import write_poses, write_sequence
 from dvf_ig.io.transform import write_transform
+from dvf_ig.io.truth import write_truth
 
 from .layout import (
     CONFIG,
@@ -38,7 +39,6 @@ from .layout import (
     is_our_folder,
 )
 from .readme import ScenarioNotes, readme_text
-from .truth import write_truth
 
 
 def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes | None = None) -> None:
@@ -50,9 +50,15 @@ def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes 
         notes: for people: what README.md, preview.png and truth/spec.yaml say; None leaves these out.
     Raises:
         OutputError: the folder holds something else, or cannot be written.
-        InvalidInputError: neither labels nor surfaces, or a name that its file format cannot hold.
+        InvalidInputError: neither labels nor surfaces, a recording is missing, or a name that its file format
+            cannot hold.
     """
     config = _config(scenario)
+    tool, tip, probe, latency = scenario.tool, scenario.tip, scenario.probe, scenario.latency
+    if tool is None or not isinstance(tip, PoseStream) or not isinstance(probe, NWireRecording):
+        raise InvalidInputError("a scenario folder holds tool, pivot and N-wire recordings; one is missing")
+    if not isinstance(latency, LatencyRecording):
+        raise InvalidInputError("a scenario folder holds a water-tank recording, not a latency")
     with atomic_folder(Path(folder), is_our_folder) as new:
         for part in ("preop", "calibration"):
             make_folder(new / part)
@@ -60,10 +66,10 @@ def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes 
         files = config.files
         write_ecg_csv(scenario.ecg, new / files.ecg)
         write_sequence(scenario.ultrasound, new / files.ultrasound)
-        write_poses(scenario.tool, new / files.tool, scenario.tool_after_restart)
-        write_poses(scenario.pivot, new / files.pivot)
-        _write_nwire(scenario.nwire, new, files)
-        _write_latency(scenario.latency, new, files)
+        write_poses(tool, new / files.tool, scenario.tool_after_restart)
+        write_poses(tip, new / files.pivot)
+        _write_nwire(probe, new, files)
+        _write_latency(latency, new, files)
         if scenario.start is not None and files.start is not None:
             write_transform(scenario.start, new / files.start)
         if scenario.landmarks_mr is not None and files.landmarks_mr is not None:

@@ -11,7 +11,6 @@ import numpy as np
 from data_synth import ScenarioSpec, phantom_scenario
 from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, Scenario
 from dvf_ig.replay.calibrations import calibrate
-from dvf_ig.replay.engine import in_use
 from dvf_ig.replay.operator import SimulatedOperator
 from dvf_ig.session import InCaller, Session, SessionSetup, build_heart
 
@@ -79,7 +78,7 @@ def bench_setup(
     """
     return SessionSetup(
         build_heart(scenario.preop, model, progress),
-        in_use(calibrate(scenario, seed)),
+        calibrate(scenario, seed).in_use,
         scenario.ecg.rate_hz,
         start=scenario.start,
         fan=scenario.fan,
