@@ -21,6 +21,12 @@ def require_tracked(stream: PoseStream, what: str) -> None:
         )
 
 
+def have_common_time(first_s: FloatArray, second_s: FloatArray) -> bool:
+    """Whether two recordings share at least LEAST_COMMON_S, by their (n,) and (m,) increasing times."""
+    begin, end = max(float(first_s[0]), float(second_s[0])), min(float(first_s[-1]), float(second_s[-1]))
+    return end - begin >= LEAST_COMMON_S
+
+
 def require_common_time(ecg_s: FloatArray, other_s: FloatArray, what: str) -> None:
     """Raise NoOverlapError where the ECG and another recording share less than LEAST_COMMON_S.
 
@@ -28,8 +34,7 @@ def require_common_time(ecg_s: FloatArray, other_s: FloatArray, what: str) -> No
         ecg_s, other_s: (n,) and (m,) increasing times.
         what: the other is, for example "tool".
     """
-    begin, end = max(float(ecg_s[0]), float(other_s[0])), min(float(ecg_s[-1]), float(other_s[-1]))
-    if end - begin < LEAST_COMMON_S:
+    if not have_common_time(ecg_s, other_s):
         raise NoOverlapError(
             f"ECG ({ecg_s[0]:.1f} to {ecg_s[-1]:.1f} s) and {what} ({other_s[0]:.1f} to "
             f"{other_s[-1]:.1f} s) share less than a second; they must be on one clock"

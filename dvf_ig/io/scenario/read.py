@@ -5,6 +5,7 @@ from pathlib import Path
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.scenario import Scenario
 from dvf_ig.io.session_file.read import read_recordings
+from dvf_ig.io.session_file.schema import SessionConfig
 
 from .as_session import session_of_scenario
 from .layout import CONFIG, ScenarioConfig, read_config
@@ -20,10 +21,19 @@ def read_scenario(folder: Path | str, *, truth: bool = True) -> Scenario:
         UnreadableFileError: no scenario folder, files missing (all are named), or a file that cannot be read.
     """
     folder = Path(folder)
+    session = read_scenario_session(folder, truth=truth)
+    return read_recordings(session, folder, f"its {CONFIG}").scenario
+
+
+def read_scenario_session(folder: Path, *, truth: bool = True) -> SessionConfig:
+    """The configuration of a scenario folder; the files that it names are not opened.
+
+    Raises:
+        UnreadableFileError: no scenario folder, or its description is wrong.
+    """
     config = read_config(folder)
     _require_kind(config, folder)
-    session = session_of_scenario(config, folder, truth=truth)
-    return read_recordings(session, folder, f"its {CONFIG}").scenario
+    return session_of_scenario(config, folder, truth=truth)
 
 
 def _require_kind(config: ScenarioConfig, folder: Path) -> None:

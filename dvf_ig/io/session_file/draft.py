@@ -1,20 +1,25 @@
-"""A session's configuration that may still lack parts, as `config init` begins one."""
+"""A session's configuration that may still lack parts, as `config init` begins one and users go on."""
 
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
 
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.io.ecg.recording import KINDS
+from dvf_ig.io.fixtures import Number, RetimingName
 from dvf_ig.io.yaml_config import Section
 
 from .schema import (
     EcgConfig,
+    FileName,
     FixtureSource,
     LatencySource,
     PreopConfig,
     ProbeSource,
+    SessionConfig,
     StartConfig,
     Text,
     TipSource,
@@ -34,6 +39,10 @@ class CalibrationDraft(Section):
 class SessionDraft(Section):
     """A `SessionConfig` of which only the ultrasound is sure to be there."""
 
+    schema_: Literal["dvf_ig.session/1"] = Field(default="dvf_ig.session/1", alias="schema")
+    name: Text | None = None
+    preset: str = "recorded"
+    seed: int | None = None
     patient_id: Text | None = None
     preop: PreopConfig | None = None
     ultrasound: UltrasoundConfig
@@ -42,7 +51,14 @@ class SessionDraft(Section):
     calibration: CalibrationDraft = CalibrationDraft()
     start: StartConfig = StartConfig()
     fixtures: FixtureSource | None = None
-    truth: None = None
+    cap_n: Number | None = None
+    retiming: RetimingName | None = None
+    truth: FileName | None = None
+
+
+def as_draft(config: SessionConfig) -> SessionDraft:
+    """A complete configuration as one that need not be."""
+    return SessionDraft.model_validate(config.model_dump(by_alias=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,14 +136,6 @@ class GivenFiles:
                 touched=name(self.touched),
             ),
         )
-
-
-def given_names(given: GivenFiles) -> Iterator[Path]:
-    """Every file that a user named, but for the ECG, whose name may have a prefix."""
-    single = (given.ultrasound, given.probe, given.tip, given.tool, given.model, given.mr, given.labels)
-    for path in (*single, given.surfaces, given.start, *(given.landmarks or ()), given.touched):
-        if path is not None:
-            yield path
 
 
 def _relative(path: Path, folder: Path) -> str:

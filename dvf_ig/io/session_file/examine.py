@@ -16,13 +16,11 @@ from .parts import SessionParts, StartFiles, read_session_ecg, read_start, read_
 from .preop import read_preop
 from .problem import Problem, ProblemList
 from .read import read_session_fixtures
-from .schema import SessionConfig
 
 T = TypeVar("T")
-Config = SessionConfig | SessionDraft
 
 
-def examine(config: Config, folder: Path, named_by: str) -> tuple[SessionParts, tuple[Problem, ...]]:
+def examine(config: SessionDraft, folder: Path, named_by: str) -> tuple[SessionParts, tuple[Problem, ...]]:
     """The parts of a session that can be read, and why others cannot.
 
     Args:
@@ -31,8 +29,7 @@ def examine(config: Config, folder: Path, named_by: str) -> tuple[SessionParts, 
     """
     reader = _Reader(config, folder)
     parts = reader.parts()
-    if isinstance(config, SessionConfig):
-        reader.part("fixtures", lambda: read_session_fixtures(config, folder, named_by))
+    reader.part("fixtures", lambda: read_session_fixtures(config, folder, named_by))
     if config.truth is not None:
         truth = folder / config.truth
         reader.part("truth", lambda: read_truth(truth))
@@ -42,7 +39,7 @@ def examine(config: Config, folder: Path, named_by: str) -> tuple[SessionParts, 
 class _Reader:
     """Reads one part after the other; a part of which a file is absent is left out."""
 
-    def __init__(self, config: Config, folder: Path) -> None:
+    def __init__(self, config: SessionDraft, folder: Path) -> None:
         files = [(key, folder / name) for key, name in named_files(config)]
         self.config, self.folder, self.problems = config, folder, ProblemList(files)
         for key, path in files:

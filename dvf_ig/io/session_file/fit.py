@@ -11,7 +11,12 @@ from dvf_ig.core.image_map import ImageMap
 from dvf_ig.registration import TouchedPoints, start_from_landmarks
 from dvf_ig.registration.surface_points.touched import require_spread
 from dvf_ig.session.calibrations import require_lag
-from dvf_ig.session.recording_checks import require_common_time, require_heart_beats, require_tracked
+from dvf_ig.session.recording_checks import (
+    have_common_time,
+    require_common_time,
+    require_heart_beats,
+    require_tracked,
+)
 
 from .fit_heart import misfits_of_heart
 from .missing import missing_parts
@@ -41,14 +46,10 @@ def misfits(parts: SessionParts) -> tuple[Problem, ...]:
     if ecg is not None:
         with problems.about("ecg"):
             require_heart_beats(stream_recording(ecg)[0], ecg)
-    if ecg is not None and sweep is not None:
-        with problems.about("ultrasound"):
-            require_common_time(ecg.t_s, sweep.recorded.t_s, "ultrasound")
     if tool is not None:
         with problems.about("tool", "replay"):
             require_tracked(tool, "tool")
-            if ecg is not None:
-                require_common_time(ecg.t_s, tool.t_s, "tool")
+    problems.found += _clock_misfits(parts)
     if isinstance(parts.latency, float):
         with problems.about("calibration.latency"):
             require_lag(parts.latency)
@@ -85,6 +86,23 @@ def parts_of(recordings: SessionRecordings) -> SessionParts:
         scenario.tip,
         StartFiles(scenario.start, scenario.landmarks_mr, scenario.landmarks_tracker, scenario.touched),
     )
+
+
+def _clock_misfits(parts: SessionParts) -> list[Problem]:
+    """Of ECG, ultrasound and tool the one that shares no time with the others; without a tool, the ECG."""
+    problems = ProblemList()
+    if parts.ecg is None:
+        return []
+    ecg_s = parts.ecg.t_s
+    tool_fits = parts.tool is not None and have_common_time(ecg_s, parts.tool.t_s)
+    sweep_s = None if parts.sweep is None else parts.sweep.recorded.t_s
+    if sweep_s is not None:
+        with problems.about("ultrasound" if tool_fits else "ecg"):
+            require_common_time(ecg_s, sweep_s, "ultrasound")
+    if parts.tool is not None and not problems.found:
+        with problems.about("tool", "replay"):
+            require_common_time(ecg_s, parts.tool.t_s, "tool")
+    return problems.found
 
 
 def _require_images(sweep: Sweep) -> None:

@@ -44,7 +44,7 @@ def _heart(files: PreopFiles) -> str:
         words.append(f"model of patient '{model.patient_id}', {model.surface_name}, {_phases(model.timing)}")
     if preop.mr is not None:
         words.append(f"grey levels of {_phases(preop.mr.timing)}, {_size(preop.mr)}")
-    listed = ", ".join(map(str, label_values(preop)))
+    listed = _listed(label_values(preop))
     if preop.labels is not None:
         words.append(f"labels {listed} in each of {_phases(preop.labels.timing)}")
     elif preop.ed_labels is not None:
@@ -53,6 +53,13 @@ def _heart(files: PreopFiles) -> str:
         names = ", ".join(series.name for series in preop.surfaces)
         words.append(f"surfaces {names}, {_phases(preop.surfaces[0].timing)}")
     return "; ".join(words)
+
+
+def _listed(values: tuple[int, ...]) -> str:
+    """ "1 to 4" where none is left out, else one by one."""
+    if len(values) > 2 and values[-1] - values[0] == len(values) - 1:
+        return f"{values[0]} to {values[-1]}"
+    return ", ".join(map(str, values)) or "none"
 
 
 def _phases(timing: CycleTiming) -> str:
@@ -82,7 +89,7 @@ def _poses(stream: PoseStream) -> str:
 
 
 def _span(t_s: FloatArray) -> str:
-    return f"{t_s[0]:.1f} to {t_s[-1]:.1f} s"
+    return f"{t_s[0]:.1f} to {t_s[-1]:.1f} s".replace("-0.0 to", "0.0 to")
 
 
 def _ecg(ecg: Signal) -> str:

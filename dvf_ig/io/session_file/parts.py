@@ -109,8 +109,7 @@ def read_session_ecg(config: EcgConfig | None, folder: Path, sweep: Path) -> Sig
             return read_ecg(f"plus:{sweep}")
         except InvalidInputError as exc:
             raise UnreadableFileError(
-                f"no file of an ECG is named, and {sweep.name} holds none as field data ({exc}); name the "
-                "ECG's own file, for example edf:FILE"
+                f"no file of an ECG is named, and the ultrasound gives none: {exc}"
             ) from exc
     kind, colon, name = config.file.partition(":")
     spec = f"{kind}:{folder / name}" if colon and kind in KINDS else str(folder / config.file)

@@ -9,6 +9,27 @@ from typing import Literal
 from dvf_ig.core.errors import DvfIgError
 
 Use = Literal["register", "replay"]
+KEYS = {
+    "--probe-name": "ultrasound.probe_name",
+    "--reference-name": "ultrasound.reference_name",
+    "--rate": "ecg.rate_hz",
+    "--tool-name": "tool.name",
+}
+"""Options of the commands and keys of a SESSION.yaml that say the same."""
+
+
+def in_keys(sentence: str) -> str:
+    """A sentence with the keys in place of the options that it names."""
+    for option, key in KEYS.items():
+        sentence = sentence.replace(option, key)
+    return sentence
+
+
+def in_options(sentence: str) -> str:
+    """A sentence with the options in place of the keys that it names."""
+    for option, key in KEYS.items():
+        sentence = sentence.replace(key, option)
+    return sentence
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.model import DvfModel
@@ -16,6 +16,7 @@ from dvf_ig.io.truth import read_truth
 from dvf_ig.io.yaml_config import read_yaml, validated
 
 from .calibration import read_latency_source, read_probe_source, read_tip_source
+from .draft import SessionDraft
 from .named_files import require_files
 from .parts import read_session_ecg, read_start, read_sweep, read_tool
 from .preop import read_preop
@@ -49,11 +50,25 @@ def read_session_config(path: Path | str) -> SessionConfig:
         UnreadableFileError: absent, not YAML, unknown keys, or missing or wrong values.
     """
     path = Path(path)
+    return validated(SessionConfig, _document(path), path)
+
+
+def read_session_draft(path: Path | str) -> SessionDraft:
+    """The same of a configuration that may still lack parts.
+
+    Raises:
+        UnreadableFileError: as `read_session_config`.
+    """
+    path = Path(path)
+    return validated(SessionDraft, _document(path), path)
+
+
+def _document(path: Path) -> Any:
     document = read_yaml(path, "a session's configuration")
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         got = document.get("schema") if isinstance(document, dict) else None
         raise UnreadableFileError(f"{path} has schema '{got}'; needed '{SCHEMA}' (dvf-ig config init)")
-    return validated(SessionConfig, document, path)
+    return document
 
 
 def read_session(path: Path | str) -> SessionRecordings:
@@ -118,7 +133,7 @@ def _ultrasound(recorded: TrackedSequence, probe: PoseStream) -> TrackedSequence
 
 
 def read_session_fixtures(
-    config: SessionConfig, folder: Path, named_by: str
+    config: SessionConfig | SessionDraft, folder: Path, named_by: str
 ) -> tuple["FixtureSet | None", RetimingName | None]:
     if config.fixtures is None:
         return None, config.retiming

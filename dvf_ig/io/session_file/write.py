@@ -1,4 +1,4 @@
-"""SESSION.yaml as text: one that `config init` begins, with comments, and the complete one of `config dump`."""
+"""SESSION.yaml as text: as `config init` begins it, with comments; complete, as `config dump` shows it."""
 
 import hashlib
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from dvf_ig.core.errors import OutputError
 from dvf_ig.io.atomic import write_text
 
 from .draft import SessionDraft
-from .schema import SCHEMA, SessionConfig
+from .schema import SCHEMA
 
 _MARK = "# Written by dvf-ig config init, which writes it anew as long as nobody has changed it: "
 _DIGITS = 12
@@ -73,11 +73,11 @@ def write_session(path: Path, text: str) -> None:
     write_text(path, text)
 
 
-def dump_text(config: SessionConfig) -> str:
+def dump_text(config: SessionDraft) -> str:
     """YAML of the complete configuration, every default written out; it reads back to the same."""
     head = (
-        "# Every key of a session's configuration. null: not given; without fixtures one forbidden region acts\n"
-        "# (dvf-ig replay --help), without retiming the law is two-segment.\n"
+        "# Every key of a session's configuration; null: not given. Without fixtures one forbidden region\n"
+        "# acts (its numbers: dvf-ig replay --help); without retiming the law is two-segment.\n"
     )
     document = config.model_dump(by_alias=True)
     return head + yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None)
@@ -135,9 +135,8 @@ def _preop(draft: SessionDraft, found: Mapping[str, str | None]) -> list[str]:
         ),
         _Entry("timing", None, "timing.json", "times of the phases; else timing.json beside the images"),
     ]
-    return _section(
-        "preop", ["The heart before the operation, in frame mr (LPS, mm)."], found["preop"], entries
-    )
+    says = ["The heart before the operation, in frame mr (LPS, mm)."]
+    return _section("preop", says, found["preop"], entries)
 
 
 def _ultrasound(draft: SessionDraft, found: Mapping[str, str | None]) -> list[str]:
@@ -218,7 +217,10 @@ def _start(draft: SessionDraft, found: Mapping[str, str | None]) -> list[str]:
             _Entry("transform", start.transform, "start.tfm", "mr_from_tracker within 10 mm or so, ITK"),
             _Entry("landmarks_mr", start.landmarks_mr, "model.mrk.json", "marked on the images or model"),
             _Entry(
-                "landmarks_tracker", start.landmarks_tracker, "patient.mrk.json", "touched, names alike (mm)"
+                "landmarks_tracker",
+                start.landmarks_tracker,
+                "patient.mrk.json",
+                "the same points on the patient, mm",
             ),
             _Entry("touched", start.touched, "touched.csv", "x, y, z all over the heart's surface (mm)"),
             _Entry("touched_phase", None, "0.0", "when in the cycle [0, 1); else end-diastole"),
