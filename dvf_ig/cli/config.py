@@ -11,7 +11,7 @@ from .shell import EcgRateOption, JsonFlag, ProbeNameOption, ReferenceNameOption
 
 if TYPE_CHECKING:
     from dvf_ig.io.session_file.draft import SessionDraft
-    from dvf_ig.io.session_file.problem import Use
+    from dvf_ig.io.session_file.problem import Problem, Use
     from dvf_ig.io.session_file.verdict import Verdict
 
 app = typer.Typer(
@@ -194,6 +194,8 @@ def validate(
             wrong = [*verdict.unreadable, *verdict.misfits, *lacking]
         else:
             wrong = list(verdict.hindrances(purpose))
+        if not wrong and verdict.parts.recorded_calibrations:
+            wrong = _calibrations_refused(config, folder, str(session))
         if wrong:
             _refuse([in_keys(problem.sentence) for problem in wrong])
 
@@ -212,6 +214,19 @@ def _read(session: Path) -> "tuple[SessionDraft, Path]":
     if session.is_dir():
         return as_draft(read_scenario_session(session)), session
     return read_session_draft(session), session.parent
+
+
+def _calibrations_refused(config: "SessionDraft", folder: Path, named_by: str) -> "list[Problem]":
+    """What a replay would say of calibrations that are still recordings."""
+    from dvf_ig.io.session_file.draft import complete
+    from dvf_ig.io.session_file.problem import ProblemList
+    from dvf_ig.io.session_file.read import read_recordings
+    from dvf_ig.replay.calibrations import calibrate
+
+    problems = ProblemList()
+    with problems.about("calibration"):
+        calibrate(read_recordings(complete(config), folder, named_by).scenario, seed=0)
+    return problems.found
 
 
 def _readiness(use: "Use", verdict: "Verdict") -> str:

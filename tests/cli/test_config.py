@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +12,22 @@ import numpy as np
 import pytest
 import SimpleITK
 import yaml
+from recorded import pivot_of
 from toy_lab import SESSION, poses, sweep, write_calibration, write_ecg, write_lab
 from typer.testing import CliRunner, Result
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import DvfModel, Landmarks, Points, Rigid
+from dvf_ig.core import DvfModel, InvalidInputError, Landmarks, NoOverlapError, Points, Rigid, Scenario
 from dvf_ig.io import (
-    read_scenario,
     write_coordinate_definitions,
     write_landmarks,
     write_poses,
     write_sequence,
     write_transform,
 )
+from dvf_ig.io.scenario.read import read_scenario_session
 from dvf_ig.io.session_file.draft import SessionDraft
+from dvf_ig.io.session_file.fit import require_fit
 from dvf_ig.io.session_file.read import read_session, read_session_config
 from dvf_ig.io.session_file.schema import SessionConfig
 
@@ -354,6 +357,24 @@ def test_what_a_purpose_does_not_need_is_not_asked_for(lab: Path) -> None:
     assert run("validate", path).exit_code == 3
 
 
+def test_what_was_read_is_checked_by_the_same_rules(lab: Path) -> None:
+    recordings = read_session(write(lab, SESSION))
+    require_fit(recordings, "replay")
+    for case, use, error, words in (
+        ("another day's tool", "replay", NoOverlapError, "tool: ECG"),
+        ("two common landmarks", "register", InvalidInputError, "start.landmarks_tracker: model and patient"),
+        ("no start", "register", InvalidInputError, "start: a registration needs a start"),
+    ):
+        document = deepcopy(SESSION)
+        WRONG[case][0](lab, document)
+        spoilt = read_session(write(lab, document))
+        with pytest.raises(error, match=f"^{words}"):
+            require_fit(spoilt, use)
+        if use == "replay":
+            require_fit(spoilt, "register")
+        write_lab(lab, recordings.model)
+
+
 # init
 
 ALL = {
@@ -503,14 +524,24 @@ def test_a_dump_reads_back_to_the_same(lab: Path) -> None:
     assert json.loads(run("dump", path, "--json").stdout)["fixtures"][0]["delta"] == 2.5
 
 
-def test_a_scenario_folder_is_a_configuration(
-    written: Path, tmp_path: Path, assert_same: Callable[..., None]
-) -> None:
+def test_a_scenario_folder_is_a_configuration(written: Path, scenario: Scenario, tmp_path: Path) -> None:
     done = run("validate", written, "--for", "replay")
     assert done.exit_code == 0, done.output
     folder = Path(shutil.copytree(written, tmp_path / "scenario"))
+    still = pivot_of(scenario)
+    static = (
+        np.repeat(still.rotations[:1], len(still), axis=0),
+        np.repeat(still.translations_mm[:1], len(still), axis=0),
+    )
+    pivot = folder / "calibration" / "pivot.igs.mha"
+    held = {"rotations": still.rotations, "translations_mm": still.translations_mm}
+    held = {name: np.repeat(values[:1], len(still), axis=0) for name, values in held.items()}
+    write_poses(replace(still, **held), pivot)
+    told = errors(run("validate", folder))
+    assert told[0].startswith("calibration: pivot calibration: ")
+    write_poses(still, pivot)
     (folder / "session.yaml").write_text(run("dump", folder).stdout)
-    assert_same(read_session(folder / "session.yaml").scenario, read_scenario(folder))
+    assert read_session_config(folder / "session.yaml") == read_scenario_session(folder)
 
 
 def test_what_is_no_configuration_is_told(tmp_path: Path) -> None:

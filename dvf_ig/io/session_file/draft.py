@@ -61,6 +61,11 @@ def as_draft(config: SessionConfig) -> SessionDraft:
     return SessionDraft.model_validate(config.model_dump(by_alias=True))
 
 
+def complete(draft: SessionDraft) -> SessionConfig:
+    """The same configuration, of which nothing that a registration needs is missing."""
+    return SessionConfig.model_validate(draft.model_dump(by_alias=True))
+
+
 @dataclass(frozen=True, slots=True)
 class GivenFiles:
     """A lab's files, as a user names them from the working directory.

@@ -67,6 +67,12 @@ class SessionParts:
     tip: Points | PoseStream | None = None
     start: StartFiles = StartFiles()
 
+    @property
+    def recorded_calibrations(self) -> bool:
+        """Whether a calibration is to be made from its recording."""
+        raw = (NWireRecording, TargetRecording, LatencyRecording, PoseStream)
+        return any(isinstance(part, raw) for part in (self.probe, self.latency, self.tip))
+
 
 def read_sweep(path: Path, names: ProbeNames) -> Sweep:
     """Raises UnreadableFileError: not a sequence, or the probe is not in it."""
