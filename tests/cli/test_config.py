@@ -529,10 +529,6 @@ def test_a_scenario_folder_is_a_configuration(written: Path, scenario: Scenario,
     assert done.exit_code == 0, done.output
     folder = Path(shutil.copytree(written, tmp_path / "scenario"))
     still = pivot_of(scenario)
-    static = (
-        np.repeat(still.rotations[:1], len(still), axis=0),
-        np.repeat(still.translations_mm[:1], len(still), axis=0),
-    )
     pivot = folder / "calibration" / "pivot.igs.mha"
     held = {"rotations": still.rotations, "translations_mm": still.translations_mm}
     held = {name: np.repeat(values[:1], len(still), axis=0) for name, values in held.items()}
