@@ -16,7 +16,6 @@ import numpy as np
 from dvf_ig.cardiac import RetimeMode, stream_recording
 from dvf_ig.core import DvfModel, Rigid, Scenario, Stop
 from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
-from dvf_ig.registration import RegistrationResult
 from dvf_ig.session import (
     Attempt,
     CalibrationsInUse,
@@ -35,6 +34,7 @@ from .calibrations import Calibrations, calibrate
 from .events import ECG_CHUNK, events_of
 from .operator import SimulatedOperator
 from .preconditions import require_heart_beats, require_tracked_poses, tick_times
+from .registration import Registration
 from .start import landmark_pose, landmark_prior, start_pose
 from .ticks import TickRecorder, Ticks
 
@@ -159,7 +159,7 @@ def register_scenario(
     seed: int = 0,
     progress: Progress | None = None,
     clock: Clock = perf_counter,
-) -> RegistrationResult:
+) -> Registration:
     """One registration on the whole recording, from the scenario's own start unless one is given.
 
     It ends in DISAGREEMENT where landmarks were touched and lie elsewhere (see `registration_monitor`).
@@ -180,15 +180,18 @@ def register_scenario(
     recording = UltrasoundRecording(
         scenario.ultrasound, 0, scenario.fan, heart, peaks, in_use(calibrations), "two-segment"
     )
+    frames = gate_recording(recording, from_s=-np.inf, until_s=np.inf)
     result = register_frames(
         recording,
-        gate_recording(recording, from_s=-np.inf, until_s=np.inf),
+        frames,
         pose,
         seed=seed,
         clock=clock,
         prior=landmark_prior(scenario),
         progress=lambda f: report_progress(0.6 + 0.4 * f),
     )
-    off_mm = landmark_disagreement_mm(result.target_from_source, landmark_pose(scenario), heart.center_mm)
-    disagrees = off_mm is not None and result.stop.usable
-    return replace(result, stop=Stop.DISAGREEMENT) if disagrees else result
+    landmarks = landmark_pose(scenario)
+    off_mm = landmark_disagreement_mm(result.target_from_source, landmarks, heart.center_mm)
+    if off_mm is not None and result.stop.usable:
+        result = replace(result, stop=Stop.DISAGREEMENT)
+    return Registration(result, pose, landmarks, frames, recording)
