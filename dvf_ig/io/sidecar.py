@@ -1,7 +1,7 @@
 """Files that are written beside the one a user named: they never take the place of a file of the user's own.
 
 What this program writes carries a mark: the field `written_by` in JSON, with the kind of its content, a
-comment in XML, the software entry of a PNG. A file without it is somebody else's.
+comment in XML and HTML, the software entry of a PNG. A file without it is somebody else's.
 """
 
 import json
@@ -14,7 +14,7 @@ from dvf_ig.core.errors import OutputError
 from .json_file import plain, write_json
 
 MARK = "dvf_ig"
-XML_COMMENT = f" written by {MARK} "
+MARKUP_COMMENT = f" written by {MARK} "
 _PNG_SOFTWARE = f"Software\0{MARK}".encode()
 
 
@@ -37,7 +37,8 @@ def refuse_foreign(*paths: Path, kind: str | None = None, named: Path | None = N
     """Refuse paths at which a file stands that this program did not write.
 
     Args:
-        paths: JSON, XML or PNG files, or ITK transforms `.tfm`, `.h5`, whose mark is in the JSON beside them.
+        paths: JSON, XML, HTML or PNG files, or ITK transforms `.tfm`, `.h5`, whose mark is in the JSON beside
+            them.
         kind: of JSON; None accepts every kind.
         named: see `write_sidecar`.
     Raises:
@@ -61,7 +62,7 @@ def _is_ours(path: Path, kind: str | None) -> bool:
         content = path.read_bytes()
     except OSError:
         return False
-    return f"<!--{XML_COMMENT}-->".encode() in content or _PNG_SOFTWARE in content[:4096]
+    return f"<!--{MARKUP_COMMENT}-->".encode() in content or _PNG_SOFTWARE in content[:4096]
 
 
 def _json_kind(path: Path) -> str | None:

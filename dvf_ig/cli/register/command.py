@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, wrote
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit
 
 from .output import files_of, payload_of, require_usable, rows_of
 from .pair import register_images
@@ -17,7 +17,8 @@ def register(
         Path | None, typer.Argument(help="Scenario folder; or give --fixed and --moving.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Folder, or a .tfm file, for the transform.")
+        Path | None,
+        typer.Option("-o", "--out", help="Folder, or a .tfm file, for the transform and its page."),
     ] = None,
     model: Annotated[
         Path | None, typer.Option("--model", help="This patient's model, if `dvf-ig model build` made one.")
@@ -33,10 +34,10 @@ def register(
     """Register ultrasound to the pre-operative model, and say whether the result may be used.
 
     A scenario gives mr_from_tracker from its gated, tracked frames; an image pair gives moving_from_fixed.
-    The evidence is written in any case; exits 5, 6 or 7 when the pose must not be used.
+    The evidence and a page are written in any case; exits 5, 6 or 7 when the pose must not be used.
     """
     with command(threads):
-        from dvf_ig.io import output_folder, refuse_foreign, write_sidecar, write_transforms
+        from dvf_ig.io import output_folder
 
         if out is None:
             raise typer.BadParameter("say where to write: -o OUT")
@@ -45,18 +46,14 @@ def register(
         if scenario is None and model is not None:
             raise typer.BadParameter("--model belongs to a scenario folder; an image pair has no model")
         name = "mr_from_tracker" if scenario is not None else "moving_from_fixed"
-        transform, evidence = files_of(out, name)
-        with output_folder(transform.parent):
-            refuse_foreign(evidence, kind="registration")
-            refuse_foreign(transform.with_suffix(".json"), kind="transform")
+        files = files_of(out, name)
+        with output_folder(files.transform.parent):
+            files.refuse_foreign()
             if scenario is not None:
-                result, start = register_recording(scenario, model, init, seed)
+                registered = register_recording(scenario, model, init, seed)
             else:
-                result, start = register_images(fixed, moving, init, mask, seed)
-            payload = payload_of(result, start, name, seed)
-            for file in write_transforms(result.target_from_source, transform):
-                wrote(file, name)
-            write_sidecar(evidence, payload, "registration")
-        wrote(evidence)
-        emit(payload, rows_of(result, name), as_json=as_json)
-        require_usable(result)
+                registered = register_images(fixed, moving, init, mask, seed)
+            payload = payload_of(registered.result, registered.start, name, seed)
+            files.write(registered, payload, name)
+        emit(payload, rows_of(registered.result, name), as_json=as_json)
+        require_usable(registered.result)

@@ -1,14 +1,51 @@
 """What `dvf-ig register` writes and prints, and the exit code of a pose that must not be used."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from dvf_ig.core import Rigid
     from dvf_ig.registration import RegistrationResult
+    from dvf_ig.replay.registration_page import RegisteredInput
 
-    Registered = tuple[RegistrationResult, Rigid]
-    """What was found, and the pose it started from."""
+
+class Registered(NamedTuple):
+    """What was found, the pose it started from, and what its page shows of the input."""
+
+    result: "RegistrationResult"
+    start: "Rigid"
+    shown: "RegisteredInput"
+
+
+class OutputFiles(NamedTuple):
+    """Where the transform, its evidence and its page go."""
+
+    transform: Path
+    evidence: Path
+    page: Path
+
+    def refuse_foreign(self) -> None:
+        """Refuse files of the user's own that stand there, before the work begins."""
+        from dvf_ig.io import refuse_foreign
+
+        refuse_foreign(self.evidence, kind="registration")
+        refuse_foreign(self.transform.with_suffix(".json"), kind="transform")
+        refuse_foreign(self.page)
+
+    def write(self, registered: Registered, payload: dict[str, Any], name: str) -> None:
+        """Write them, and tell the user."""
+        from dvf_ig.cli.shell import wrote
+        from dvf_ig.io import write_sidecar, write_text, write_transforms
+        from dvf_ig.replay.registration_page import registration_page
+
+        result, start, shown = registered
+        page = registration_page(result, start, shown, self.transform, payload["seed"])
+        for file in write_transforms(result.target_from_source, self.transform):
+            wrote(file, name)
+        write_sidecar(self.evidence, payload, "registration")
+        wrote(self.evidence)
+        write_text(self.page, page)
+        wrote(self.page)
 
 
 def payload_of(result: "RegistrationResult", start: "Rigid", name: str, seed: int) -> dict[str, Any]:
@@ -26,11 +63,11 @@ def payload_of(result: "RegistrationResult", start: "Rigid", name: str, seed: in
     }
 
 
-def files_of(out: Path, name: str) -> tuple[Path, Path]:
-    """Where the transform and its evidence go."""
+def files_of(out: Path, name: str) -> OutputFiles:
+    """The files of a folder, or beside a transform file that the user named."""
     if out.suffix == ".tfm":
-        return out, out.with_name(f"{out.stem}.result.json")
-    return out / f"{name}.tfm", out / "result.json"
+        return OutputFiles(out, out.with_name(f"{out.stem}.result.json"), out.with_suffix(".html"))
+    return OutputFiles(out / f"{name}.tfm", out / "result.json", out / "report.html")
 
 
 def rows_of(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:

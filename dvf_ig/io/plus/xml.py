@@ -12,7 +12,7 @@ from dvf_ig.core.arrays import FloatArray, frozen_floats
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io.atomic import write_bytes
 from dvf_ig.io.reading import read_bytes, reading
-from dvf_ig.io.sidecar import XML_COMMENT
+from dvf_ig.io.sidecar import MARKUP_COMMENT
 
 from .names import frame_from_plus, frame_to_plus
 
@@ -135,7 +135,7 @@ def definitions_element(definitions: list[CoordinateDefinition]) -> ElementTree.
 
 def write_xml(path: Path, root: ElementTree.Element) -> None:
     """Write an element as an indented XML file, atomically; a comment says who wrote it."""
-    root.insert(0, ElementTree.Comment(XML_COMMENT))
+    root.insert(0, ElementTree.Comment(MARKUP_COMMENT))
     ElementTree.indent(root)
     write_bytes(path, [ElementTree.tostring(root, encoding="utf-8", xml_declaration=True), b"\n"])
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from drawn_lines import x_of, y_of
 
+from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.report.replay import (
     BeatTrace,
     EcgStrip,
-    PlaneOverlay,
     RegistrationMark,
     ReplayPage,
     SupervisorTrace,
@@ -44,16 +44,21 @@ def ticks() -> TickTrace:
 
 
 def overlay() -> PlaneOverlay:
-    row, column = np.mgrid[:40:2, :60:2].astype(np.float64)
+    """The surface at 10 mm below the top at the start, at 20 mm registered; pixels of 1 mm by 0.5 mm."""
+    y_mm = np.mgrid[:80, :60][0] * 0.5 + 0.25
+
+    def anatomy(surface_mm: float) -> AnatomyPlane:
+        return AnatomyPlane(y_mm / 40.0, surface_mm - y_mm, None, ("R", "L", "A", "P"))
+
     return PlaneOverlay(
+        name="frame 3",
+        plane="axial",
         event_s=2.5,
         model_phase=0.4,
-        image=np.zeros((40, 60), np.uint8),
-        row_px=row,
-        column_px=column,
-        model_grey=row,
-        start_distance_mm=10.0 - row,
-        distance_mm=20.0 - row,
+        image=np.zeros((80, 60), np.uint8),
+        pixel_mm=(1.0, 0.5),
+        start=anatomy(10.0),
+        registered=anatomy(20.0),
     )
 
 
