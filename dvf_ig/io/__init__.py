@@ -68,6 +68,9 @@ from .points_file import read_points as read_points
 from .scenario.read import read_scenario as read_scenario
 from .scenario.readme import ScenarioNotes as ScenarioNotes
 from .scenario.write import write_scenario as write_scenario
+from .session_file.read import SessionRecordings as SessionRecordings
+from .session_file.read import read_options as read_options
+from .session_file.read import read_session as read_session
 from .sidecar import refuse_foreign as refuse_foreign
 from .sidecar import write_sidecar as write_sidecar
 from .transform import read_transform as read_transform

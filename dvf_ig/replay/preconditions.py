@@ -43,6 +43,16 @@ def require_replayable(scenario: Scenario) -> None:
     tick_times(scenario)
 
 
+def require_registrable(scenario: Scenario) -> None:
+    """Raise what keeps a recording from being registered, as far as it shows without a model or calibrations.
+
+    Raises:
+        InvalidInputError: no start, or the probe was never tracked.
+    """
+    require_start(scenario)
+    require_tracked_probe(scenario)
+
+
 def tool_of(scenario: Scenario) -> PoseStream:
     """The tool's poses, which a force needs.
 

@@ -1,6 +1,6 @@
 """A lab's own recordings as options of `dvf-ig register`: one option for each entry of a SESSION.yaml."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,7 +23,9 @@ EcgOption = Annotated[
 MrOption = Annotated[Path | None, typer.Option("--mr", "--cine", help="Cine series the model was made from.")]
 LabelsOption = Annotated[
     Path | None,
-    typer.Option("--labels", help="In place of --model: labels of the cine's end-diastole, or of all phases."),
+    typer.Option(
+        "--labels", help="In place of --model: labels of the cine's end-diastole, or of all phases."
+    ),
 ]
 OrganOption = Annotated[
     str | None, typer.Option("--organ", help="Label values inside the surface, for example 1,2,5.")
@@ -36,9 +38,7 @@ ProbeOption = Annotated[
     Path | None,
     typer.Option("--probe", help="Probe calibration: JSON of `calibrate probe`, or PLUS XML."),
 ]
-LagOption = Annotated[
-    float | None, typer.Option("--lag-s", help="Latency in s: t_tracker = t_video + lag.")
-]
+LagOption = Annotated[float | None, typer.Option("--lag-s", help="Latency in s: t_tracker = t_video + lag.")]
 LatencyOption = Annotated[
     Path | None, typer.Option("--latency", help="In place of --lag-s: JSON of `calibrate latency`.")
 ]
@@ -75,91 +75,93 @@ FanOption = Annotated[
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class OwnRecordings:
-    """The options as they were given."""
+def read_recordings(us: Path | None, options: Mapping[str, Any]) -> "SessionRecordings":
+    """Everything that the options name.
 
-    us: Path
-    ecg: str | None = None
-    rate_hz: float | None = None
-    model: Path | None = None
-    mr: Path | None = None
-    labels: Path | None = None
-    organ: str | None = None
-    cavity: str | None = None
-    patient: str | None = None
-    probe: Path | None = None
-    lag_s: float | None = None
-    latency: Path | None = None
-    start: Path | None = None
-    landmarks: tuple[Path, Path] | None = None
-    touched: str | None = None
-    fan: str | None = None
-    probe_name: str | None = None
-    reference_name: str | None = None
+    Args:
+        us: the ultrasound.
+        options: by their names on the command line; None where they were not given.
+    Raises:
+        typer.BadParameter: an option is missing, or two exclude each other.
+        DvfIgError: a file is absent, cannot be read, or does not fit.
+    """
+    from dvf_ig.io import read_options
 
-    def read(self) -> "SessionRecordings":
-        """Everything that the options name.
+    _require_enough(options)
+    return read_options(document_of(us, options))
 
-        Raises:
-            typer.BadParameter: an option is missing, or two exclude each other.
-            DvfIgError: a file is absent, cannot be read, or does not fit.
-        """
-        from dvf_ig.io import read_options
 
-        return read_options(self._document())
-
-    def _document(self) -> dict[str, Any]:
-        """The same as the content of a SESSION.yaml."""
-        self._require()
-        touched, at, phase = (self.touched or "").rpartition("@")
-        organ, cavity = (_values(t, o) for t, o in ((self.organ, "--organ"), (self.cavity, "--cavity")))
-        return _given(
-            patient_id=self.patient,
+def document_of(us: Path | None, options: Mapping[str, Any]) -> dict[str, Any]:
+    """The same as the content of a SESSION.yaml."""
+    landmarks = options["--start-landmarks"] or (None, None)
+    latency = options["--latency"] if options["--lag-s"] is None else options["--lag-s"]
+    return (
+        _given(
+            patient_id=options["--patient"],
             preop=_given(
-                model=self.model, mr=self.mr, labels=self.labels, organ_labels=organ, cavity_labels=cavity
+                model=options["--model"],
+                mr=options["--mr"],
+                labels=options["--labels"],
+                organ_labels=_values(options["--organ"], "--organ"),
+                cavity_labels=_values(options["--cavity"], "--cavity"),
             ),
             ultrasound=_given(
-                file=self.us, probe_name=self.probe_name, reference_name=self.reference_name, fan=self._fan()
+                file=us,
+                probe_name=options["--probe-name"],
+                reference_name=options["--reference-name"],
+                fan=_fan(options["--fan"]),
             ),
-            ecg=None if self.ecg is None else _given(file=self.ecg, rate_hz=self.rate_hz),
-            calibration=_given(
-                probe=self.probe, latency=self.latency if self.lag_s is None else self.lag_s
-            ),
+            ecg=_given(file=options["--ecg"], rate_hz=options["--rate"]),
+            calibration=_given(probe=options["--probe"], latency=latency),
             start=_given(
-                transform=self.start,
-                landmarks_mr=None if self.landmarks is None else self.landmarks[0],
-                landmarks_tracker=None if self.landmarks is None else self.landmarks[1],
-                touched=touched if at else self.touched,
-                touched_phase=_fraction(phase) if at else None,
+                transform=options["--start"],
+                landmarks_mr=landmarks[0],
+                landmarks_tracker=landmarks[1],
+                **_touched(options["--touched"]),
             ),
         )
+        or {}
+    )
 
-    def _require(self) -> None:
-        if self.model is not None and self.labels is not None:
-            raise typer.BadParameter("give --model, or --labels from which one is built, not both")
-        if self.model is None and self.labels is None:
-            raise typer.BadParameter("whose heart? give --model MODEL, or --cine CINE with --labels LABELS")
-        if self.probe is None:
-            raise typer.BadParameter(
-                "--us needs --probe FILE, the probe's calibration (dvf-ig calibrate probe … -o FILE)"
-            )
-        if (self.lag_s is None) == (self.latency is None):
-            raise typer.BadParameter("give the latency of the video once: --lag-s SECONDS, or --latency JSON")
-        if self.ecg is None and self.rate_hz is not None:
-            raise typer.BadParameter("--rate is of the table that --ecg names; give --ecg, too")
 
-    def _fan(self) -> dict[str, Any] | None:
-        if self.fan is None:
-            return None
-        try:
-            column, row, start, stop, angle = (float(part) for part in self.fan.split(","))
-        except ValueError as exc:
-            raise typer.BadParameter(
-                f"--fan is '{self.fan}'; needed five numbers: column and row of the apex, first and last "
-                "radius in px, half angle in rad"
-            ) from exc
-        return {"apex_px": [column, row], "start_px": start, "stop_px": stop, "half_angle_rad": angle}
+def _require_enough(options: Mapping[str, Any]) -> None:
+    if options["--model"] is not None and options["--labels"] is not None:
+        raise typer.BadParameter("give --model, or --labels from which one is built, not both")
+    if options["--model"] is None and options["--labels"] is None:
+        raise typer.BadParameter("whose heart? give --model MODEL, or --cine CINE with --labels LABELS")
+    if options["--probe"] is None:
+        raise typer.BadParameter(
+            "--us needs --probe FILE, the probe's calibration (dvf-ig calibrate probe … -o FILE)"
+        )
+    if (options["--lag-s"] is None) == (options["--latency"] is None):
+        raise typer.BadParameter("give the latency of the video once: --lag-s SECONDS, or --latency JSON")
+    if options["--ecg"] is None and options["--rate"] is not None:
+        raise typer.BadParameter("--rate is of the table that --ecg names; give --ecg, too")
+
+
+def _touched(text: str | None) -> dict[str, Any]:
+    file, at, phase = (text or "").rpartition("@")
+    if not at:
+        return {"touched": text}
+    try:
+        return {"touched": file, "touched_phase": float(phase)}
+    except ValueError as exc:
+        raise typer.BadParameter(
+            f"--touched: '{phase}' is no place in the cycle; needed a fraction such as 0.0"
+        ) from exc
+
+
+def _fan(text: str | None) -> dict[str, Any] | None:
+    if text is None:
+        return None
+    try:
+        column, row, start, stop, angle = (float(part) for part in text.split(","))
+    except ValueError as exc:
+        raise typer.BadParameter(
+            f"--fan is '{text}'; needed five numbers: column and row of the apex, first and last radius in "
+            "px, half angle in rad"
+        ) from exc
+    return {"apex_px": [column, row], "start_px": start, "stop_px": stop, "half_angle_rad": angle}
 
 
 def _given(**entries: Any) -> dict[str, Any] | None:
@@ -172,12 +174,3 @@ def _values(text: str | None, option: str) -> tuple[int, ...] | None:
     from dvf_ig.cli.shell import whole_numbers
 
     return None if text is None else whole_numbers(text, option, "1,2,5")
-
-
-def _fraction(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError as exc:
-        raise typer.BadParameter(
-            f"--touched: '{text}' is no place in the cycle; needed a fraction such as 0.0"
-        ) from exc
