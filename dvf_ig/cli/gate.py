@@ -19,8 +19,8 @@ def gate(
     ecg: Annotated[
         str,
         typer.Argument(
-            help="wfdb:RECORD, edf:FILE or csv:FILE (the ending .hea, .dat, .edf, .csv or .tsv says it "
-            "too), or trigger:FILE.",
+            help="wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE[#FIELD] (an ending .hea, .dat, .edf, "
+            ".csv, .tsv, .mha or .nrrd says it too), or trigger:FILE.",
             metavar="ECG",
         ),
     ],

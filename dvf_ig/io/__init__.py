@@ -40,6 +40,8 @@ from .model import read_model as read_model
 from .model import write_model as write_model
 from .model_cache import CachedModel as CachedModel
 from .model_cache import cached_model as cached_model
+from .plus.ecg_field import read_ecg_field as read_ecg_field
+from .plus.ecg_field_write import add_ecg_field as add_ecg_field
 from .plus.feature_points import read_feature_points as read_feature_points
 from .plus.feature_points import read_target_recording as read_target_recording
 from .plus.feature_points import tracked_probe as tracked_probe
