@@ -11,6 +11,7 @@ from .rigid import Rigid
 from .sequence import Fan, TrackedSequence
 from .signal import Signal, Trace
 from .stream import PoseStream
+from .trigger import TriggerTimes
 from .volume import VolumeSeries
 
 
@@ -145,7 +146,7 @@ class Scenario:
         name: short title.
         preset: which synthetic preset, or "recorded".
         preop: the pre-operative data.
-        ecg: ECG of the live part.
+        ecg: ECG of the live part, or the pulses of a trigger in its place.
         ultrasound: images with tracker_from_probe recorded at the video time stamps.
         fan: insonified sector, where the scanner's geometry is known.
         tool: tracker_from_tool of the live part.
@@ -163,7 +164,7 @@ class Scenario:
     name: str
     preset: str
     preop: Preop
-    ecg: Signal
+    ecg: Signal | TriggerTimes
     ultrasound: TrackedSequence
     fan: Fan | None
     tool: PoseStream

@@ -25,6 +25,7 @@ from dvf_ig.session import (
     SessionHistory,
     SessionSetup,
     UltrasoundRecording,
+    beat_source_of,
     build_heart,
     gate_recording,
     landmark_disagreement_mm,
@@ -117,7 +118,7 @@ def run_replay(
     setup = SessionSetup(
         heart,
         in_use(calibrations),
-        scenario.ecg.rate_hz,
+        beat_source_of(scenario.ecg),
         start=scenario.start,
         fan=scenario.fan,
         fixtures=fixtures,

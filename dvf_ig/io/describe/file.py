@@ -7,6 +7,8 @@ from typing import Any
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.image_map import ImageMap
+from dvf_ig.core.signal import Signal
+from dvf_ig.core.trigger import TriggerTimes
 from dvf_ig.io.ecg.recording import names_ecg, read_ecg
 from dvf_ig.io.mesh.file import DECODERS
 from dvf_ig.io.mesh.series import surface_names
@@ -145,6 +147,17 @@ def _image_map_facts(entry: CoordinateDefinition) -> Facts:
     return {"mm_per_px": placed.scale_mm_per_px.tolist(), "shear_deg": placed.shear_deg}
 
 
+def _beat_source_facts(source: Signal | TriggerTimes) -> Facts:
+    if isinstance(source, TriggerTimes):
+        return {"pulses": len(source), "start_s": source.start_s, "delay_s": source.delay_s}
+    return {
+        "leads": list(source.leads),
+        "rate_hz": source.rate_hz,
+        "start_s": source.start_s,
+        "duration_s": len(source) / source.rate_hz,
+    }
+
+
 def _scenario_facts(path: Path) -> Facts:
     scenario = read_scenario(path)
     preop = scenario.preop
@@ -156,12 +169,7 @@ def _scenario_facts(path: Path) -> Facts:
         "patient_id": preop.patient_id,
         "preop_images": [[*s.values.shape[1:], len(s.timing)] for s in series],
         "preop_surfaces": [s.name for s in preop.surfaces],
-        "ecg": {
-            "leads": list(scenario.ecg.leads),
-            "rate_hz": scenario.ecg.rate_hz,
-            "start_s": scenario.ecg.start_s,
-            "duration_s": len(scenario.ecg) / scenario.ecg.rate_hz,
-        },
+        "ecg": _beat_source_facts(scenario.ecg),
         "ultrasound": sequence_facts(scenario.ultrasound),
         "tool": {**clock_facts(scenario.tool.t_s), **stream_facts(scenario.tool)},
         "pivot_poses": len(scenario.pivot),

@@ -10,8 +10,9 @@ from dvf_ig.core.scenario import Preop, Scenario
 from dvf_ig.core.sequence import Fan
 from dvf_ig.core.signal import Signal
 from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.trigger import TriggerTimes
 from dvf_ig.core.volume import VolumeSeries
-from dvf_ig.io.ecg.recording import read_ecg
+from dvf_ig.io.ecg.trigger import read_beat_source
 from dvf_ig.io.image.timing import timing_from_document
 from dvf_ig.io.image.volume import read_volume_series
 from dvf_ig.io.json_file import read_json
@@ -85,9 +86,9 @@ def _require_files(folder: Path, config: ScenarioConfig, truth: bool) -> None:
         )
 
 
-def _ecg(folder: Path, files: FilesConfig) -> Signal:
+def _ecg(folder: Path, files: FilesConfig) -> Signal | TriggerTimes:
     kind, colon, name = files.ecg.partition(":")
-    return read_ecg(f"{kind}:{folder / name}" if colon else f"csv:{folder / files.ecg}")
+    return read_beat_source(f"{kind}:{folder / name}" if colon else f"csv:{folder / files.ecg}")
 
 
 def _stream(path: Path, target: str, source: str) -> PoseStream:
