@@ -55,6 +55,7 @@ from .signal import Trace as Trace
 from .stop import Stop as Stop
 from .stream import PoseStream as PoseStream
 from .tracked_volume import TrackedVolume as TrackedVolume
+from .trigger import TriggerTimes as TriggerTimes
 from .volume import Grid as Grid
 from .volume import Volume as Volume
 from .volume import VolumeSeries as VolumeSeries

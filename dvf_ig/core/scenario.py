@@ -11,6 +11,7 @@ from .rigid import Rigid
 from .sequence import Fan, TrackedSequence
 from .signal import Signal, Trace
 from .stream import PoseStream
+from .trigger import TriggerTimes
 from .volume import Volume, VolumeSeries
 
 
@@ -151,7 +152,7 @@ class Scenario:
         name: short title.
         preset: which synthetic preset, or "recorded".
         preop: the pre-operative data.
-        ecg: ECG of the live part.
+        ecg: ECG of the live part, or the pulses of a trigger in its place.
         ultrasound: images with tracker_from_probe recorded at the video time stamps.
         fan: insonified sector, where the scanner's geometry is known.
         probe: of the image: tracked images of a phantom, or probe_from_image.
@@ -171,7 +172,7 @@ class Scenario:
     name: str
     preset: str
     preop: Preop
-    ecg: Signal
+    ecg: Signal | TriggerTimes
     ultrasound: TrackedSequence
     fan: Fan | None
     probe: NWireRecording | TargetRecording | ImageMap

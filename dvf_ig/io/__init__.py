@@ -13,7 +13,9 @@ from .ecg.beat_annotations import BeatAnnotations as BeatAnnotations
 from .ecg.beat_annotations import read_annotations as read_annotations
 from .ecg.recording import read_ecg as read_ecg
 from .ecg.recording import write_ecg_csv as write_ecg_csv
+from .ecg.trigger import read_beat_source as read_beat_source
 from .ecg.trigger import read_triggers as read_triggers
+from .ecg.trigger import write_triggers as write_triggers
 from .fixtures import read_fixtures as read_fixtures
 from .image.labels import read_cine_labels as read_cine_labels
 from .image.seeds import read_seeds as read_seeds
@@ -40,6 +42,8 @@ from .model import read_model as read_model
 from .model import write_model as write_model
 from .model_cache import CachedModel as CachedModel
 from .model_cache import cached_model as cached_model
+from .plus.ecg_field import read_ecg_field as read_ecg_field
+from .plus.ecg_field_write import add_ecg_field as add_ecg_field
 from .plus.feature_points import read_feature_points as read_feature_points
 from .plus.feature_points import read_target_recording as read_target_recording
 from .plus.feature_points import tracked_probe as tracked_probe

@@ -10,7 +10,9 @@ from dvf_ig.core.scenario import Scenario
 from dvf_ig.core.sequence import Fan, TrackedSequence
 from dvf_ig.core.signal import Signal
 from dvf_ig.core.stream import PoseStream
-from dvf_ig.io.ecg.recording import KINDS, read_ecg
+from dvf_ig.core.trigger import TriggerTimes
+from dvf_ig.io.ecg.recording import read_ecg
+from dvf_ig.io.ecg.trigger import read_beat_source
 from dvf_ig.io.fixtures import FixturesConfig, RetimingName, read_fixtures
 from dvf_ig.io.landmarks import read_landmarks
 from dvf_ig.io.plus.feature_points import tracked_probe
@@ -24,7 +26,7 @@ from dvf_ig.io.truth import read_truth
 from dvf_ig.io.yaml_config import read_yaml, validated
 
 from .calibration import read_latency_source, read_probe_source, read_tip_source
-from .named_files import require_files
+from .named_files import require_files, split_ecg
 from .preop import read_preop
 from .schema import SCHEMA, EcgConfig, SessionConfig, StartConfig, ToolConfig
 
@@ -141,13 +143,13 @@ def _tool(
     return recorded.stream(probe.target, others.pop()) if len(others) == 1 else None
 
 
-def _ecg(config: EcgConfig | None, folder: Path, sweep: Path) -> Signal:
+def _ecg(config: EcgConfig | None, folder: Path, sweep: Path) -> Signal | TriggerTimes:
     """From its own file, else from the field data of the ultrasound."""
     if config is None:
         return read_ecg(f"plus:{sweep}")
-    kind, colon, name = config.file.partition(":")
-    spec = f"{kind}:{folder / name}" if colon and kind in KINDS else str(folder / config.file)
-    return read_ecg(spec, config.rate_hz)
+    spec = split_ecg(config.file)
+    named = f"{spec.prefix}{folder / spec.name}{spec.field}"
+    return read_beat_source(named, rate_hz=config.rate_hz, delay_s=config.delay_s)
 
 
 def _start(config: StartConfig, folder: Path) -> dict[str, Any]:

@@ -135,8 +135,9 @@ def _transform_note(transform: Transform) -> str:
         f"{transform.target}_from_{transform.source} takes points of {transform.source_name} to {target}: "
         f"mm, LPS. {transform.file} and the .h5 beside it hold it as an ITK transform. 3D Slicer loads "
         "either (Add Data) and shows the node the other way round, as the inverse in RAS: the right matrix "
-        f"below. To see {target} where the ultrasound is, put it under the loaded transform as it is; to see the "
-        f"ultrasound on {target}, invert the node (module Transforms) and put the ultrasound under it."
+        f"below. To see {target} where the ultrasound is, put it under the loaded transform as it is; to "
+        f"see the ultrasound on {target}, invert the node (module Transforms) and put the ultrasound "
+        "under it."
     )
 
 
