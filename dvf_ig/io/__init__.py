@@ -18,6 +18,8 @@ from .ecg.trigger import read_triggers as read_triggers
 from .ecg.trigger import write_triggers as write_triggers
 from .fixtures import read_fixtures as read_fixtures
 from .image.labels import read_cine_labels as read_cine_labels
+from .image.labels import read_label_names as read_label_names
+from .image.labels import read_labels as read_labels
 from .image.seeds import read_seeds as read_seeds
 from .image.timing import read_timing as read_timing
 from .image.timing import write_timing as write_timing

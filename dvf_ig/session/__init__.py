@@ -21,6 +21,7 @@ from .gated_frames import gate_recording as gate_recording
 from .heart import Heart as Heart
 from .heart import build_heart as build_heart
 from .heart import label_map as label_map
+from .heart import label_map_of_model as label_map_of_model
 from .heart_clock import BeatSource as BeatSource
 from .heart_clock import EcgSource as EcgSource
 from .heart_clock import TriggerSource as TriggerSource

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.mesh import SurfaceSeries
@@ -60,24 +62,26 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
         labels=labels,
         ed_labels=ed_labels,
         ed_phase=config.ed_phase,
-        label_names=_label_names(config),
-        organ_labels=config.organ_labels,
+        label_names=tuple(config.label_names.items()),
+        organ_labels=config.organ_labels or _all_labels(labels),
+        cavity_labels=config.cavity_labels,
         surfaces=_surfaces(config, folder, patient, timing),
         surface=config.surface,
     )
     return PreopFiles(preop, model)
 
 
+def _all_labels(labels: VolumeSeries | None) -> tuple[int, ...]:
+    """Every value but the background's; empty without labels of every phase."""
+    if labels is None:
+        return ()
+    return tuple(int(value) for value in np.unique(labels.values) if value != 0)
+
+
 def _name(config: PreopConfig, folder: Path) -> str:
     """Of the first file that images the heart, without its endings."""
     named = config.mr or config.labels or config.surfaces_folder or ""
     return Path(folder / named).name.partition(".")[0]
-
-
-def _label_names(config: PreopConfig) -> tuple[tuple[int, str], ...]:
-    if config.label_names:
-        return tuple(config.label_names.items())
-    return tuple((value, "blood") for value in config.cavity_labels)
 
 
 def _surfaces(

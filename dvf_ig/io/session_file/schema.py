@@ -69,8 +69,6 @@ class PreopConfig(Section):
             )
         if self.surfaces and self.surfaces_folder is None:
             raise ValueError("surfaces names surfaces; give surfaces_folder, too")
-        if self.label_names and self.cavity_labels:
-            raise ValueError("cavity_labels says which labels are blood, and so does label_names; give one")
         return self
 
 
