@@ -12,6 +12,7 @@ from typing import Any
 from dvf_ig.core.errors import OutputError
 
 from .json_file import plain, write_json
+from .provenance import provenance
 
 MARK = "dvf_ig"
 XML_COMMENT = f" written by {MARK} "
@@ -19,7 +20,7 @@ _PNG_SOFTWARE = f"Software\0{MARK}".encode()
 
 
 def write_sidecar(path: Path, content: Mapping[str, Any], kind: str, named: Path | None = None) -> None:
-    """Write a JSON object with our mark and its kind.
+    """Write a result as JSON: with our mark and its kind, and where it comes from (see `provenance`).
 
     Args:
         path: the file.
@@ -29,6 +30,11 @@ def write_sidecar(path: Path, content: Mapping[str, Any], kind: str, named: Path
     Raises:
         OutputError: a file of the user's own, or of another kind, is there; or not writable.
     """
+    write_marked(path, {**content, **provenance()}, kind, named)
+
+
+def write_marked(path: Path, content: Mapping[str, Any], kind: str, named: Path | None = None) -> None:
+    """As `write_sidecar`, for what is no result, such as the frames of a transform."""
     refuse_foreign(path, kind=kind, named=named)
     write_json(path, {**plain(dict(content)), "kind": kind, "written_by": MARK})
 

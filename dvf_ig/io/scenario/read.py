@@ -20,6 +20,7 @@ from dvf_ig.io.mesh.series import read_surface_series
 from dvf_ig.io.plus.latency import read_latency_recording
 from dvf_ig.io.plus.nwire import read_nwire_recording
 from dvf_ig.io.plus.sequence_read import read_sequence
+from dvf_ig.io.provenance import record_folder
 from dvf_ig.io.reading import reading
 from dvf_ig.io.transform import read_transform
 
@@ -38,6 +39,7 @@ def read_scenario(folder: Path | str, *, truth: bool = True) -> Scenario:
         UnreadableFileError: no scenario folder, files missing (all are named), or a file that cannot be read.
     """
     folder = Path(folder)
+    record_folder(folder)
     config = read_config(folder)
     _require_files(folder, config, truth)
     files = config.files
