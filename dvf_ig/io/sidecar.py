@@ -1,7 +1,8 @@
 """Files that are written beside the one a user named: they never take the place of a file of the user's own.
 
 What this program writes carries a mark: the field `written_by` in JSON, with the kind of its content, a
-comment in XML, the software entry of a PNG. A file without it is somebody else's.
+comment in XML and in the header of a sequence, the software entry of a PNG. A file without it is somebody
+else's.
 """
 
 import json
@@ -16,6 +17,7 @@ from .provenance import provenance
 
 MARK = "dvf_ig"
 XML_COMMENT = f" written by {MARK} "
+SEQUENCE_COMMENT = f"written by {MARK}"
 _PNG_SOFTWARE = f"Software\0{MARK}".encode()
 
 
@@ -43,7 +45,8 @@ def refuse_foreign(*paths: Path, kind: str | None = None, named: Path | None = N
     """Refuse paths at which a file stands that this program did not write.
 
     Args:
-        paths: JSON, XML or PNG files, or ITK transforms `.tfm`, `.h5`, whose mark is in the JSON beside them.
+        paths: JSON, XML or PNG files, sequences, or ITK transforms `.tfm`, `.h5`, whose mark is in the JSON
+            beside them.
         kind: of JSON; None accepts every kind.
         named: see `write_sidecar`.
     Raises:
@@ -67,7 +70,8 @@ def _is_ours(path: Path, kind: str | None) -> bool:
         content = path.read_bytes()
     except OSError:
         return False
-    return f"<!--{XML_COMMENT}-->".encode() in content or _PNG_SOFTWARE in content[:4096]
+    marks = (f"<!--{XML_COMMENT}-->".encode(), _PNG_SOFTWARE, f"Comment = {SEQUENCE_COMMENT}".encode())
+    return any(mark in content[:4096] for mark in marks)
 
 
 def _json_kind(path: Path) -> str | None:
