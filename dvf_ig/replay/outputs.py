@@ -1,14 +1,14 @@
 """What a replay leaves for other programs: pose (ITK, PLUS), poses over time (3D Slicer), and every tick."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, OutputError
+from dvf_ig.core import FloatArray, InvalidInputError, OutputError, Rigid
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.io import refuse_foreign, write_pose_sequence, write_registration, write_text, write_transforms
 
-from .engine import Replay
 from .ticks import Ticks
 
 POSE, POSES, TICKS = "mr_from_tracker", "poses.seq.mha", "ticks.csv"
@@ -52,24 +52,28 @@ def require_own_outputs(folder: Path) -> None:
             )
 
 
-def write_outputs(replay: Replay, folder: Path) -> dict[str, str]:
+def write_outputs(poses: Sequence[tuple[float, Rigid]], ticks: Ticks, folder: Path) -> dict[str, str]:
     """Write the last pose in use and the poses over time, where there was one, and the ticks.
 
+    Args:
+        poses: (time from which it was in use, mr_from_tracker) in order of time.
+        ticks: of the replay.
+        folder: holds nothing of a user's (see `require_own_outputs`).
     Returns:
         what was written: name of the file, and the frame of what is in it.
     Raises:
         OutputError: not writable.
     """
     frames = {}
-    if replay.poses:
-        pose = replay.poses[-1][1]
+    if poses:
+        pose = poses[-1][1]
         for path in write_transforms(pose, folder / NAMES[0]):
             frames[path.name] = pose.name
         frames[f"{POSE}.json"] = pose.name
         frames[write_registration(pose, folder / f"{POSE}.xml").name] = pose.name
-        write_pose_sequence(replay.poses, folder / POSES)
+        write_pose_sequence(poses, folder / POSES)
         frames[POSES] = "ras_from_tracker"
-    write_text(folder / TICKS, ticks_csv(replay.ticks))
+    write_text(folder / TICKS, ticks_csv(ticks))
     frames[TICKS] = "tracker; tip_mr in mr"
     return frames
 
