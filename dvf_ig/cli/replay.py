@@ -54,7 +54,14 @@ def replay(
     """
     with command(threads):
         from dvf_ig.core import QualityGateError
-        from dvf_ig.io import files_together, output_folder, provenance, read_scenario, write_json, write_text
+        from dvf_ig.io import (
+            files_together,
+            output_folder,
+            provenance_fields,
+            read_scenario,
+            write_json,
+            write_text,
+        )
         from dvf_ig.replay import require_replayable, result_of, run_replay, table
         from dvf_ig.replay.outputs import NAMES, require_own_outputs, write_outputs
         from dvf_ig.replay.report import report_html
@@ -75,7 +82,7 @@ def replay(
             result = result_of(done)
             with files_together(out, ("result.json", "report.html", *NAMES)) as new:
                 write_text(new / "report.html", report_html(done, result))
-                write_json(new / "result.json", {**result, **provenance()})
+                write_json(new / "result.json", {**result, **provenance_fields()})
                 frames = write_outputs(done.poses, done.ticks, new)
         heading = ("", "estimate", "error against the truth" if done.scenario.truth is not None else "")
         emit(result, [heading, *table(result)], as_json=as_json)

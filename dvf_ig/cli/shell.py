@@ -90,9 +90,9 @@ def command(threads: int | None = None, *, lists_inputs: bool = True) -> Iterato
 
 @contextmanager
 def _inputs_listed() -> Iterator[None]:
-    from dvf_ig.io.provenance import provenance, recorded_inputs
+    from dvf_ig.io.provenance import provenance_fields, recorded_inputs
 
-    token = _provenance.set(provenance)
+    token = _provenance.set(provenance_fields)
     try:
         with recorded_inputs():
             yield

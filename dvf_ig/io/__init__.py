@@ -68,7 +68,7 @@ from .plus.xml import read_coordinate_definitions as read_coordinate_definitions
 from .plus.xml import write_coordinate_definitions as write_coordinate_definitions
 from .plus.xml import write_registration as write_registration
 from .points_file import read_points as read_points
-from .provenance import provenance as provenance
+from .provenance import provenance_fields as provenance_fields
 from .scenario.read import read_scenario as read_scenario
 from .scenario.readme import ScenarioNotes as ScenarioNotes
 from .scenario.write import write_scenario as write_scenario

@@ -109,7 +109,7 @@ def record_folder(folder: Path) -> None:
         record.folders.append(folder)
 
 
-def provenance() -> dict[str, Any]:
+def provenance_fields() -> dict[str, Any]:
     """`versions`, and `inputs` with `file`, `sha256` and `bytes` of each; empty where no record is open."""
     record = _RECORD.get()
     if record is None:

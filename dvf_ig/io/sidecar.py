@@ -13,7 +13,7 @@ from typing import Any
 from dvf_ig.core.errors import OutputError
 
 from .json_file import plain, write_json
-from .provenance import provenance
+from .provenance import provenance_fields
 
 MARK = "dvf_ig"
 XML_COMMENT = f" written by {MARK} "
@@ -22,7 +22,7 @@ _PNG_SOFTWARE = f"Software\0{MARK}".encode()
 
 
 def write_sidecar(path: Path, content: Mapping[str, Any], kind: str, named: Path | None = None) -> None:
-    """Write a result as JSON: with our mark and its kind, and where it comes from (see `provenance`).
+    """Write a result as JSON: with our mark and its kind, and where it comes from (see `provenance_fields`).
 
     Args:
         path: the file.
@@ -32,7 +32,7 @@ def write_sidecar(path: Path, content: Mapping[str, Any], kind: str, named: Path
     Raises:
         OutputError: a file of the user's own, or of another kind, is there; or not writable.
     """
-    write_marked(path, {**content, **provenance()}, kind, named)
+    write_marked(path, {**content, **provenance_fields()}, kind, named)
 
 
 def write_marked(path: Path, content: Mapping[str, Any], kind: str, named: Path | None = None) -> None:

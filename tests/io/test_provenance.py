@@ -4,6 +4,7 @@ import hashlib
 import shutil
 import tarfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import SimpleITK
 from dvf_ig.core import Preop, Rigid, Signal, UnreadableFileError
 from dvf_ig.io import (
     cached_model,
-    provenance,
+    provenance_fields,
     read_annotations,
     read_ecg,
     read_poses,
@@ -35,7 +36,7 @@ def inputs_of(read: Callable[[], Any]) -> dict[str, tuple[str, int]]:
     """Digest and size by name, of what `read` opens."""
     with recorded_inputs():
         read()
-        listed = provenance()["inputs"]
+        listed = provenance_fields()["inputs"]
     return {one["file"]: (one["sha256"], one["bytes"]) for one in listed}
 
 
@@ -94,7 +95,7 @@ def test_edf_and_csv_count(tmp_path: Path) -> None:
     edfio.Edf([edfio.EdfSignal(samples, 250, label="ECG", physical_dimension="mV")]).write(tmp_path / "a.edf")
     write_ecg_csv(Signal(samples[:, None], 250.0, 0.0, ("II",)), tmp_path / "a.csv")
     for name in ("a.edf", "a.csv"):
-        assert inputs_of(lambda name=name: read_ecg(str(tmp_path / name))) == digests(tmp_path, name)
+        assert inputs_of(partial(read_ecg, str(tmp_path / name))) == digests(tmp_path, name)
 
 
 def test_the_members_of_a_folder_count_by_their_place_in_it(tmp_path: Path, beating_sphere) -> None:
@@ -118,9 +119,7 @@ def test_a_folder_of_poses_and_a_transform_with_its_sidecar(tmp_path: Path) -> N
     assert found == digests(tmp_path / "poses", "0.txt", "1.txt", "2.txt")
     write_transforms(Rigid.identity("mr", "tracker"), tmp_path / "t.tfm")
     for name in ("t.tfm", "t.h5"):
-        assert inputs_of(lambda name=name: read_transform(tmp_path / name)) == digests(
-            tmp_path, "t.json", name
-        )
+        assert inputs_of(partial(read_transform, tmp_path / name)) == digests(tmp_path, "t.json", name)
 
 
 def test_names_are_the_users_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,7 +140,7 @@ def test_a_file_counts_once_and_again_when_it_changes(tmp_path: Path) -> None:
             if not path.exists() or path.read_text() != content:
                 path.write_text(content)
             read_text(path, "text")
-        listed = provenance()["inputs"]
+        listed = provenance_fields()["inputs"]
     assert [one["bytes"] for one in listed] == [3, 5]
     assert [one["sha256"] for one in listed] == [hashlib.sha256(c).hexdigest() for c in (b"one", b"three")]
 
@@ -157,7 +156,7 @@ def test_what_was_not_read_or_not_understood_does_not_count(tmp_path: Path) -> N
 
     assert inputs_of(fails) == {}
     read_text(tmp_path / "a.csv", "text")
-    assert provenance() == {}
+    assert provenance_fields() == {}
 
 
 def test_a_cached_model_counts_by_what_it_was_built_from(
