@@ -40,14 +40,14 @@ def gate(
 ) -> None:
     """Detect R peaks causally and report where the heart's phase is valid."""
     with command():
-        from dvf_ig.io import refuse_foreign, write_json
+        from dvf_ig.io import provenance_fields, refuse_foreign, write_json
 
         rate_hz = phase_at or VALIDITY_RATE_HZ
         signal, tracking = _track(ecg, rate, rate_hz, predictor, delay_s)
         result = _result(tracking, with_phase=phase_at is not None)
         if output is not None:
             refuse_foreign(output.with_suffix(".png"))
-            write_json(output, result)
+            write_json(output, {**result, **provenance_fields()})
             wrote(output)
             _draw(output.with_suffix(".png"), ecg, signal, tracking)
         emit(result, _rows(result), as_json=as_json)

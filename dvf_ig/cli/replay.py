@@ -20,14 +20,16 @@ from .fixture_options import (
     chosen_retiming,
 )
 from .patient_model import patient_model
-from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
+from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.io import SessionRecordings
 
 
 def replay(
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for result.json and report.html.")],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Folder for the result, its page, the pose and the ticks.")
+    ],
     scenario: Annotated[
         Path | None, typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`); or give --config.")
     ] = None,
@@ -56,12 +58,20 @@ def replay(
 
     Calibrates tool, probe and latency, detects heart beats, registers ultrasound to the model and evaluates
     the fixtures at the tool tip every millisecond. Where the folder holds the truth, every error is printed.
+    The pose goes to ITK, 3D Slicer and PLUS files, the ticks to a table (see the guide, results of a replay).
     Exits 7 after writing its evidence when no registration could be used.
     """
     with command(threads):
         from dvf_ig.core import QualityGateError
-        from dvf_ig.io import output_folder, write_json, write_text
+        from dvf_ig.io import (
+            files_together,
+            output_folder,
+            provenance_fields,
+            write_json,
+            write_text,
+        )
         from dvf_ig.replay import require_replayable, result_of, run_replay, table
+        from dvf_ig.replay.outputs import NAMES, require_own_outputs, write_outputs
         from dvf_ig.replay.report import report_html
 
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
@@ -70,9 +80,9 @@ def replay(
         options, of_file = chosen_fixtures(given, fixtures, recordings.fixtures)
         mode = chosen_retiming(retiming, recordings.retiming or of_file)
         recorded = recordings.scenario
-        result_path, report_path = out / "result.json", out / "report.html"
         require_replayable(recorded)
         with output_folder(out):
+            require_own_outputs(out)
             built, origin = patient_model(recorded.preop, recordings.model or model)
             with progress("replay") as report:
                 done = run_replay(
@@ -84,13 +94,17 @@ def replay(
                     progress=report,
                 )
             result = result_of(done)
-            write_text(report_path, report_html(done, result))
-            write_json(result_path, result)
+            with files_together(out, ("result.json", "report.html", *NAMES)) as new:
+                write_text(new / "report.html", report_html(done, result))
+                write_json(new / "result.json", {**result, **provenance_fields()})
+                frames = write_outputs(done.poses, done.ticks, new)
         heading = ("", "estimate", "error against the truth" if done.scenario.truth is not None else "")
         emit(result, [heading, *table(result)], as_json=as_json)
         typer.echo(origin, err=True)
-        wrote(result_path)
-        wrote(report_path)
+        for name in ("result.json", "report.html", *frames):
+            wrote(out / name, frames.get(name))
+        if done.poses and done.history.updates[-1].pose is None:
+            warn("at the end no pose was in use: mr_from_tracker is the last one before it was suspended")
         if not done.poses:
             reason = result["registrations"][-1]["reason"] if done.attempts else "the recording is too short"
             raise QualityGateError(f"no registration could be used, so no force was given: {reason}")

@@ -1,5 +1,6 @@
 """Files to core values and back: the only place that knows LPS/RAS, pixels, bytes and PLUS names."""
 
+from .atomic import files_together as files_together
 from .atomic import output_folder as output_folder
 from .atomic import write_text as write_text
 from .calibration_files import read_hand_eye as read_hand_eye
@@ -63,6 +64,7 @@ from .plus.nwire import write_wire_points as write_wire_points
 from .plus.phantom_landmarks import read_phantom_landmarks as read_phantom_landmarks
 from .plus.poses import read_poses as read_poses
 from .plus.sequence_read import read_sequence as read_sequence
+from .plus.sequence_write import write_pose_sequence as write_pose_sequence
 from .plus.sequence_write import write_poses as write_poses
 from .plus.sequence_write import write_sequence as write_sequence
 from .plus.wire_search import read_wire_search as read_wire_search
@@ -70,7 +72,9 @@ from .plus.xml import CoordinateDefinition as CoordinateDefinition
 from .plus.xml import read_calibrations as read_calibrations
 from .plus.xml import read_coordinate_definitions as read_coordinate_definitions
 from .plus.xml import write_coordinate_definitions as write_coordinate_definitions
+from .plus.xml import write_registration as write_registration
 from .points_file import read_points as read_points
+from .provenance import provenance_fields as provenance_fields
 from .scenario.read import read_scenario as read_scenario
 from .scenario.readme import ScenarioNotes as ScenarioNotes
 from .scenario.write import write_scenario as write_scenario

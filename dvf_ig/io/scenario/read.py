@@ -4,6 +4,7 @@ from pathlib import Path
 
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.scenario import Scenario
+from dvf_ig.io.provenance import record_folder
 from dvf_ig.io.session_file.read import read_recordings
 
 from .as_session import session_of_scenario
@@ -20,6 +21,7 @@ def read_scenario(folder: Path | str, *, truth: bool = True) -> Scenario:
         UnreadableFileError: no scenario folder, files missing (all are named), or a file that cannot be read.
     """
     folder = Path(folder)
+    record_folder(folder)
     config = read_config(folder)
     _require_kind(config, folder)
     session = session_of_scenario(config, folder, truth=truth)
