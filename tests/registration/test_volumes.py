@@ -21,7 +21,7 @@ from dvf_ig.core import (
     Volume,
     VolumeSeries,
 )
-from dvf_ig.kernels.pool import pool_blocks
+from dvf_ig.kernels.pool import pool_blocks, pool_cubes
 from dvf_ig.registration import (
     VOLUME_SMOOTHING_MM,
     BoundaryTarget,
@@ -29,6 +29,7 @@ from dvf_ig.registration import (
     RegistrationOptions,
     RegistrationResult,
     SliceSet,
+    VolumeTarget,
     channels_from_mr,
     prepare_volumes,
     register_volumes,
@@ -36,7 +37,6 @@ from dvf_ig.registration import (
     target_from_labels,
 )
 from dvf_ig.registration.lc2.slices import joined, within
-from dvf_ig.registration.volumes import SEARCH
 
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
 POSE = Rigid.from_rotation_vector([-0.6, 0.2, 1.1], [40.0, -70.0, 15.0], "tracker", "probe")
@@ -82,6 +82,36 @@ def test_blocks_are_averaged_as_the_twin_says(step: int) -> None:
     pool_blocks(grey, mask, table, step, out)
     assert 0 < whole.sum() < whole.size
     np.testing.assert_allclose(out, np.where(whole, mean, np.nan), rtol=2e-6)
+
+
+@pytest.mark.parametrize("edge", [(2.5, 1.25, 3.3), (2.0, 2.0, 2.0), (0.6, 1.7, 0.9)])
+def test_cubes_are_averaged_as_the_twin_says(edge: tuple[float, float, float]) -> None:
+    """The twin weights every voxel along each axis by the length of its overlap with the cube."""
+    rng = np.random.default_rng(3)
+    grey = rng.integers(0, 256, SHAPE).astype(np.uint8)
+    mask = (rng.random(SHAPE) > 0.01).astype(np.uint8) * 5
+    table = rng.random(256).astype(np.float32)
+    counts = [int(n / e + 1e-9) for n, e in zip(SHAPE, edge, strict=True)]
+    weights = []
+    for n, m, e in zip(SHAPE, counts, edge, strict=True):
+        low, voxel = e * np.arange(m)[:, None], np.arange(n)
+        weights.append(np.clip(np.minimum(low + e, voxel + 1) - np.maximum(low, voxel), 0, None) / e)
+    mean = np.einsum("ia,jb,kc,abc->ijk", *weights, table[grey], optimize=True)
+    seen = np.einsum("ia,jb,kc,abc->ijk", *weights, mask > 0, optimize=True) > 1 - 1e-6
+    out = np.full(counts, -1.0, dtype=np.float32)
+    pool_cubes(grey, mask, table, np.array(edge), out)
+    assert 0 < seen.sum() < seen.size
+    np.testing.assert_allclose(out, np.where(seen, mean, np.nan), rtol=2e-6)
+
+
+def test_cubes_of_whole_voxels_are_blocks() -> None:
+    rng = np.random.default_rng(5)
+    grey, mask = rng.integers(0, 256, SHAPE).astype(np.uint8), np.ones(SHAPE, dtype=np.uint8)
+    table, small = rng.random(256).astype(np.float32), tuple(n // 3 for n in SHAPE)
+    blocks, cubes = np.zeros(small, dtype=np.float32), np.zeros(small, dtype=np.float32)
+    pool_blocks(grey, mask, table, 3, blocks)
+    pool_cubes(grey, mask, table, np.full(3, 0.3 / 0.1), cubes)
+    np.testing.assert_allclose(cubes, blocks, rtol=2e-6)
 
 
 def test_a_bright_block_is_where_the_tracker_saw_it_on_planes_along_every_axis() -> None:
@@ -147,6 +177,31 @@ def test_volumes_keep_their_own_pose_and_phase() -> None:
         np.testing.assert_allclose(found, np.tile(pose.apply_array(middle), (3, 1)), atol=1e-9)
 
 
+def seen_ramp(spacing_mm: tuple[float, float, float], pose: Rigid) -> TrackedVolume:
+    """Amplitude that grows along one direction of the tracker's space, on voxels of any edges."""
+    shape = tuple(round(30.0 / h) for h in spacing_mm)
+    grid = Grid("probe", shape, np.array([-7.0, 3.0, 11.0]), np.array(spacing_mm), TURN)
+    level = 0.5 + 0.01 * (pose.apply_array(grid.centers_mm()) @ RAMP - RAMP_MM)
+    grey = np.rint(255 * (1 + 40 / 60 * np.log10(level)))
+    return tracked(grey.astype(np.uint8), grid=grid, pose=pose)
+
+
+RAMP = np.array([0.6, -0.3, 0.74])
+RAMP_MM = float(POSE.apply_array(oblique().to_mm(np.array([10.0, 10.0, 10.0]))) @ RAMP)
+
+
+@pytest.mark.parametrize("spacing", [(0.6, 0.6, 1.2), (2.5, 0.7, 1.1), (1.5, 1.5, 1.5)])
+def test_unequal_voxels_are_seen_where_they_are(spacing: tuple[float, float, float]) -> None:
+    """Each pixel shows the ramp at the place it claims, at one pitch, whatever the voxels' edges."""
+    other = POSE.perturbed_left(np.array([0.2, -0.3, 0.1]), np.array([4.0, -2.0, 3.0]), np.zeros(3))
+    volumes = [seen_ramp(spacing, POSE), seen_ramp((0.9, 0.9, 0.9), other)]
+    slices = prepare_volumes(volumes, pitch_mm=2.0, planes=5)
+    expected = 0.5 + 0.01 * (places(slices)[slices.masks] @ RAMP - RAMP_MM)
+    # one of 255 levels of 60 dB is 1.4 % of the root amplitude; half of it is rounding
+    np.testing.assert_allclose(slices.images[slices.masks], expected, rtol=0.014)
+    np.testing.assert_allclose(np.linalg.norm(slices.frame_from_pixel[:, :, :2], axis=1), 2.0, rtol=1e-9)
+
+
 @pytest.mark.parametrize("planes", [2, 4, 6])
 def test_about_so_many_planes_are_taken_along_each_axis(planes: int) -> None:
     grey = np.full((24, 24, 24), 128, dtype=np.uint8)
@@ -161,9 +216,6 @@ def test_misuse_is_refused() -> None:
     grey = np.full(SHAPE, 90, dtype=np.uint8)
     with pytest.raises(InvalidInputError, match="at least one"):
         prepare_volumes([], pitch_mm=3.0, planes=6)
-    flat = Grid("probe", SHAPE, np.zeros(3), np.array([1.0, 1.0, 1.2]), np.eye(3))
-    with pytest.raises(InvalidInputError, match="equal edges"):
-        prepare_volumes([tracked(grey, grid=flat)], pitch_mm=3.0, planes=6)
     with pytest.raises(InvalidInputError, match="insonified"):
         prepare_volumes([tracked(grey, mask=np.zeros(SHAPE, dtype=np.uint8))], pitch_mm=3.0, planes=6)
     elsewhere = Rigid.from_rotation_vector([0, 0, 0], [0, 0, 0], "room", "probe")
@@ -247,17 +299,19 @@ def toy_surface() -> BoundaryTarget:
     return target_from_labels(VolumeSeries(mr.grid, labels, mr.timing), np.zeros(1))
 
 
-def registered(seed: int, surface: BoundaryTarget | None, *, away_mm: float = 15.0) -> RegistrationResult:
+def registered(
+    seed: int, surface: BoundaryTarget | None, *, away_mm: float = 15.0, share: float = 0.35
+) -> RegistrationResult:
     """Two views of the toy heart from a start `away_mm` off."""
     xi = np.random.default_rng(seed).normal(size=6)
     return register_volumes(
         [toy_volume((0.5, 0.2, -0.4), seed), toy_volume((-0.6, 0.9, 0.3), seed + 100)],
-        channels_from_mr(toy_mr(), smoothing_mm=VOLUME_SMOOTHING_MM),
+        VolumeTarget(
+            channels_from_mr(toy_mr(), smoothing_mm=VOLUME_SMOOTHING_MM), CENTER_MM, surface, share
+        ),
         PoseChart(toy_pose(), CENTER_MM).pose(away_mm * xi / np.linalg.norm(xi)),
-        CENTER_MM,
         rng=np.random.default_rng(0),
         clock=perf_counter,
-        surface=surface,
     )
 
 
@@ -287,13 +341,12 @@ def test_the_pose_goes_a_share_of_the_way_to_the_boundary() -> None:
     assert pulled.evidence.boundary_mm == pytest.approx(1.5, abs=0.3)
 
 
-def test_the_covariance_is_mixed_by_the_same_share(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_covariance_is_mixed_by_the_same_share() -> None:
     """At share 0 it is that of LC2, whose optimum is the same without a surface; between, it is linear."""
     surface = toy_surface()
 
     def covariance_at(share: float) -> np.ndarray:
-        monkeypatch.setattr("dvf_ig.registration.volumes.SEARCH", replace(SEARCH, boundary_share=share))
-        return registered(1, surface, away_mm=3.0).covariance
+        return registered(1, surface, away_mm=3.0, share=share).covariance
 
     lc2_alone, share = registered(1, None, away_mm=3.0).covariance, 0.35
     none, some, all_of_it = (covariance_at(s) for s in (0.0, share, 1.0))

@@ -35,6 +35,7 @@ from dvf_ig.registration import (
     RegistrationData,
     RegistrationResult,
     TrackedImages,
+    VolumeTarget,
     boundary_points,
     channels_from_mr,
     prepare_slices,
@@ -127,12 +128,10 @@ def _volumes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
 def _volume_problem(
     pair: ImagePair, volumes: tuple[TrackedVolume, ...], preop: _PreOperative, surface: BoundaryTarget | None
 ) -> RegistrationProblem:
-    model, mr = preop.gated, preop.mr
+    target, mr = VolumeTarget(preop.gated, pair.center_mm, surface), preop.mr
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-        return register_volumes(
-            volumes, model, start, pair.center_mm, rng=rng, clock=perf_counter, surface=surface
-        )
+        return register_volumes(volumes, target, start, rng=rng, clock=perf_counter)
 
     first = volumes[0]
     return RegistrationProblem(
