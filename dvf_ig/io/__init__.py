@@ -15,6 +15,9 @@ from .ecg.recording import read_ecg as read_ecg
 from .ecg.recording import write_ecg_csv as write_ecg_csv
 from .ecg.trigger import read_triggers as read_triggers
 from .fixtures import read_fixtures as read_fixtures
+from .image.gated_volume import GatedVolumeFile as GatedVolumeFile
+from .image.gated_volume import gated_volume_files as gated_volume_files
+from .image.gated_volume import read_gated_volumes as read_gated_volumes
 from .image.labels import read_cine_labels as read_cine_labels
 from .image.seeds import read_seeds as read_seeds
 from .image.timing import read_timing as read_timing

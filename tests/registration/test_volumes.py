@@ -306,9 +306,7 @@ def registered(
     xi = np.random.default_rng(seed).normal(size=6)
     return register_volumes(
         [toy_volume((0.5, 0.2, -0.4), seed), toy_volume((-0.6, 0.9, 0.3), seed + 100)],
-        VolumeTarget(
-            channels_from_mr(toy_mr(), smoothing_mm=VOLUME_SMOOTHING_MM), CENTER_MM, surface, share
-        ),
+        VolumeTarget(channels_from_mr(toy_mr(), smoothing_mm=VOLUME_SMOOTHING_MM), CENTER_MM, surface, share),
         PoseChart(toy_pose(), CENTER_MM).pose(away_mm * xi / np.linalg.norm(xi)),
         rng=np.random.default_rng(0),
         clock=perf_counter,

@@ -10,6 +10,14 @@ from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit,
 from .output import files_of, payload_of, require_usable, rows_of
 from .pair import register_images
 from .scenario import register_recording
+from .volumes import (
+    MrOption,
+    StartLandmarksOption,
+    StartOption,
+    UsVolumesOption,
+    VolumeEcgOption,
+    register_volume_files,
+)
 
 
 def register(
@@ -26,13 +34,19 @@ def register(
     moving: Annotated[Path | None, typer.Option("--moving", help="3-D MR or CT image.")] = None,
     init: Annotated[Path | None, typer.Option("--init", help="Start pose, ITK .tfm.")] = None,
     mask: Annotated[Path | None, typer.Option("--mask", help="Mask on the fixed image's grid.")] = None,
+    us_volume: UsVolumesOption = None,
+    mr: MrOption = None,
+    ecg: VolumeEcgOption = None,
+    start_file: StartOption = None,
+    start_landmarks: StartLandmarksOption = None,
     as_json: JsonFlag = False,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,
 ) -> None:
     """Register ultrasound to the pre-operative model, and say whether the result may be used.
 
-    A scenario gives mr_from_tracker from its gated, tracked frames; an image pair gives moving_from_fixed.
+    A scenario gives mr_from_tracker from its gated, tracked frames, gated 3-D volumes (--us-volume) the same;
+    an image pair gives moving_from_fixed.
     The evidence is written in any case; exits 5, 6 or 7 when the pose must not be used.
     """
     with command(threads):
@@ -40,16 +54,32 @@ def register(
 
         if out is None:
             raise typer.BadParameter("say where to write: -o OUT")
-        if (scenario is None) == (fixed is None and moving is None):
-            raise typer.BadParameter("give either a scenario folder, or --fixed US and --moving MR")
-        if scenario is None and model is not None:
+        if (scenario is not None) + (fixed is not None or moving is not None) + bool(us_volume) != 1:
+            raise typer.BadParameter(
+                "give a scenario folder, or --us-volume FILE@PHASE …, or --fixed US and --moving MR"
+            )
+        if fixed is not None and model is not None:
             raise typer.BadParameter("--model belongs to a scenario folder; an image pair has no model")
-        name = "mr_from_tracker" if scenario is not None else "moving_from_fixed"
+        if not us_volume and any(given is not None for given in (mr, ecg, start_file, start_landmarks)):
+            raise typer.BadParameter("--mr, --ecg, --start and --start-landmarks belong to --us-volume")
+        if us_volume and (init is not None or mask is not None):
+            raise typer.BadParameter("--init and --mask do not belong to --us-volume; it has --start")
+        name = "moving_from_fixed" if fixed is not None or moving is not None else "mr_from_tracker"
         transform, evidence = files_of(out, name)
         with output_folder(transform.parent):
             refuse_foreign(evidence, kind="registration")
             refuse_foreign(transform.with_suffix(".json"), kind="transform")
-            if scenario is not None:
+            if us_volume:
+                result, start = register_volume_files(
+                    us_volume,
+                    model=model,
+                    mr=mr,
+                    ecg=ecg,
+                    start=start_file,
+                    landmarks=start_landmarks,
+                    seed=seed,
+                )
+            elif scenario is not None:
                 result, start = register_recording(scenario, model, init, seed)
             else:
                 result, start = register_images(fixed, moving, init, mask, seed)
