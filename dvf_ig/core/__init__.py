@@ -24,6 +24,7 @@ from .image_map import ImageMap as ImageMap
 from .mesh import LV_CAVITY as LV_CAVITY
 from .mesh import Mesh as Mesh
 from .mesh import SurfaceSeries as SurfaceSeries
+from .model import Chamber as Chamber
 from .model import DvfModel as DvfModel
 from .phantom import NWirePhantom as NWirePhantom
 from .phantom import NWireRecording as NWireRecording

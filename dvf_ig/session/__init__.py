@@ -19,6 +19,7 @@ from .gated_frames import gate_recording as gate_recording
 from .heart import Heart as Heart
 from .heart import build_heart as build_heart
 from .heart import label_map as label_map
+from .heart import label_map_of_model as label_map_of_model
 from .history import Attempt as Attempt
 from .history import PoseUpdate as PoseUpdate
 from .history import SessionHistory as SessionHistory

@@ -26,19 +26,18 @@ def model_of(request: BuildRequest, *, as_json: bool) -> tuple[DvfModel, dict[st
 
 
 def _from_surfaces(request: BuildRequest, folder: Path) -> DvfModel:
-    from dvf_ig.core import LV_CAVITY
     from dvf_ig.io import read_surface_series, surface_names
-    from dvf_ig.preop import model_from_surfaces
+    from dvf_ig.preop import CHAMBER_SURFACES, model_from_surfaces
 
     series = read_surface_series(folder, request.surface, request.timing)
-    has_cavity = LV_CAVITY in surface_names(folder)
-    cavity = read_surface_series(folder, LV_CAVITY, request.timing) if has_cavity else None
+    chambers = [n for n in surface_names(folder) if n in CHAMBER_SURFACES and n != request.surface]
+    others = [read_surface_series(folder, name, request.timing) for name in chambers]
     if request.patient:
         series = replace(series, patient_id=request.patient)
     with progress("fitting phases") as report:
         return model_from_surfaces(
             series,
-            cavity=cavity,
+            others=others,
             options=request.model_options(),
             progress=report,
             sources=(f"{folder.name}: {request.surface}",),
