@@ -125,7 +125,7 @@ def _search(result: RegistrationResult) -> Check:
     iterating = result.stop is Stop.MAX_ITERATIONS and result.moved_mm <= limit
     return Check(
         "Distance moved",
-        "mean distance over the heart between start and result"
+        "mean distance over a heart's size between start and result"
         + ("; the search had not come to rest when it was stopped" if iterating else ""),
         f"{result.moved_mm:.1f} mm",
         f"at most {limit:.0f} mm",
