@@ -5,27 +5,39 @@ from dataclasses import dataclass
 from .arrays import FloatArray, frozen_floats, read_only_arrays
 from .image_map import ImageMap
 from .mesh import SurfaceSeries
-from .phantom import NWireRecording
+from .phantom import NWireRecording, TargetRecording
 from .points import Landmarks, Points
 from .rigid import Rigid
 from .sequence import Fan, TrackedSequence
 from .signal import Signal, Trace
 from .stream import PoseStream
-from .volume import VolumeSeries
+from .trigger import TriggerTimes
+from .volume import Volume, VolumeSeries
+
+LV_BLOOD = "lv_blood"
+"""Name of the label of the left ventricle's blood."""
+BLOOD_WORDS = ("blood", "cavity")
+"""A label with one of these in its name is blood."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preop:
     """The pre-operative data of the heart, in frame "mr".
 
-    Either `labels` (with or without `mr`) or `surfaces` is present.
+    The model is built from `labels`, from `mr` with `ed_labels`, or from `surfaces`. Where there is a model
+    already, none of them is needed: only whose heart it is.
 
     Attributes:
         patient_id: whose heart.
         mr: 4-D MR intensities.
         labels: 4-D label image, uint8.
+        ed_labels: labels of end-diastole alone, on the grid of `mr`, whose motion carries them.
+        ed_phase: the phase of `mr` that `ed_labels` belong to.
         label_names: value to anatomical name; 0 is background.
-        organ_labels: the labels whose union the forbidden surface encloses.
+        organ_labels: the labels whose union the forbidden surface encloses; with `ed_labels`, none means all
+            but 0.
+        cavity_labels: the labels of blood, that of the left ventricle first; none means those that their
+            names tell (see `blood_labels`).
         surfaces: corresponding surface series, each with its name.
         surface: name of the surface that fixtures are built on (for surfaces), e.g. "EPICARDIAL".
     """
@@ -33,10 +45,32 @@ class Preop:
     patient_id: str
     mr: VolumeSeries | None = None
     labels: VolumeSeries | None = None
+    ed_labels: Volume | None = None
+    ed_phase: int = 0
     label_names: tuple[tuple[int, str], ...] = ()
     organ_labels: tuple[int, ...] = ()
     surfaces: tuple[SurfaceSeries, ...] = ()
     surface: str = "EPICARDIAL"
+    cavity_labels: tuple[int, ...] = ()
+
+    @property
+    def blood_labels(self) -> tuple[int, ...]:
+        """`cavity_labels`, else the organ's labels whose name has "blood" or "cavity" in it."""
+        if self.cavity_labels:
+            return self.cavity_labels
+        return tuple(
+            value
+            for value, name in self.label_names
+            if (value in self.organ_labels or not self.organ_labels)
+            and any(word in name.lower() for word in BLOOD_WORDS)
+        )
+
+    @property
+    def lv_label(self) -> int | None:
+        """The label of the left ventricle's blood, whose volume gives end-systole; None where not known."""
+        if self.cavity_labels:
+            return self.cavity_labels[0]
+        return next((value for value, name in self.label_names if name == LV_BLOOD), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,19 +175,23 @@ class Scenario:
 
     Clocks: ECG and tracker share one; the video clock differs by the latency to be estimated.
 
+    A calibration is its recording, or its result where it was made before.
+
     Attributes:
         name: short title.
         preset: which synthetic preset, or "recorded".
         preop: the pre-operative data.
-        ecg: ECG of the live part.
+        ecg: ECG of the live part, or the pulses of a trigger in its place.
         ultrasound: images with tracker_from_probe recorded at the video time stamps.
         fan: insonified sector, where the scanner's geometry is known.
-        tool: tracker_from_tool of the live part.
-        pivot: tracker_from_tool while pivoting.
-        nwire: probe calibration recording.
-        latency: temporal calibration recording.
+        probe: of the image: tracked images of a phantom, or probe_from_image.
+        latency: water-tank sweep, or lag_s.
+        tool: tracker_from_tool of the live part; None where no tool was tracked.
+        tip: tracker_from_tool while pivoting, or the tip in frame "tool"; None where it is not known.
         start: coarse mr_from_tracker given by the operator; it takes precedence over landmarks.
         landmarks_mr, landmarks_tracker: the same anatomical points on the model and touched on the patient.
+        touched: points touched all over the heart's surface, in frame "tracker".
+        touched_phase: place in the model's cycle at which they were touched; None stands for end-diastole.
         seed: what the synthetic world was drawn from; None for recorded data.
         truth: None for recorded data.
         tool_after_restart: poses of the tool that came after its tracker's clock had restarted, with that
@@ -163,16 +201,18 @@ class Scenario:
     name: str
     preset: str
     preop: Preop
-    ecg: Signal
+    ecg: Signal | TriggerTimes
     ultrasound: TrackedSequence
     fan: Fan | None
-    tool: PoseStream
-    pivot: PoseStream
-    nwire: NWireRecording
-    latency: LatencyRecording
+    probe: NWireRecording | TargetRecording | ImageMap
+    latency: LatencyRecording | float
+    tool: PoseStream | None = None
+    tip: PoseStream | Points | None = None
     start: Rigid | None = None
     landmarks_mr: Landmarks | None = None
     landmarks_tracker: Landmarks | None = None
+    touched: Points | None = None
+    touched_phase: float | None = None
     seed: int | None = None
     truth: ScenarioTruth | None = None
     tool_after_restart: PoseStream | None = None

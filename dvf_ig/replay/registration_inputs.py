@@ -52,6 +52,7 @@ def frames_shown(registration: Registration, name: str, mr: VolumeSeries | None)
             *_model_rows(heart),
         ],
         landmarks_mm=_apart_mm(result, registration.landmarks, heart),
+        touched=registration.touched,
     )
 
 

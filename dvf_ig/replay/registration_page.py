@@ -9,7 +9,7 @@ import numpy as np
 import dvf_ig
 from dvf_ig.core import Rigid
 from dvf_ig.kernels.compiled import thread_count
-from dvf_ig.registration import RegistrationResult, least_constrained_direction
+from dvf_ig.registration import RegistrationResult, SurfaceDisagreement, least_constrained_direction
 from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.registration import Check, Outcome, RegistrationPage, Transform, registration_html
 
@@ -36,6 +36,7 @@ class RegisteredInput:
         planes: ultrasound planes before and after registration.
         data: rows of what was registered and how much of it was used.
         landmarks_mm: distance of the pose from that of touched landmarks; None without any.
+        touched: how far points touched on the surface lie from it; None without any.
     """
 
     title: str
@@ -47,6 +48,7 @@ class RegisteredInput:
     planes: Sequence[PlaneOverlay]
     data: Sequence[tuple[str, str]]
     landmarks_mm: float | None = None
+    touched: SurfaceDisagreement | None = None
 
 
 def registration_page(
@@ -61,7 +63,7 @@ def registration_page(
         seed: of its random choices.
     """
     pose = result.target_from_source
-    checks = checks_of(result, shown.landmarks_mm)
+    checks = checks_of(result, shown.landmarks_mm, shown.touched)
     return registration_html(
         RegistrationPage(
             title=shown.title,

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 import dvf_ig
-from dvf_ig.core import FloatArray, PhaseState
+from dvf_ig.core import FloatArray, PhaseState, Signal
 from dvf_ig.guidance import Hazard, SupervisorState
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.report.plane_overlay import PlaneOverlay
@@ -135,16 +135,17 @@ def _supervisor(replay: Replay) -> SupervisorTrace:
 def _ecg_strip(replay: Replay, true_phase: FloatArray | None) -> EcgStrip:
     """STRIP_S seconds in the middle of the recording."""
     ecg, track = replay.scenario.ecg, replay.ticks.phase
+    wave = ecg if isinstance(ecg, Signal) else None
     middle = float(track.t_s[len(track.t_s) // 2])
     begin = max(float(track.t_s[0]), middle - STRIP_S / 2)
     end = begin + STRIP_S
     shown = (ecg.t_s >= begin) & (ecg.t_s < end)
+    t_s = ecg.t_s[shown]
     ticks = (track.t_s >= begin) & (track.t_s < end)
     return EcgStrip(
-        lead=ecg.leads[0],
-        unit=ecg.unit,
-        ecg_t_s=ecg.t_s[shown],
-        ecg=ecg.samples[shown, 0],
+        label="trigger" if wave is None else f"{wave.leads[0]}, {wave.unit}",
+        ecg_t_s=t_s,
+        ecg=None if wave is None else wave.samples[shown, 0],
         r_peaks_s=np.array([peak.t_s for peak in replay.history.peaks if begin <= peak.t_s < end]),
         t_s=track.t_s[ticks],
         phase=track.phi[ticks],

@@ -159,7 +159,7 @@ def test_the_page_beside_the_transform_holds_the_same_numbers(files: Path, tmp_p
     assert f"<td>{result['pair_statistic']:.2f}</td><td>at most 1.3</td>" in page
     assert f"<td>{result['contrast']:.1f}</td><td>at least 3.8</td>" in page
     assert f"<td>{result['disagreement_mm']:.2f} mm</td>" in page
-    assert page.count("– not checked") == 5
+    assert page.count("– not checked") == 6
     again = invoke(
         *("register", "--fixed", files / "us.nii.gz", "--moving", files / "mr.nii.gz"),
         *("-o", tmp_path / "found.tfm"),

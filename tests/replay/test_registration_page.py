@@ -10,7 +10,7 @@ from known_patient import registration
 from toy_session import CENTER, HOME
 
 from dvf_ig.core import Stop
-from dvf_ig.registration import Evidence, RegistrationOptions, RegistrationResult
+from dvf_ig.registration import Evidence, RegistrationOptions, RegistrationResult, SurfaceDisagreement
 from dvf_ig.registration.evidence.checks import VOLUME_LIMITS
 from dvf_ig.registration.evidence.phase_offset import SHIFTS, PhaseOffset
 from dvf_ig.replay.registration_checks import checks_of
@@ -28,8 +28,13 @@ def with_evidence(**evidence: object) -> RegistrationResult:
     return replace(good(), evidence=replace(good().evidence, **evidence))
 
 
-def named(result: RegistrationResult, name: str, landmarks_mm: float | None = None) -> Check:
-    (found,) = [check for check in checks_of(result, landmarks_mm) if check.name == name]
+def named(
+    result: RegistrationResult,
+    name: str,
+    landmarks_mm: float | None = None,
+    touched: SurfaceDisagreement | None = None,
+) -> Check:
+    (found,) = [check for check in checks_of(result, landmarks_mm, touched) if check.name == name]
     return found
 
 
@@ -49,7 +54,7 @@ def page(result: RegistrationResult, **shown: object) -> str:
 
 
 def test_what_does_not_exist_for_the_input_is_not_checked() -> None:
-    outcomes = {check.name: check.outcome for check in checks_of(good(), None)}
+    outcomes = {check.name: check.outcome for check in checks_of(good(), None, None)}
     not_checked = {name for name, outcome in outcomes.items() if outcome is Outcome.NOT_CHECKED}
     assert not_checked == {
         "Half-volumes",
@@ -57,6 +62,7 @@ def test_what_does_not_exist_for_the_input_is_not_checked() -> None:
         "ECG and images",
         "Same patient",
         "Touched landmarks",
+        "Touched surface",
     }
     assert outcomes["Parts of the cycle"] is Outcome.SHOWN
     assert outcomes["Overlap"] is outcomes["Interleaved halves"] is Outcome.PASSED
@@ -123,6 +129,14 @@ def test_a_late_ecg_needs_both_a_shift_and_evidence(offset_s: float, ratio: floa
 def test_landmarks_overlap_distance_and_geometry_have_their_rows() -> None:
     assert named(good(), "Touched landmarks", 3.9).outcome is Outcome.PASSED
     assert named(good(), "Touched landmarks", 4.1).outcome is Outcome.FAILED
+    for median_mm, outcome in ((1.9, Outcome.PASSED), (2.1, Outcome.FAILED)):
+        touched = SurfaceDisagreement(median_mm, 2.0123, np.full(30, median_mm))
+        check = named(good(), "Touched surface", touched=touched)
+        assert (check.value, check.limit, check.outcome) == (
+            f"{median_mm:.2f} mm",
+            "at most 2.01 mm",
+            outcome,
+        )
     assert named(replace(good(), overlap=0.34), "Overlap").outcome is Outcome.FAILED
     assert named(replace(good(), moved_mm=31.0), "Distance moved").outcome is Outcome.FAILED
     still_moving = named(replace(good(), stop=Stop.MAX_ITERATIONS), "Distance moved")

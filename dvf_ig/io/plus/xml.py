@@ -10,9 +10,10 @@ import numpy as np
 from dvf_ig.core import read_only_arrays
 from dvf_ig.core.arrays import FloatArray, frozen_floats
 from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.rigid import Rigid
 from dvf_ig.io.atomic import write_bytes
 from dvf_ig.io.reading import read_bytes, reading
-from dvf_ig.io.sidecar import MARKUP_COMMENT
+from dvf_ig.io.sidecar import MARKUP_COMMENT, refuse_foreign
 
 from .names import frame_from_plus, frame_to_plus
 
@@ -112,6 +113,25 @@ def write_coordinate_definitions(
     root = ElementTree.Element("PlusConfiguration", version="2.1")
     root.append(definitions_element(definitions))
     write_xml(Path(path), root)
+
+
+def write_registration(rigid: Rigid, path: Path | str, error_mm: float | None = None) -> Path:
+    """Write mr_from_tracker for a PLUS configuration: TrackerToMr, and MrToRas.
+
+    `Mr` is LPS, as everywhere here. PLUS and 3D Slicer speak RAS with one another: MrToRas lets PLUS answer
+    with TrackerToRas, and tells the reader that Mr is not it.
+
+    Returns:
+        the file.
+    Raises:
+        OutputError: a file of the user's own is there, or not writable.
+    """
+    path = Path(path)
+    refuse_foreign(path)
+    pose = CoordinateDefinition(rigid.target, rigid.source, rigid.matrix, error_mm)
+    flip = CoordinateDefinition("ras", rigid.target, np.diag([-1.0, -1.0, 1.0, 1.0]))
+    write_coordinate_definitions(path, [pose, flip])
+    return path
 
 
 def definitions_element(definitions: list[CoordinateDefinition]) -> ElementTree.Element:

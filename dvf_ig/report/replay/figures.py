@@ -173,13 +173,18 @@ def distance_histogram(ticks: TickTrace) -> Figure:
 
 
 def ecg_figure(strip: EcgStrip) -> Figure:
-    """The ECG with detected R peaks, and the phase kept from them."""
+    """The ECG or trigger with detected R peaks, and the phase kept from them."""
     figure = Figure(figsize=(WIDE[0], 3.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
-    upper.plot(strip.ecg_t_s, strip.ecg, color=TRUTH, lw=0.8)
-    height = np.interp(strip.r_peaks_s, strip.ecg_t_s, strip.ecg)
+    if strip.ecg is None:
+        upper.vlines(strip.ecg_t_s, 0.0, 1.0, color=TRUTH, lw=0.8)
+        upper.set_yticks([])
+        height = np.zeros(len(strip.r_peaks_s))
+    else:
+        upper.plot(strip.ecg_t_s, strip.ecg, color=TRUTH, lw=0.8)
+        height = np.interp(strip.r_peaks_s, strip.ecg_t_s, strip.ecg)
     upper.plot(strip.r_peaks_s, height, "o", ms=5, mfc="none", color=ESTIMATE, label="R peak, as detected")
-    upper.set_ylabel(f"{strip.lead}, {strip.unit}")
+    upper.set_ylabel(strip.label)
     lower.plot(strip.t_s, strip.phase, ".", ms=1, color=ESTIMATE)
     if strip.true_phase is not None:
         lower.plot(strip.t_s, strip.true_phase, ".", ms=0.6, color=TRUTH)

@@ -87,21 +87,20 @@ class SupervisorTrace:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class EcgStrip:
-    """A few seconds of the ECG, and the phase kept from it.
+    """A few seconds of the ECG or trigger, and the phase kept from it.
 
     Attributes:
-        lead, unit: of the samples.
-        ecg_t_s, ecg: (m,) samples of one lead.
+        label: lead and unit of the samples, or what else is shown.
+        ecg_t_s, ecg: (m,) samples of one lead; of a trigger the times of its pulses, and None.
         r_peaks_s: (k,) detected R peaks.
         t_s, phase: (n,) ticks and the phase known at each.
         phase_valid: (n,) LOCKED.
         true_phase: (n,); None without ground truth.
     """
 
-    lead: str
-    unit: str
+    label: str
     ecg_t_s: FloatArray
-    ecg: FloatArray
+    ecg: FloatArray | None
     r_peaks_s: FloatArray
     t_s: FloatArray
     phase: FloatArray

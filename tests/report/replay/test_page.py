@@ -86,8 +86,7 @@ def page() -> ReplayPage:
             (("ok", "#1f6fb4", VALID), ("no pose", "#888888", ~VALID)),
         ),
         ecg=EcgStrip(
-            lead="II",
-            unit="mV",
+            label="II, mV",
             ecg_t_s=T_S,
             ecg=np.cos(T_S),
             r_peaks_s=np.array([1.0, 2.0]),
@@ -179,3 +178,11 @@ def test_r_peaks_lie_on_the_ecg() -> None:
     x, y = upper.lines[1].get_data()
     assert y == pytest.approx(np.cos(x), abs=1e-6)
     np.testing.assert_array_equal(y_of(lower.lines[0]), T_S % 1.0)
+
+
+def test_a_trigger_is_drawn_as_pulses() -> None:
+    pulses = np.array([0.5, 1.3])
+    upper, _ = ecg_figure(replace(page().ecg, label="trigger", ecg_t_s=pulses, ecg=None)).axes
+    (lines,) = upper.collections
+    assert [np.asarray(path.vertices)[0, 0] for path in lines.get_paths()] == pulses.tolist()
+    assert upper.get_ylabel() == "trigger"
