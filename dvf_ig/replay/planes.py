@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from dvf_ig.core import AnyArray, FloatArray, Grid, ImageMap, Rigid, Volume, VolumeSeries, read_only_arrays
 from dvf_ig.guidance import Evaluator, Sigmoid
-from dvf_ig.registration import BoundaryTarget, ModelChannels
+from dvf_ig.registration import BoundaryTarget
 from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.session import GatedFrames, Heart
 
@@ -16,6 +16,7 @@ from .plane_names import edge_letters, plane_name
 
 DARK_PERCENT, BRIGHT_PERCENT = 1.0, 99.5
 """Grey levels of the anatomy that are shown black and in full colour."""
+NO_GREY_LEVELS = "No grey-level MR was given: colour shows where the model has blood."
 SAMPLED = 200_000
 """Voxels of which these are taken."""
 
@@ -27,19 +28,23 @@ class Anatomy:
 
     Attributes:
         name: of its grey levels, as a reader calls them: "MR".
+        remark: what a reader should know about them; empty where nothing.
         grid, values, fractions: (n, nx, ny, nz) grey levels, and when in the cycle each image was taken.
         window: grey levels shown black and in full colour.
         evaluator: of the fixture model; None where there is none.
         blood: the surface of the blood; None where it is not known.
+        outline_levels: grey levels, 0 to 1 in the window, whose contours stand in for a model.
     """
 
     name: str
+    remark: str
     grid: Grid
     values: AnyArray
     fractions: FloatArray
     window: tuple[float, float]
     evaluator: Evaluator | None = None
     blood: BoundaryTarget | None = None
+    outline_levels: tuple[float, ...] = ()
 
     def plane(self, pose: Rigid, xyz_mm: FloatArray, model_phase: float) -> AnatomyPlane:
         """The anatomy at (rows, columns, 3) places of the pose's source frame."""
@@ -71,22 +76,25 @@ class Anatomy:
 
 def anatomy_of_heart(heart: Heart, mr: VolumeSeries | None) -> Anatomy:
     """A heart's model, with its MR, or where there is none with what its surfaces say of blood."""
-    evaluator = Evaluator(heart.model, Sigmoid(), blend="distance")
+    fixture = Evaluator(heart.model, Sigmoid(), blend="distance")
     if mr is not None:
-        return Anatomy(
-            "MR", mr.grid, mr.values, mr.timing.fractions, _window(mr.values), evaluator, heart.surface
-        )
-    channels: ModelChannels = heart.fine
+        window = _window(mr.values)
+        return Anatomy("MR", "", mr.grid, mr.values, mr.timing.fractions, window, fixture, heart.surface)
+    channels = heart.fine
     blood = channels.values[..., 0]
-    window = (float(blood.min()), float(blood.max()))
+    window = float(blood.min()), float(blood.max())
     return Anatomy(
-        "the model's blood", channels.grid, blood, channels.fractions, window, evaluator, heart.surface
+        "blood", NO_GREY_LEVELS, channels.grid, blood, channels.fractions, window, fixture, heart.surface
     )
 
 
 def anatomy_of_image(image: Volume, name: str) -> Anatomy:
     """An image of an organ that does not beat, without a model."""
-    return Anatomy(name, image.grid, image.values[None], np.zeros(1), _window(image.values))
+    low, high = _window(image.values)
+    shown = np.clip((_sample(image.values) - low) / max(high - low, 1e-12), 0.0, 1.0)
+    levels = _outline_levels(shown)
+    still = np.zeros(1)
+    return Anatomy(name, "", image.grid, image.values[None], still, (low, high), outline_levels=levels)
 
 
 def plane_overlay(
@@ -122,6 +130,7 @@ def plane_overlay(
         pixel_mm=(float(np.linalg.norm(right)), float(np.linalg.norm(down))),
         start=anatomy.plane(start, xyz_mm, phase),
         registered=anatomy.plane(registered, xyz_mm, phase),
+        outline_levels=anatomy.outline_levels,
     )
 
 
@@ -174,9 +183,24 @@ def _blood_mm(blood: BoundaryTarget, xyz_mm: FloatArray, model_phase: float) -> 
     )
 
 
-def _window(values: AnyArray) -> tuple[float, float]:
-    """Grey levels to be shown black and in full, of a sample of the voxels."""
+def _sample(values: AnyArray) -> FloatArray:
+    """About SAMPLED finite voxels."""
     flat = values.reshape(-1)
-    sample = flat[:: max(1, flat.size // SAMPLED)]
-    low, high = np.percentile(sample[np.isfinite(sample)], [DARK_PERCENT, BRIGHT_PERCENT])
+    sample = np.asarray(flat[:: max(1, flat.size // SAMPLED)], dtype=np.float64)
+    return np.asarray(sample[np.isfinite(sample)])
+
+
+def _window(values: AnyArray) -> tuple[float, float]:
+    """Grey levels to be shown black and in full."""
+    low, high = np.percentile(_sample(values), [DARK_PERCENT, BRIGHT_PERCENT])
     return float(low), float(high)
+
+
+def _outline_levels(shown: FloatArray) -> tuple[float, ...]:
+    """Two grey levels between three classes of tissue (Otsu 1979); none of an image with fewer."""
+    from skimage.filters import threshold_multiotsu
+
+    try:
+        return tuple(float(level) for level in threshold_multiotsu(shown, classes=3))
+    except ValueError:  # fewer than three grey levels
+        return ()

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from dvf_ig.core import Stop
-from dvf_ig.registration import RegistrationResult
+from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
 from dvf_ig.registration.evidence.checks import WRONG_MM
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
 from dvf_ig.registration.pair_check import MAX_STATISTIC
@@ -15,11 +15,14 @@ from dvf_ig.session.registration_monitor import LANDMARKS_MM
 BOUNDARY_UNSEEN = "no boundary seen"
 
 
-def checks_of(result: RegistrationResult, landmarks_mm: float | None) -> list[Check]:
+def checks_of(
+    result: RegistrationResult, landmarks_mm: float | None, touched: SurfaceDisagreement | None
+) -> list[Check]:
     """Every check that a registration may be held against; those of another kind of input are not checked.
 
     Args:
         landmarks_mm: mean distance over the heart from the pose of touched landmarks; None without any.
+        touched: how far points touched on the surface lie from the model's; None without any.
     """
     return [
         _overlap(result),
@@ -32,6 +35,12 @@ def checks_of(result: RegistrationResult, landmarks_mm: float | None) -> list[Ch
             "mean distance over the heart from the pose that touched landmarks give",
             landmarks_mm,
             LANDMARKS_MM,
+        ),
+        _at_most(
+            "Touched surface",
+            "median distance of points touched on the heart from the model's surface",
+            None if touched is None else touched.median_mm,
+            math.inf if touched is None else touched.limit_mm,
         ),
         _search(result),
         _geometry(result),
@@ -125,7 +134,7 @@ def _search(result: RegistrationResult) -> Check:
     iterating = result.stop is Stop.MAX_ITERATIONS and result.moved_mm <= limit
     return Check(
         "Distance moved",
-        "mean distance over the heart between start and result"
+        "mean distance over a heart's size between start and result"
         + ("; the search had not come to rest when it was stopped" if iterating else ""),
         f"{result.moved_mm:.1f} mm",
         f"at most {limit:.0f} mm",
@@ -159,7 +168,7 @@ def _at_most(
 
 
 def _limit(limit: float) -> str:
-    return "must be known" if math.isinf(limit) else f"at most {limit:g} mm"
+    return "must be known" if math.isinf(limit) else f"at most {round(limit, 2):g} mm"
 
 
 def _outcome(passed: bool) -> Outcome:

@@ -24,13 +24,14 @@ def frames_shown(registration: Registration, name: str, mr: VolumeSeries | None)
     result, frames, recording = registration.result, registration.frames, registration.recording
     heart = recording.heart
     anatomy = anatomy_of_heart(heart, mr)
-    gated, landmarks = frames.gated, registration.landmarks
+    gated = frames.gated
     return RegisteredInput(
         title=f"Registration of {name}",
         about=f"patient {heart.model.patient_id}",
         source_name=TRACKER,
         target_name=PREOPERATIVE,
         anatomy=anatomy.name,
+        remark=anatomy.remark,
         planes=frame_overlays(
             frames,
             recording.images,
@@ -50,9 +51,8 @@ def frames_shown(registration: Registration, name: str, mr: VolumeSeries | None)
             ("R peaks found", str(len(recording.peaks))),
             *_model_rows(heart),
         ],
-        landmarks_mm=None
-        if landmarks is None
-        else mean_displacement_mm(result.target_from_source, landmarks, heart.center_mm),
+        landmarks_mm=_apart_mm(result, registration.landmarks, heart),
+        touched=registration.touched,
     )
 
 
@@ -63,6 +63,7 @@ def volumes_shown(
     heart: Heart,
     mr: VolumeSeries | None,
     *,
+    landmarks: Rigid | None = None,
     about: str = "",
 ) -> RegisteredInput:
     """Gated 3-D volumes.
@@ -70,6 +71,7 @@ def volumes_shown(
     Args:
         volumes: as they were registered.
         mr: pre-operative grey levels, where there are any.
+        landmarks: mr_from_tracker from touched landmarks, where there are any.
         about: from which files.
     """
     anatomy = anatomy_of_heart(heart, mr)
@@ -81,8 +83,10 @@ def volumes_shown(
         source_name=TRACKER if result.target_from_source.source == "tracker" else "the ultrasound volumes",
         target_name=PREOPERATIVE,
         anatomy=anatomy.name,
+        remark=anatomy.remark,
         planes=tracked_overlays(anatomy, volumes, start, result.target_from_source),
         data=[("volumes", str(len(volumes))), ("places in the cycle", phases), *_model_rows(heart)],
+        landmarks_mm=_apart_mm(result, landmarks, heart),
     )
 
 
@@ -100,6 +104,7 @@ def pair_shown(
         source_name="the fixed image",
         target_name="the moving image",
         anatomy="moving image",
+        remark="",
         planes=image_overlays(
             anatomy_of_image(anatomy, "moving image"), ultrasound, start, result.target_from_source
         ),
@@ -107,6 +112,12 @@ def pair_shown(
             (f"{name} image", _size(image)) for name, image in (("fixed", ultrasound), ("moving", anatomy))
         ],
     )
+
+
+def _apart_mm(result: RegistrationResult, landmarks: Rigid | None, heart: Heart) -> float | None:
+    if landmarks is None:
+        return None
+    return mean_displacement_mm(result.target_from_source, landmarks, heart.center_mm)
 
 
 def _model_rows(heart: Heart) -> list[tuple[str, str]]:

@@ -9,14 +9,14 @@ import numpy as np
 import dvf_ig
 from dvf_ig.core import Rigid
 from dvf_ig.kernels.compiled import thread_count
-from dvf_ig.registration import RegistrationResult, least_constrained_direction
+from dvf_ig.registration import RegistrationResult, SurfaceDisagreement, least_constrained_direction
 from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.registration import Check, Outcome, RegistrationPage, Transform, registration_html
 
 from .registration_checks import checks_of
 
 CAVEAT = (
-    "chance that the mean error over the heart is below 2 mm, by the worst check alone. It was set on "
+    "chance that the mean error is below 2 mm, by the worst check alone. It was set on "
     "synthetic hearts and claims too much with poor images: it says more or less sure, and is no frequency"
 )
 ALMOST_SURE = 0.99
@@ -32,9 +32,11 @@ class RegisteredInput:
         about: whose it is, and from which files.
         source_name, target_name: what the two frames of the pose hold, as a reader calls it.
         anatomy: what the planes show of the pre-operative data beside contours, for example "MR".
+        remark: what a reader should know about that; empty where nothing.
         planes: ultrasound planes before and after registration.
         data: rows of what was registered and how much of it was used.
         landmarks_mm: distance of the pose from that of touched landmarks; None without any.
+        touched: how far points touched on the surface lie from it; None without any.
     """
 
     title: str
@@ -42,9 +44,11 @@ class RegisteredInput:
     source_name: str
     target_name: str
     anatomy: str
+    remark: str
     planes: Sequence[PlaneOverlay]
     data: Sequence[tuple[str, str]]
     landmarks_mm: float | None = None
+    touched: SurfaceDisagreement | None = None
 
 
 def registration_page(
@@ -59,7 +63,7 @@ def registration_page(
         seed: of its random choices.
     """
     pose = result.target_from_source
-    checks = checks_of(result, shown.landmarks_mm)
+    checks = checks_of(result, shown.landmarks_mm, shown.touched)
     return registration_html(
         RegistrationPage(
             title=shown.title,
@@ -68,6 +72,7 @@ def registration_page(
             reason=_reason(result, checks),
             planes=shown.planes,
             anatomy=shown.anatomy,
+            remark=shown.remark,
             checks=checks,
             findings=_findings(result, start),
             data=shown.data,
@@ -121,12 +126,14 @@ def _findings(result: RegistrationResult, start: Rigid) -> list[tuple[str, str, 
             least_constrained_direction(result.covariance).sentence(),
             "the direction in which the ultrasound says least about the pose",
         ),
-        ("success probability", _probability(result.success_probability), CAVEAT),
+        ("success probability", _probability(result), CAVEAT),
     ]
 
 
-def _probability(value: float) -> str:
-    return f"above {ALMOST_SURE}" if value > ALMOST_SURE else f"{value:.2f}"
+def _probability(result: RegistrationResult) -> str:
+    value = result.success_probability
+    shown = f"above {ALMOST_SURE}" if value > ALMOST_SURE else f"{value:.2f}"
+    return shown if result.stop.usable else f"{shown} by the checks that have a limit in mm; but refused"
 
 
 def _deviations(result: RegistrationResult) -> str:

@@ -12,7 +12,7 @@ from dvf_ig.report.plane_overlay import PlaneOverlay
 from .plane_names import viewed_upright
 from .planes import Anatomy, plane_overlay
 
-PIXELS = 320
+PIXELS = 256
 """About this many along the longer edge of a plane; not finer than a third of a voxel."""
 MOST_VOLUMES = 2
 BRIGHT_PERCENT = 99.5
@@ -41,6 +41,7 @@ def tracked_overlays(
             start @ pose,
             registered @ pose,
             name=f"volume {i + 1}",
+            event_s=volume.t_s or None,
             model_phase=volume.model_phase,
         )
     return overlays
@@ -51,9 +52,7 @@ def image_overlays(
 ) -> list[PlaneOverlay]:
     """Three planes of an ultrasound image of an organ that does not beat."""
     grey = shown_grey(ultrasound.values)
-    return _three_planes(
-        anatomy, ultrasound.grid, grey, grey > 0, start, registered, name="fixed image", model_phase=None
-    )
+    return _three_planes(anatomy, ultrasound.grid, grey, grey > 0, start, registered, name="fixed image")
 
 
 def shown_grey(values: AnyArray) -> NDArray[np.uint8]:
@@ -76,7 +75,8 @@ def _three_planes(
     registered: Rigid,
     *,
     name: str,
-    model_phase: float | None,
+    event_s: float | None = None,
+    model_phase: float | None = None,
 ) -> list[PlaneOverlay]:
     """Across each axis of the grid, through the middle of what was insonified."""
     middle = ndimage.center_of_mass(seen) if seen.any() else (np.array(grid.shape) - 1.0) / 2
@@ -94,6 +94,7 @@ def _three_planes(
                 image,
                 frame_from_pixel,
                 name=f"{name}, across its {AXES[axis]} axis",
+                event_s=event_s,
                 model_phase=model_phase,
             )
         )

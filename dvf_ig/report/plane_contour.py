@@ -1,4 +1,4 @@
-"""The zero level of a distance field over an image in millimetres."""
+"""Level lines of a distance field or of grey levels over an image in millimetres."""
 
 from __future__ import annotations
 
@@ -15,26 +15,27 @@ def image_extent(size_mm: tuple[float, float]) -> tuple[float, float, float, flo
     return 0.0, size_mm[0], size_mm[1], 0.0
 
 
-def draw_zero_contour(
+def draw_contour(
     axis: Axes,
-    distance_mm: FloatArray | None,
+    values: FloatArray | None,
     size_mm: tuple[float, float],
     color: str,
     *,
+    level: float = 0.0,
     width: float = 1.2,
     dashed: bool = False,
 ) -> None:
-    """Draw where the distance is 0, if anywhere.
+    """Draw where the values have a level, if anywhere.
 
     Args:
-        distance_mm: (rows, columns), NaN where not known; None draws nothing.
+        values: (rows, columns), NaN where not known; None draws nothing.
         size_mm: width and height of the image.
     """
-    if distance_mm is None or not ((distance_mm < 0).any() and (distance_mm > 0).any()):
+    if values is None or not ((values < level).any() and (values > level).any()):
         return
     axis.contour(
-        distance_mm,
-        levels=[0.0],
+        values,
+        levels=[level],
         colors=[color],
         linewidths=width,
         linestyles="dashed" if dashed else "solid",

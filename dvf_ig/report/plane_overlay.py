@@ -43,6 +43,7 @@ class PlaneOverlay:
         image: (rows, columns) grey levels, 0 to 255.
         pixel_mm: width and height of a pixel.
         start, registered: the anatomy through the start pose and through the registered one.
+        outline_levels: grey levels of the anatomy whose contours stand in for those of a model.
     """
 
     name: str
@@ -53,6 +54,7 @@ class PlaneOverlay:
     pixel_mm: tuple[float, float]
     start: AnatomyPlane
     registered: AnatomyPlane
+    outline_levels: tuple[float, ...] = ()
 
     @property
     def size_mm(self) -> tuple[float, float]:
@@ -67,5 +69,5 @@ class PlaneOverlay:
         if self.event_s is not None:
             parts.append(f"{self.event_s:.1f} s")
         if self.model_phase is not None:
-            parts.append(f"{100 * self.model_phase:.0f} % of the cycle")
+            parts.append(f"{round(100 * self.model_phase) % 100} % of the cycle")
         return ", ".join(parts)

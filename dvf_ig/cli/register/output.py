@@ -96,7 +96,7 @@ def _checks(result: "RegistrationResult") -> list[tuple[str, str]]:
     evidence = result.evidence
     disagreements = (
         ("interleaved halves disagree by", evidence.split_half_mm),
-        ("parts of the cycle disagree by", evidence.phase_mm),
+        ("parts of the cycle disagree by", evidence.phase_mm or None),
         ("half-volumes disagree by", evidence.half_volume_mm),
         ("boundary and LC2 disagree by", evidence.boundary_mm),
     )

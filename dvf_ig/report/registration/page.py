@@ -47,7 +47,11 @@ def registration_html(page: RegistrationPage) -> str:
     """The page for one registration."""
     body = (
         f"<p class=note>{html.escape(page.about)}</p>{_verdict(page)}"
-        + section("Ultrasound and anatomy, before and after registration", PLANES_NOTE, _planes(page))
+        + section(
+            "Ultrasound and anatomy, before and after registration",
+            f"{PLANES_NOTE} {page.remark}".strip(),
+            _planes(page),
+        )
         + section(
             "Evidence",
             "What the pose was tested by. One failed check is enough to refuse it; passed ones are no proof.",
@@ -80,6 +84,8 @@ def _key(page: RegistrationPage) -> str:
         entries.append((f"border-bottom:3px solid {ON_GREY}", "the model's surface"))
     if any(overlay.registered.blood_mm is not None for overlay in page.planes):
         entries.append(("border-bottom:2px dashed #777", "border of the model's blood (white in the images)"))
+    if any(overlay.outline_levels for overlay in page.planes):
+        entries.append((f"border-bottom:3px solid {ON_GREY}", f"outlines in the {page.anatomy}"))
     return (
         "<p class=key>"
         + "".join(f'<i style="{look}"></i>{html.escape(text)}' for look, text in entries)
@@ -90,7 +96,8 @@ def _key(page: RegistrationPage) -> str:
 def _plane(overlay: PlaneOverlay, page: RegistrationPage) -> str:
     refused = "" if page.usable else ", refused"
     poses = (("start pose", overlay.start, ""), (f"registered{refused}", overlay.registered, refused))
-    contours = "" if overlay.registered.distance_mm is None else " and the model's contours"
+    contours = " and the model's contours" if overlay.registered.distance_mm is not None else ""
+    contours = " and its outlines" if overlay.outline_levels else contours
     figures = [
         _figure(
             fused_figure(overlay, anatomy), pose, f"{page.anatomy}{contours} over ultrasound", overlay, mark
@@ -135,8 +142,8 @@ def _transform_note(transform: Transform) -> str:
         f"{transform.target}_from_{transform.source} takes points of {transform.source_name} to {target}: "
         f"mm, LPS. {transform.file} and the .h5 beside it hold it as an ITK transform. 3D Slicer loads "
         "either (Add Data) and shows the node the other way round, as the inverse in RAS: the right matrix "
-        f"below. To see {target} where the ultrasound is, put it under the loaded transform as it is; to "
-        f"see the ultrasound on {target}, invert the node (module Transforms) and put the ultrasound "
+        f"below. To see {target} where the ultrasound is, put it under the loaded transform as it is; to see "
+        f"the ultrasound on {target}, invert the node (Transforms module, Invert) and put the ultrasound "
         "under it."
     )
 

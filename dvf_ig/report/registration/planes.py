@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
-from dvf_ig.report.plane_contour import draw_zero_contour, image_extent
+from dvf_ig.report.plane_contour import draw_contour, image_extent
 from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.report.style import MR_ON_GREY, ON_GREY
 
@@ -21,8 +21,8 @@ PANEL_IN = 3.9
 """Longer edge of a panel."""
 SQUARES = 8
 """Of a checkerboard along the longer edge."""
-TINT = 0.75
-"""Strength of the pre-operative image over dark ultrasound."""
+TINT, STAIN = 0.55, 0.6
+"""How much colour a bright pre-operative voxel adds to dark ultrasound, and takes from bright ultrasound."""
 SCALE_BARS_MM = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 LETTER: dict[str, Any] = {"color": "white", "fontsize": 9, "alpha": 0.9}
 
@@ -31,8 +31,10 @@ def fused_figure(overlay: PlaneOverlay, anatomy: AnatomyPlane) -> Figure:
     """Ultrasound in grey with the anatomy's grey levels in colour and the model's contours."""
     figure = _panel(fused_rgb(overlay.image, anatomy.grey), overlay, anatomy)
     axis = figure.axes[0]
-    draw_zero_contour(axis, anatomy.blood_mm, overlay.size_mm, "white", width=0.9, dashed=True)
-    draw_zero_contour(axis, anatomy.distance_mm, overlay.size_mm, ON_GREY, width=1.7)
+    draw_contour(axis, anatomy.blood_mm, overlay.size_mm, "white", width=0.9, dashed=True)
+    draw_contour(axis, anatomy.distance_mm, overlay.size_mm, ON_GREY, width=1.7)
+    for level in overlay.outline_levels:
+        draw_contour(axis, anatomy.grey, overlay.size_mm, ON_GREY, level=level)
     return figure
 
 
@@ -44,9 +46,11 @@ def checkerboard_figure(overlay: PlaneOverlay, anatomy: AnatomyPlane) -> Figure:
 
 
 def fused_rgb(image: NDArray[np.uint8], grey: FloatArray) -> FloatArray:
-    """(rows, columns, 3) ultrasound, and the anatomy in colour where the ultrasound is dark."""
-    ultrasound = _grey(image)
-    return np.asarray(np.clip(ultrasound + TINT * (1.0 - ultrasound) * _coloured(grey), 0.0, 1.0))
+    """(rows, columns, 3) ultrasound in grey, coloured by the anatomy's grey levels."""
+    ultrasound, level = _grey(image), np.nan_to_num(grey)[..., None]
+    color = np.array(to_rgb(MR_ON_GREY))
+    stained = ultrasound * (1.0 - STAIN * level * (1.0 - color))
+    return np.asarray(np.clip(stained + TINT * (1.0 - ultrasound) * level * color, 0.0, 1.0))
 
 
 def checkerboard(shape: tuple[int, ...], pixel_mm: tuple[float, float], edge_mm: float) -> BoolArray:

@@ -77,6 +77,7 @@ class RegistrationPage:
         reason: why, in one clause.
         planes: ultrasound planes before and after registration.
         anatomy: what the planes show of the pre-operative data beside contours, for example "MR".
+        remark: what a reader should know about that; empty where nothing.
         checks: the evidence.
         findings: rows of quantity, value, what it means.
         data: rows of what was registered, and how much of it.
@@ -90,6 +91,7 @@ class RegistrationPage:
     reason: str
     planes: Sequence[PlaneOverlay]
     anatomy: str
+    remark: str
     checks: Sequence[Check]
     findings: Sequence[tuple[str, str, str]]
     data: Sequence[tuple[str, str]]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
-from dvf_ig.report.plane_contour import draw_zero_contour, image_extent
+from dvf_ig.report.plane_contour import draw_contour, image_extent
 from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.style import ESTIMATE, ON_GREY, REFUSED, START, SUSPENDED, TRUTH, without_ticks
 
@@ -53,7 +53,7 @@ def _draw_overlay(axes: NDArray[np.object_], overlay: PlaneOverlay) -> None:
     axes[1].imshow(np.nan_to_num(overlay.registered.grey), cmap="gray", extent=extent, vmin=0, vmax=1)
     for plane, color in ((overlay.start, START), (overlay.registered, ON_GREY)):
         for axis in axes:
-            draw_zero_contour(axis, plane.distance_mm, overlay.size_mm, color)
+            draw_contour(axis, plane.distance_mm, overlay.size_mm, color)
     axes[0].set_title(overlay.moment, fontsize=9)
     without_ticks(*axes)
 
