@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .shell import EcgRateOption, JsonFlag, command, emit, wrote
+from .shell import EcgRateOption, JsonFlag, command, emit, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import PhaseClockOptions, PhaseTracking
-    from dvf_ig.core import Signal
+    from dvf_ig.core import FloatArray, Signal, TriggerTimes
 
 VALIDITY_RATE_HZ = 100.0
 
@@ -68,9 +68,21 @@ def _track(
         duration_s = len(source) / source.rate_hz
         t_s = source.start_s + np.arange(max(1, int(duration_s * rate_hz))) / rate_hz
         return source, track_phase(source, t_s, options=options)
+    tracking = track_phase(source, _trigger_times(source, rate_hz), options=options)
+    doubles = len(tracking.lead_changes) // 2
+    if doubles:
+        warn(
+            f"{doubles} of {len(source)} pulses come too soon after another to be a beat; the phase is not "
+            "valid after them: record one edge of each pulse"
+        )
+    return None, tracking
+
+
+def _trigger_times(source: "TriggerTimes", rate_hz: float) -> "FloatArray":
+    import numpy as np
+
     count = max(1, int((source.t_s[-1] - source.start_s) * rate_hz) + 1)
-    t_s = source.start_s + np.arange(count) / rate_hz
-    return None, track_phase(source, t_s, options=options)
+    return np.asarray(source.start_s + np.arange(count) / rate_hz)
 
 
 def _options(predictor: str) -> "PhaseClockOptions":

@@ -9,11 +9,12 @@ A line through the stamps over k gives the rate; the smallest delays give the st
 the stamps step away from that line and stay away, and by the step one sees how many.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray, IntArray, read_only_arrays
+from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError
 
 FEWEST_BATCHES = 10
@@ -21,7 +22,8 @@ SMALLEST_DELAYS = 0.05
 """Quantile of the delays that counts as none: one stamp that comes early must not shift every sample."""
 NEIGHBOURS, NEIGHBOURHOOD_S = 10, 0.05
 """Batches on each side of a step that say how large it is: at least this many, and at least this long."""
-INTERVAL_S = 0.2
+USUAL_STEPS, ROUNDS = 0.2, 4
+"""The first guess is this quantile of the time a sample takes: losses make that longer, never shorter."""
 LEAST_LATE = 0.2
 """Quantile of the lateness of neighbours that is compared: batches stamped late for a moment lose nothing."""
 PLAUSIBLE_SPREAD_S = 0.1
@@ -60,11 +62,13 @@ def fit_batch_times(counts: IntArray, stamps_s: FloatArray) -> BatchTimes:
             f"{FEWEST_BATCHES}"
         )
     delivered = np.cumsum(counts)
-    ends, period_s = delivered, _local_period_s(delivered, stamps_s)
-    for _ in range(2):  # the first line is less precise than those on which losses are known
-        late_s = stamps_s - period_s * delivered
-        ends = delivered + np.cumsum(_lost_before(counts, late_s, stamps_s, 1 / period_s))
-        period_s = _slope(ends.astype(np.float64), stamps_s)
+    period_s = float(np.quantile(np.diff(stamps_s) / counts[1:], USUAL_STEPS))
+    run = np.zeros(len(counts), dtype=np.int64)
+    for _ in range(ROUNDS):  # the first period is rough; runs and period improve each other
+        run = _uninterrupted(counts, stamps_s - period_s * delivered, stamps_s, period_s)
+        period_s = _slope(delivered, stamps_s, run)
+    ends = delivered + _lost_until(stamps_s - period_s * delivered, run, period_s)[run]
+    period_s = _slope(ends, stamps_s, np.zeros(len(ends), dtype=np.int64))
     delays_s = stamps_s - period_s * (ends - 1)
     start_s = float(np.quantile(delays_s, SMALLEST_DELAYS))
     low, high = np.quantile(delays_s, [0.05, 0.95])
@@ -77,36 +81,42 @@ def fit_batch_times(counts: IntArray, stamps_s: FloatArray) -> BatchTimes:
     return BatchTimes(1 / period_s, start_s, np.asarray(ends - 1, dtype=np.int64), spread_s)
 
 
-def _local_period_s(ends: IntArray, stamps_s: FloatArray) -> float:
-    """Median over short intervals: few of them contain a loss."""
-    usual_s = float(np.median(np.diff(stamps_s)))
-    lag = int(np.clip(round(INTERVAL_S / usual_s), 1, len(ends) // 2))
-    return float(np.median((stamps_s[lag:] - stamps_s[:-lag]) / (ends[lag:] - ends[:-lag])))
-
-
-def _lost_before(counts: IntArray, late_s: FloatArray, stamps_s: FloatArray, rate_hz: float) -> IntArray:
-    """(b,) samples lost just before each batch: where lateness steps up and stays up."""
-    least = max(1.5, 0.5 * float(np.median(counts))) / rate_hz
+def _uninterrupted(counts: IntArray, late_s: FloatArray, stamps_s: FloatArray, period_s: float) -> IntArray:
+    """(b,) number of the run without a loss in which each batch lies: lateness steps up between two runs."""
+    usual = float(np.median(counts))
+    least_s = period_s * (0.5 if usual == 1 else max(1.5, 0.5 * usual))
     width = max(NEIGHBOURS, round(NEIGHBOURHOOD_S / float(np.median(np.diff(stamps_s)))))
-    steps = np.flatnonzero(np.diff(late_s) > least) + 1
+    steps = np.flatnonzero(np.diff(late_s) > least_s) + 1
     edges = [0, *steps.tolist(), len(counts)]
-    lost = np.zeros(len(counts), dtype=np.int64)
+    begins = np.zeros(len(counts), dtype=np.int64)
     for before, at, after in zip(edges[:-2], edges[1:-1], edges[2:], strict=True):
         earlier = np.quantile(late_s[max(before, at - width) : at], LEAST_LATE)
         later = np.quantile(late_s[at : min(after, at + width)], LEAST_LATE)
-        if later - earlier > least:
-            lost[at] = round(float(later - earlier) * rate_hz)
-    return lost
+        begins[at] = later - earlier > least_s
+    return np.asarray(np.cumsum(begins))
 
 
-def _slope(x: FloatArray, y: FloatArray) -> float:
-    """dy/dx by least squares; points far from the line are left out twice."""
-    kept = np.ones(len(x), dtype=np.bool_)
-    slope = 0.0
+def _lost_until(late_s: FloatArray, run: IntArray, period_s: float) -> IntArray:
+    """(runs,) samples lost before each run, all told, so that errors of one loss do not add to the next."""
+    edges = np.searchsorted(run, np.arange(run[-1] + 2))
+    base_s = [np.quantile(late_s[a:b], LEAST_LATE) for a, b in itertools.pairwise(edges)]
+    lost = np.rint((np.array(base_s) - base_s[0]) / period_s).astype(np.int64)
+    return np.asarray(np.maximum.accumulate(lost))
+
+
+def _slope(x: IntArray, y: FloatArray, run: IntArray) -> float:
+    """dy/dx by least squares with an intercept for each run; points far from their line are left out."""
+    kept, slope = np.ones(len(x), dtype=np.bool_), 0.0
     for _ in range(3):
-        middle = x[kept].mean()
-        slope = float((x[kept] - middle) @ (y[kept] - y[kept].mean()) / ((x[kept] - middle) ** 2).sum())
-        rest = y - slope * x
-        off = np.abs(rest - np.median(rest))
+        dx, dy = _centred(x.astype(np.float64), run, kept), _centred(y, run, kept)
+        slope = float(dx[kept] @ dy[kept] / max(float(dx[kept] @ dx[kept]), 1e-300))
+        off = np.abs(dy - slope * dx)
         kept = off <= max(4.5 * float(np.median(off)), 1e-9)
     return slope
+
+
+def _centred(values: FloatArray, run: IntArray, kept: BoolArray) -> FloatArray:
+    """(b,) values less the mean of those that are kept in the same run."""
+    total = np.bincount(run[kept], values[kept], minlength=run[-1] + 1)
+    count = np.bincount(run[kept], minlength=run[-1] + 1)
+    return np.asarray(values - (total / np.maximum(count, 1))[run])

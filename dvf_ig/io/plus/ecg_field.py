@@ -127,8 +127,8 @@ def _only_ecg_field(path: Path, raw: RawSequence) -> str:
 def _listed(raw: RawSequence) -> str:
     names = numeric_fields(raw)
     if not names:
-        return "it has no numeric fields at all: give the ECG as a file of its own (--ecg)"
-    return f"name one of its numeric fields as plus:FILE#FIELD: {', '.join(names)}"
+        return "it has no numeric fields at all: give the ECG as a file (--ecg)"
+    return f"give the ECG as a file, or name a numeric field as plus:FILE#FIELD: {', '.join(names)}"
 
 
 def _companion(raw: RawSequence, field: str, what: str) -> str | None:

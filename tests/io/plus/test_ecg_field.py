@@ -236,7 +236,7 @@ def test_the_field_is_found_by_its_name_or_named(tmp_path: Path) -> None:
     assert facts["numeric_fields"] == ["Depth", "LeadIIecg"]
     assert facts["ecg"]["LeadIIecg"]["rate_hz"] == pytest.approx(500, rel=1e-3)
     with pytest.raises(
-        UnreadableFileError, match=r"has no field 'Ecg'; name one .* plus:FILE#FIELD: Depth, Lead"
+        UnreadableFileError, match=r"has no field 'Ecg'; give .* plus:FILE#FIELD: Depth, Lead"
     ):
         read_ecg(f"plus:{path}#Ecg")
 
@@ -247,10 +247,10 @@ def test_several_fields_and_none(tmp_path: Path) -> None:
     path.write_text(text + "")
     two = text.replace("Seq_Frame0003_T", "Seq_Frame0003_EcgV1 = 0.2\nSeq_Frame0003_T")
     path.write_text(two)
-    with pytest.raises(UnreadableFileError, match=r"has 2 fields of an ECG; name one .*: EcgII, EcgV1"):
+    with pytest.raises(UnreadableFileError, match=r"has 2 fields of an ECG; give .*: EcgII, EcgV1"):
         read_ecg_field(path)
     path.write_text(text.replace("EcgII", "Force"))
-    with pytest.raises(UnreadableFileError, match=r"no field whose name contains 'ecg'; name one .*: Force"):
+    with pytest.raises(UnreadableFileError, match=r"no field whose name contains 'ecg'; give .*: Force"):
         read_ecg_field(path)
     path.write_text(text.replace("EcgII", "Note").replace("0.1", "fine"))
     with pytest.raises(UnreadableFileError, match="no numeric fields at all"):
