@@ -96,8 +96,8 @@ def _build(request: BuildRequest, *, as_json: bool) -> None:
     model, evidence = model_of(request, as_json=as_json)
     seconds = time.perf_counter() - start
     _warn_of_assumptions(model)
-    write_model(model, request.output)
     result = _errors(model, CHECK_POINTS, request.seed)
+    write_model(model, request.output)
     size_mb = file_megabytes(request.output)
     payload = {**model_payload(model, result, request.seed, seconds, size_mb), **evidence}
     rows = model_rows(model, result, seconds, size_mb, evidence.get("anatomical_error_mm"))

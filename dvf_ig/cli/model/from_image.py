@@ -25,9 +25,12 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
     Returns:
         the model, and the evidence ("motion" is also written as JSON beside it).
     """
-    from dvf_ig.io import read_volume_series
+    from dvf_ig.io import read_volume_series, refuse_foreign
     from dvf_ig.preop import cine_options, model_from_cine
 
+    evidence, picture = _beside(request)
+    refuse_foreign(evidence, kind="model")
+    refuse_foreign(picture)
     image = read_volume_series(path, request.timing)
     preop, labels, truth = _preop(request, path, image)
     options = cine_options(preop, request.motion_options(), request.model_options())
@@ -53,15 +56,19 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
     return result.model, {"motion": payload, "anatomical_error_mm": error}
 
 
+def _beside(request: BuildRequest) -> tuple[Path, Path]:
+    """JSON and picture that go beside the model."""
+    return request.output.with_suffix(".json"), request.output.with_suffix(".png")
+
+
 def _write_evidence(
     result: "CineModel", image: VolumeSeries, payload: dict[str, Any], request: BuildRequest
 ) -> None:
     """JSON and a picture beside the model."""
-    from dvf_ig.io import refuse_foreign, write_sidecar
+    from dvf_ig.io import write_sidecar
     from dvf_ig.report import write_motion_picture
 
-    evidence, picture = request.output.with_suffix(".json"), request.output.with_suffix(".png")
-    refuse_foreign(picture)
+    evidence, picture = _beside(request)
     write_sidecar(evidence, payload, "model")
     es_phase = int(result.volume_mm3.argmin())
     write_motion_picture(
