@@ -1,4 +1,4 @@
-"""`register --us-volume` on files of the toy heart: the pose that arrays give, and each misuse in a sentence."""
+"""`register --us-volume` on files of the toy heart: the pose that arrays give; each misuse in a sentence."""
 
 import json
 from dataclasses import replace
@@ -166,9 +166,10 @@ def test_landmarks_are_start_and_prior_and_times_need_the_ecg(lab: Path, tmp_pat
 
 def test_oblique_unequal_voxels_in_a_file(lab: Path, tmp_path: Path) -> None:
     """The first view on 1 × 1 × 1.8 mm voxels along other axes, with black around it."""
-    turn = views()[0].image.grid.direction @ Rigid.from_rotation_vector(
-        [0.3, -0.2, 0.4], [0, 0, 0], "a", "b"
-    ).rotation
+    turn = (
+        views()[0].image.grid.direction
+        @ Rigid.from_rotation_vector([0.3, -0.2, 0.4], [0, 0, 0], "a", "b").rotation
+    )
     other = resampled(views()[0], np.array([1.0, 1.0, 1.8]), turn)
     write_volume(other.image, tmp_path / "oblique.nii.gz")
     done = register(

@@ -16,6 +16,7 @@ from .volumes import (
     StartOption,
     UsVolumesOption,
     VolumeEcgOption,
+    model_and_cine,
     register_volume_files,
 )
 
@@ -72,8 +73,7 @@ def register(
             if us_volume:
                 result, start = register_volume_files(
                     us_volume,
-                    model=model,
-                    mr=mr,
+                    *model_and_cine(model, mr),
                     ecg=ecg,
                     start=start_file,
                     landmarks=start_landmarks,

@@ -9,7 +9,7 @@ import typer
 from dvf_ig.cli.shell import warn
 
 if TYPE_CHECKING:
-    from dvf_ig.core import DvfModel, Rigid, VolumeSeries
+    from dvf_ig.core import DvfModel, Preop, Rigid, VolumeSeries
     from dvf_ig.io import GatedVolumeFile
     from dvf_ig.registration import LandmarkPrior
 
@@ -44,11 +44,22 @@ StartLandmarksOption = Annotated[
 ]
 
 
+def model_and_cine(model: Path | None, mr: Path | None) -> "tuple[Preop, DvfModel]":
+    """The patient's model from its file, with the grey levels that it was built from where they are given."""
+    from dvf_ig.core import Preop
+    from dvf_ig.io import read_model
+
+    if model is None:
+        raise typer.BadParameter("--us-volume needs --model MODEL, which `dvf-ig model build` makes")
+    fixture = read_model(model)
+    return Preop(fixture.patient_id, mr=_cine(mr, fixture) if mr is not None else None), fixture
+
+
 def register_volume_files(
     names: Sequence[str],
+    preop: "Preop",
+    model: "DvfModel",
     *,
-    model: Path | None,
-    mr: Path | None,
     ecg: str | None,
     start: Path | None,
     landmarks: tuple[Path, Path] | None,
@@ -56,25 +67,18 @@ def register_volume_files(
 ) -> "Registered":
     from time import perf_counter
 
-    from dvf_ig.core import Preop
-    from dvf_ig.io import gated_volume_files, read_gated_volumes, read_model
+    from dvf_ig.io import gated_volume_files, read_gated_volumes
     from dvf_ig.session import build_heart, register_gated_volumes
 
-    if model is None:
-        raise typer.BadParameter("--us-volume needs --model MODEL, which `dvf-ig model build` makes")
     files = gated_volume_files(names)
     _require_matching(files, ecg, start, landmarks)
     pose, prior = _start(start, landmarks)
-    fixture = read_model(model)
-    cine = _cine(mr, fixture) if mr is not None else None
-    phases = _model_phases(files, ecg, fixture)
-    volumes = read_gated_volumes([file.path for file in files], phases)
-    heart = build_heart(Preop(fixture.patient_id, mr=cine), fixture)
+    volumes = read_gated_volumes([file.path for file in files], _model_phases(files, ecg, model))
     result = register_gated_volumes(
         volumes,
-        heart,
+        build_heart(preop, model),
         pose,
-        mr=cine,
+        mr=preop.mr,
         seed=seed,
         clock=perf_counter,
         prior=prior,
