@@ -128,8 +128,8 @@ def _assembled(
         ultrasound=ultrasound,
         fan=world.probe.fan,
         tool=tool,
-        pivot=pivot_recording(truth.tip_in_tool, options.pivot_tracker, world.rng("pivot")),
-        nwire=_nwire(world),
+        tip=pivot_recording(truth.tip_in_tool, options.pivot_tracker, world.rng("pivot")),
+        probe=_nwire(world),
         latency=watertank_recording(
             world.calibrated,
             world.probe.fan,

@@ -28,6 +28,7 @@ from .model import Chamber as Chamber
 from .model import DvfModel as DvfModel
 from .phantom import NWirePhantom as NWirePhantom
 from .phantom import NWireRecording as NWireRecording
+from .phantom import TargetRecording as TargetRecording
 from .phantom import Wire as Wire
 from .phantom import WireSearch as WireSearch
 from .phase import PhaseState as PhaseState
@@ -55,6 +56,7 @@ from .signal import Trace as Trace
 from .stop import Stop as Stop
 from .stream import PoseStream as PoseStream
 from .tracked_volume import TrackedVolume as TrackedVolume
+from .trigger import TriggerTimes as TriggerTimes
 from .volume import Grid as Grid
 from .volume import Volume as Volume
 from .volume import VolumeSeries as VolumeSeries

@@ -1,6 +1,7 @@
 """Geometry of calibration phantoms and what was seen of them."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from .arrays import FloatArray, frozen_floats, read_only_arrays
 from .errors import InvalidInputError
@@ -55,6 +56,28 @@ class NWireRecording:
             raise InvalidInputError(
                 f"N-wire poses are {self.phantom_from_probe.name}; needed phantom_from_probe"
             )
+        object.__setattr__(self, "points_px", points)
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetRecording:
+    """A crossing of two wires, or a flat wall, seen in tracked images.
+
+    Attributes:
+        phantom: which of the two.
+        poses: (n frames) probe against any frame in which the target stands still.
+        points_px: (n, 1, 2) column, row of the crossing, or (n, 2, 2) of two points of the wall's line; NaN
+            where it was not found.
+    """
+
+    phantom: Literal["cross-wire", "wall"]
+    poses: PoseStream
+    points_px: FloatArray
+
+    def __post_init__(self) -> None:
+        needed = (len(self.poses), 1 if self.phantom == "cross-wire" else 2, 2)
+        points = frozen_floats(self.points_px, f"{self.phantom} points", needed, finite=False)
         object.__setattr__(self, "points_px", points)
 
 

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from .arrays import FloatArray, frozen_floats, read_only_arrays
 from .image_map import ImageMap
 from .mesh import SurfaceSeries
-from .phantom import NWireRecording
+from .phantom import NWireRecording, TargetRecording
 from .points import Landmarks, Points
 from .rigid import Rigid
 from .sequence import Fan, TrackedSequence
 from .signal import Signal, Trace
 from .stream import PoseStream
+from .trigger import TriggerTimes
 from .volume import Volume, VolumeSeries
 
 LV_BLOOD = "lv_blood"
@@ -44,12 +45,12 @@ class Preop:
     patient_id: str
     mr: VolumeSeries | None = None
     labels: VolumeSeries | None = None
+    ed_labels: Volume | None = None
+    ed_phase: int = 0
     label_names: tuple[tuple[int, str], ...] = ()
     organ_labels: tuple[int, ...] = ()
     surfaces: tuple[SurfaceSeries, ...] = ()
     surface: str = "EPICARDIAL"
-    ed_labels: Volume | None = None
-    ed_phase: int = 0
     cavity_labels: tuple[int, ...] = ()
 
     @property
@@ -174,19 +175,23 @@ class Scenario:
 
     Clocks: ECG and tracker share one; the video clock differs by the latency to be estimated.
 
+    A calibration is its recording, or its result where it was made before.
+
     Attributes:
         name: short title.
         preset: which synthetic preset, or "recorded".
         preop: the pre-operative data.
-        ecg: ECG of the live part.
+        ecg: ECG of the live part, or the pulses of a trigger in its place.
         ultrasound: images with tracker_from_probe recorded at the video time stamps.
         fan: insonified sector, where the scanner's geometry is known.
-        tool: tracker_from_tool of the live part.
-        pivot: tracker_from_tool while pivoting.
-        nwire: probe calibration recording.
-        latency: temporal calibration recording.
+        probe: of the image: tracked images of a phantom, or probe_from_image.
+        latency: water-tank sweep, or lag_s.
+        tool: tracker_from_tool of the live part; None where no tool was tracked.
+        tip: tracker_from_tool while pivoting, or the tip in frame "tool"; None where it is not known.
         start: coarse mr_from_tracker given by the operator; it takes precedence over landmarks.
         landmarks_mr, landmarks_tracker: the same anatomical points on the model and touched on the patient.
+        touched: points touched all over the heart's surface, in frame "tracker".
+        touched_phase: place in the model's cycle at which they were touched; None stands for end-diastole.
         seed: what the synthetic world was drawn from; None for recorded data.
         truth: None for recorded data.
         tool_after_restart: poses of the tool that came after its tracker's clock had restarted, with that
@@ -196,16 +201,18 @@ class Scenario:
     name: str
     preset: str
     preop: Preop
-    ecg: Signal
+    ecg: Signal | TriggerTimes
     ultrasound: TrackedSequence
     fan: Fan | None
-    tool: PoseStream
-    pivot: PoseStream
-    nwire: NWireRecording
-    latency: LatencyRecording
+    probe: NWireRecording | TargetRecording | ImageMap
+    latency: LatencyRecording | float
+    tool: PoseStream | None = None
+    tip: PoseStream | Points | None = None
     start: Rigid | None = None
     landmarks_mr: Landmarks | None = None
     landmarks_tracker: Landmarks | None = None
+    touched: Points | None = None
+    touched_phase: float | None = None
     seed: int | None = None
     truth: ScenarioTruth | None = None
     tool_after_restart: PoseStream | None = None

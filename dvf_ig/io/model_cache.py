@@ -30,6 +30,7 @@ from dvf_ig.core.volume import Grid, VolumeSeries
 
 from .atomic import make_folder, write_bytes
 from .model import model_bytes, parse_model
+from .provenance import not_recorded
 from .reading import read_bytes
 
 if TYPE_CHECKING:
@@ -90,7 +91,8 @@ def cached_model(
     why = "model built"
     if path.exists():
         try:
-            model = _read(path, key, preop.patient_id)
+            with not_recorded():
+                model = _read(path, key, preop.patient_id)
         except (UnreadableFileError, InvalidInputError) as error:
             why = f"model built again ({error})"
         else:

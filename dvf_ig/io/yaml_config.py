@@ -10,6 +10,8 @@ from dvf_ig.core.errors import UnreadableFileError
 
 from .reading import read_text
 
+KIND = "~"
+"""Begins the tag of a value that may be of several kinds; it is no key of the document."""
 MOST_PROBLEMS = 5
 """So many are named at once."""
 
@@ -61,6 +63,17 @@ def validated(section: type[S], document: Any, path: Path) -> S:
         raise UnreadableFileError(f"{path}: {problems}") from exc
 
 
+_MESSAGES = {
+    "missing": "it is missing",
+    "model_type": "needed keys with their values",
+    "model_attributes_type": "needed keys with their values",
+    "string_type": "needed a text",
+    "string_too_short": "it is empty",
+    "float_type": "needed a number",
+}
+"""Instead of pydantic's own, which speak of Python."""
+
+
 def _sentence(error: Any, document: Any) -> str:
     key = _key(error["loc"], document)
     given = error.get("ctx", {})
@@ -69,7 +82,7 @@ def _sentence(error: Any, document: Any) -> str:
     if error["type"] == "union_tag_invalid":
         name = given["discriminator"].strip("'")
         return f"{key}.{name} is '{given['tag']}'; needed {given['expected_tags']}"
-    message = error["msg"].removeprefix("Value error, ")
+    message = _MESSAGES.get(error["type"]) or error["msg"].removeprefix("Value error, ")
     return f"{key}: {message}" if key else message
 
 
@@ -81,6 +94,8 @@ def _key(location: tuple[int | str, ...], document: Any) -> str:
     words: list[str] = []
     here = document
     for previous, part in zip((None, *location), location, strict=False):
+        if isinstance(part, str) and part.startswith(KIND):
+            continue
         if isinstance(previous, int) and isinstance(here, dict) and part in here.values():
             continue
         words.append(str(part))

@@ -24,10 +24,13 @@ from .distance.signed import signed_distance_mm as signed_distance_mm
 from .distance.triangle_tree import Nearest as Nearest
 from .distance.triangle_tree import TriangleTree as TriangleTree
 from .distance.triangle_tree import build_triangle_tree as build_triangle_tree
+from .from_preop import cine_options as cine_options
 from .from_preop import model_from_preop as model_from_preop
 from .knots import KnotChoice as KnotChoice
 from .knots import KnotTrial as KnotTrial
 from .knots import choose_knot_spacing as choose_knot_spacing
+from .label_check import LabelCheck as LabelCheck
+from .label_check import check_labels as check_labels
 from .motion.cavity import cavity_volumes_mm3 as cavity_volumes_mm3
 from .motion.cycle import CycleMotion as CycleMotion
 from .motion.cycle import MotionOptions as MotionOptions
@@ -52,6 +55,7 @@ from .spline.fit import AxisSolver as AxisSolver
 from .spline.fit import fit_coefficients as fit_coefficients
 from .spline.fit import fit_weighted as fit_weighted
 from .spline.fit import surface_weights as surface_weights
+from .spline.volume import distance_volume as distance_volume
 from .surface.budget import SurfaceBudget as SurfaceBudget
 from .surface.budget import surface_budget as surface_budget
 from .surface.chambers import CHAMBER_SURFACES as CHAMBER_SURFACES

@@ -44,15 +44,20 @@ def _from_cine(preop: Preop, options: ModelOptions, progress: Progress | None) -
         raise InvalidInputError(
             "labels of end-diastole alone give no motion; give the 4-D image that they belong to (mr), too"
         )
-    cine = CineOptions(
+    cine = cine_options(preop, MotionOptions(threads=options.threads), options)
+    return model_from_cine(
+        preop.mr, preop.ed_labels, patient_id=preop.patient_id, options=cine, progress=progress
+    ).model
+
+
+def cine_options(preop: Preop, motion: MotionOptions, model: ModelOptions) -> CineOptions:
+    """What the labels of end-diastole mean, and how motion and model are computed."""
+    return CineOptions(
         preop.organ_labels,
         preop.blood_labels,
         preop.ed_phase,
         preop.surface,
-        MotionOptions(threads=options.threads),
-        options,
+        motion,
+        model,
         preop.label_names,
     )
-    return model_from_cine(
-        preop.mr, preop.ed_labels, patient_id=preop.patient_id, options=cine, progress=progress
-    ).model

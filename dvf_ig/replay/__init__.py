@@ -1,10 +1,12 @@
 """A recorded intervention pushed through a session from raw streams to force, scored where truth exists."""
 
 from .engine import Replay as Replay
-from .engine import register_scenario as register_scenario
 from .engine import run_replay as run_replay
 from .events import events_of as events_of
+from .preconditions import require_registrable as require_registrable
 from .preconditions import require_replayable as require_replayable
+from .registration import Registration as Registration
+from .registration import register_scenario as register_scenario
 from .result import evidence_of as evidence_of
 from .result import result_of as result_of
 from .result import schema as schema

@@ -1,4 +1,4 @@
-"""The three calibrations of a scenario, each from its recording: tool tip, image, latency."""
+"""The three calibrations of a scenario: each from its recording, or as a file gave it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,33 +10,103 @@ from dvf_ig.calibration import (
     LatencyResult,
     NWireResult,
     PivotResult,
+    PlaneTarget,
+    PointTarget,
+    TargetResult,
     accepted,
+    calibrate_crosswire,
     calibrate_nwire,
     calibrate_pivot,
+    calibrate_wall,
     estimate_latency,
 )
-from dvf_ig.core import DvfIgError, Scenario
+from dvf_ig.core import (
+    DvfIgError,
+    ImageMap,
+    InvalidInputError,
+    LatencyRecording,
+    NWireRecording,
+    Points,
+    PoseStream,
+    Scenario,
+    TargetRecording,
+)
+from dvf_ig.session import CalibrationsInUse, UltrasoundCalibration
+
+ProbeResult = NWireResult | TargetResult[PointTarget] | TargetResult[PlaneTarget]
 
 
 @dataclass(frozen=True, slots=True)
 class Calibrations:
-    """Every calibration result with its evidence."""
+    """What a replay works with, and the evidence of what was calibrated from a recording.
 
-    pivot: PivotResult
-    probe: NWireResult
-    latency: LatencyResult
+    Attributes:
+        ultrasound: image and latency.
+        tip: tool tip in frame "tool"; None where neither a recording nor a file gives it.
+        pivot, probe, latency: results with their evidence; None where a file gave the calibration.
+    """
+
+    ultrasound: UltrasoundCalibration
+    tip: Points | None
+    pivot: PivotResult | None
+    probe: ProbeResult | None
+    latency: LatencyResult | None
+
+    @property
+    def in_use(self) -> CalibrationsInUse:
+        """All three together.
+
+        Raises:
+            InvalidInputError: the tool tip is not known.
+        """
+        if self.tip is None:
+            raise InvalidInputError(
+                "the tool tip is not known; give a pivot recording, or the file that calibrate pivot wrote"
+            )
+        return CalibrationsInUse(self.ultrasound.probe_from_image, self.ultrasound.lag_s, self.tip)
 
 
 def calibrate(scenario: Scenario, seed: int) -> Calibrations:
-    """Calibrate tool, probe and latency from their recordings; refusals are the methods' own."""
+    """Calibrate tool, probe and latency from what was recorded; refusals are the methods' own."""
     rng_pivot, rng_probe = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+    tip, pivot = _tip(scenario.tip, rng_pivot)
+    image, probe = _image(scenario.probe, rng_probe)
+    lag_s, latency = _lag(scenario.latency)
+    return Calibrations(UltrasoundCalibration(image, lag_s), tip, pivot, probe, latency)
+
+
+def _tip(
+    given: PoseStream | Points | None, rng: np.random.Generator
+) -> tuple[Points | None, PivotResult | None]:
+    if not isinstance(given, PoseStream):
+        return given, None
     with _naming("pivot calibration"):
-        pivot = accepted(calibrate_pivot(scenario.pivot, rng=rng_pivot))
+        found = accepted(calibrate_pivot(given, rng=rng))
+    return found.tip, found
+
+
+def _image(
+    given: NWireRecording | TargetRecording | ImageMap, rng: np.random.Generator
+) -> tuple[ImageMap, ProbeResult | None]:
+    if isinstance(given, ImageMap):
+        return given, None
+    found: ProbeResult
     with _naming("probe calibration"):
-        probe = accepted(calibrate_nwire(scenario.nwire, rng=rng_probe))
+        if isinstance(given, NWireRecording):
+            found = accepted(calibrate_nwire(given, rng=rng))
+        elif given.phantom == "cross-wire":
+            found = accepted(calibrate_crosswire(given.poses, given.points_px, rng=rng))
+        else:
+            found = accepted(calibrate_wall(given.poses, given.points_px, rng=rng))
+    return found.probe_from_image, found
+
+
+def _lag(given: LatencyRecording | float) -> tuple[float, LatencyResult | None]:
+    if isinstance(given, float):
+        return given, None
     with _naming("latency calibration"):
-        latency = accepted(estimate_latency(scenario.latency))
-    return Calibrations(pivot, probe, latency)
+        found = accepted(estimate_latency(given))
+    return found.lag_s, found
 
 
 @contextmanager

@@ -8,34 +8,33 @@ The ground truth is not read here; `score` does that with what this returns.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
 
-from dvf_ig.cardiac import RetimeMode, stream_recording
-from dvf_ig.core import DvfModel, Rigid, Scenario, Stop
+from dvf_ig.cardiac import RetimeMode
+from dvf_ig.core import DvfModel, Rigid, Scenario
 from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
-from dvf_ig.registration import RegistrationResult
 from dvf_ig.session import (
     Attempt,
-    CalibrationsInUse,
     Heart,
     Session,
     SessionHistory,
     SessionSetup,
-    UltrasoundRecording,
+    beat_source_of,
     build_heart,
-    gate_recording,
-    landmark_disagreement_mm,
-    register_frames,
 )
 
 from .calibrations import Calibrations, calibrate
 from .events import ECG_CHUNK, events_of
 from .operator import SimulatedOperator
 from .preconditions import require_heart_beats, require_tracked_poses, tick_times
-from .start import landmark_pose, landmark_prior, start_pose
+from .start import (
+    landmarks_start,
+    require_start,
+    start_pose,
+)
 from .ticks import TickRecorder, Ticks
 
 Clock = Callable[[], float]
@@ -108,17 +107,19 @@ def run_replay(
     """
     report_progress = progress or (lambda _: None)
     began = clock()
-    start = start_pose(scenario)
+    require_start(scenario)
     require_tracked_poses(scenario)
     t_s = tick_times(scenario)
     calibrations = calibrate(scenario, seed)
+    in_use = calibrations.in_use
     report_progress(0.05)
     heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.05 + 0.35 * f))
+    start = start_pose(scenario, heart, seed)
     setup = SessionSetup(
         heart,
-        in_use(calibrations),
-        scenario.ecg.rate_hz,
-        start=scenario.start,
+        in_use,
+        beat_source_of(scenario.ecg),
+        start=None if landmarks_start(scenario) else start,
         fan=scenario.fan,
         fixtures=fixtures,
         retiming=retiming,
@@ -142,53 +143,3 @@ def run_replay(
     require_heart_beats(history.peaks, scenario)
     ticks, ended = recorder.finish(), clock()
     return Replay(scenario, setup, calibrations, start, history, ticks, ended - began, ended - session_began)
-
-
-def in_use(calibrations: Calibrations) -> CalibrationsInUse:
-    """What a session works with, of calibrations with their evidence."""
-    return CalibrationsInUse(
-        calibrations.pivot.tip, calibrations.probe.probe_from_image, calibrations.latency.lag_s
-    )
-
-
-def register_scenario(
-    scenario: Scenario,
-    start: Rigid | None = None,
-    *,
-    model: DvfModel | None = None,
-    seed: int = 0,
-    progress: Progress | None = None,
-    clock: Clock = perf_counter,
-) -> RegistrationResult:
-    """One registration on the whole recording, from the scenario's own start unless one is given.
-
-    It ends in DISAGREEMENT where landmarks were touched and lie elsewhere (see `registration_monitor`).
-
-    Args:
-        model: as `run_replay`.
-    Raises:
-        NoOverlapError: too few frames can be compared with the model.
-        InvalidInputError, QualityGateError: as `run_replay`.
-    """
-    report_progress = progress or (lambda _: None)
-    pose = start if start is not None else start_pose(scenario)
-    require_tracked_poses(scenario)
-    calibrations = calibrate(scenario, seed)
-    peaks, _ = stream_recording(scenario.ecg)
-    require_heart_beats(peaks, scenario)
-    heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.6 * f))
-    recording = UltrasoundRecording(
-        scenario.ultrasound, 0, scenario.fan, heart, peaks, in_use(calibrations), "two-segment"
-    )
-    result = register_frames(
-        recording,
-        gate_recording(recording, from_s=-np.inf, until_s=np.inf),
-        pose,
-        seed=seed,
-        clock=clock,
-        prior=landmark_prior(scenario),
-        progress=lambda f: report_progress(0.6 + 0.4 * f),
-    )
-    off_mm = landmark_disagreement_mm(result.target_from_source, landmark_pose(scenario), heart.center_mm)
-    disagrees = off_mm is not None and result.stop.usable
-    return replace(result, stop=Stop.DISAGREEMENT) if disagrees else result

@@ -6,8 +6,10 @@ from operator import itemgetter
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, PoseStream, Scenario
-from dvf_ig.session import EcgSamples, Event, Landmark, ToolPose, TrackedFrame
+from dvf_ig.core import FloatArray, PoseStream, Scenario, TriggerTimes
+from dvf_ig.session import EcgSamples, Event, Landmark, ToolPose, TrackedFrame, Trigger
+
+from .preconditions import tool_of
 
 ECG_CHUNK = 50
 """ECG samples that are pushed at once; nothing depends on it."""
@@ -18,12 +20,15 @@ Timed = tuple[float, Event]
 
 def events_of(scenario: Scenario, *, ecg_chunk: int = ECG_CHUNK) -> Iterator[Timed]:
     """Everything that was recorded live, in order of time; nothing of the truth."""
-    streams = (_landmarks(scenario), _ecg(scenario, ecg_chunk), _frames(scenario), _tool(scenario.tool))
+    streams = (_landmarks(scenario), _beats(scenario, ecg_chunk), _frames(scenario), _tool(tool_of(scenario)))
     return merge(*streams, key=itemgetter(0))
 
 
-def _ecg(scenario: Scenario, chunk: int) -> Iterator[Timed]:
+def _beats(scenario: Scenario, chunk: int) -> Iterator[Timed]:
     ecg = scenario.ecg
+    if isinstance(ecg, TriggerTimes):
+        yield from ((t_s, Trigger(t_s)) for t_s in ecg.t_s.tolist())
+        return
     for first in range(0, len(ecg), chunk):
         start_s = ecg.start_s + first / ecg.rate_hz
         yield start_s, EcgSamples(start_s, ecg.samples[first : first + chunk])
@@ -49,7 +54,7 @@ def _landmarks(scenario: Scenario) -> Iterator[Timed]:
     if mr is None or tracker is None:
         return
     names, marked, touched = mr.paired_with(tracker)
-    begin_s = min(scenario.ecg.start_s, float(scenario.tool.t_s[0]), float(scenario.ultrasound.t_s[0]))
+    begin_s = min(scenario.ecg.start_s, float(tool_of(scenario).t_s[0]), float(scenario.ultrasound.t_s[0]))
     for name, mr_mm, tracker_mm in zip(names, marked.xyz_mm, touched.xyz_mm, strict=True):
         yield begin_s, Landmark(begin_s, name, mr_mm, tracker_mm)
 

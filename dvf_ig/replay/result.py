@@ -99,18 +99,20 @@ def _refusals(replay: Replay) -> dict[str, int]:
 
 
 def _estimates(replay: Replay) -> dict[str, Any]:
-    calibrations, track = replay.calibrations, replay.ticks.phase
+    evidence, in_use, track = replay.calibrations, replay.setup.calibrations, replay.ticks.phase
     locked = track.valid
     rr_s = float(np.median(track.rr_s[locked])) if locked.any() else None
     model = replay.heart.model
     poses = replay.poses
     return {
-        "tip_mm": calibrations.pivot.tip.xyz_mm[0].tolist(),
-        "pivot_rms_3d_mm": calibrations.pivot.rms_3d_mm,
-        "probe_from_image": calibrations.probe.probe_from_image.matrix.tolist(),
-        "probe_calibration_mean95_mm": calibrations.probe.calibration.summary.mean95,
-        "lag_s": calibrations.latency.lag_s,
-        "lag_correlation": calibrations.latency.correlation,
+        "tip_mm": in_use.tip.xyz_mm[0].tolist(),
+        "pivot_rms_3d_mm": None if evidence.pivot is None else evidence.pivot.rms_3d_mm,
+        "probe_from_image": in_use.probe_from_image.matrix.tolist(),
+        "probe_calibration_mean95_mm": None
+        if evidence.probe is None
+        else evidence.probe.calibration.summary.mean95,
+        "lag_s": in_use.lag_s,
+        "lag_correlation": None if evidence.latency is None else evidence.latency.correlation,
         "beats": len(replay.history.peaks),
         "rr_s": rr_s,
         "frame_period_s": frame_period_s(rr_s, model.phases) if rr_s else None,
@@ -184,6 +186,7 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
         "part_disagreement_mm": _finite(result.evidence.half_volume_mm),
         "edge_disagreement_mm": _finite(result.evidence.boundary_mm),
         "phase_offset_s": None if offset is None else offset.offset_s,
+        "pair_statistic": _finite(result.evidence.pair_statistic),
         "moved_mm": result.moved_mm,
         "slices": result.slices,
         "seconds": round(result.seconds, 3),
@@ -199,13 +202,13 @@ def _errors(replay: Replay) -> dict[str, Any]:
     start_errors = target_errors_mm(replay.start, truth.mr_from_tracker_at(0.0), truth.targets.points)
     out: dict[str, Any] = {
         "start_tre_mm": summarise_errors(start_errors).tre_fields(),
-        "lag_error_s": replay.calibrations.latency.lag_s - truth.lag_s,
-        "tip_error_mm": float(np.linalg.norm(replay.calibrations.pivot.tip.xyz_mm[0] - truth.tip.xyz_mm[0])),
+        "lag_error_s": replay.setup.calibrations.lag_s - truth.lag_s,
+        "tip_error_mm": float(np.linalg.norm(replay.setup.calibrations.tip.xyz_mm[0] - truth.tip.xyz_mm[0])),
     }
     images = replay.scenario.ultrasound.images
     if images is not None:
         out["probe_error_mm"] = far_corner_error_mm(
-            replay.calibrations.probe.probe_from_image, truth.probe_from_image, *images.shape[1:]
+            replay.setup.calibrations.probe_from_image, truth.probe_from_image, *images.shape[1:]
         )
     errors_mm = pose_errors_mm(ticks.mr_from_tracker, ticks.t_s, truth)
     if valid.any():

@@ -1,24 +1,64 @@
-"""The pose that a recorded intervention's registration starts from, and the landmarks that check it."""
+"""The pose that a recorded intervention's registration starts from, and what was touched to check it."""
 
-from dvf_ig.core import InvalidInputError, Rigid, Scenario
-from dvf_ig.registration import LandmarkPrior, prior_from_landmarks, start_from_landmarks
+import numpy as np
+
+from dvf_ig.core import DvfModel, InvalidInputError, QualityGateError, Rigid, Scenario
+from dvf_ig.registration import (
+    LandmarkPrior,
+    SurfaceDisagreement,
+    TouchedPoints,
+    prior_from_landmarks,
+    start_from_landmarks,
+    start_from_surface_points,
+    surface_disagreement,
+)
+from dvf_ig.session import Heart
+
+NO_START = (
+    "the recording has neither a start pose, nor landmarks, nor touched points; give a coarse "
+    "mr_from_tracker (start.tfm), or the same landmarks marked on the model and touched on the patient "
+    "(landmarks_mr.mrk.json, landmarks_tracker.mrk.json), or points touched all over the heart's surface"
+)
 
 
-def start_pose(scenario: Scenario) -> Rigid:
-    """The operator's coarse pose, else the landmark fit.
+def require_start(scenario: Scenario) -> None:
+    """Raise InvalidInputError where a scenario holds nothing to start a registration from."""
+    if scenario.start is None and scenario.touched is None and landmark_pose(scenario) is None:
+        raise InvalidInputError(NO_START)
+
+
+def start_pose(scenario: Scenario, heart: Heart, seed: int) -> Rigid:
+    """The operator's coarse pose, else the landmark fit, else the fit of points touched on the surface.
 
     Raises:
-        InvalidInputError: the scenario holds neither.
+        InvalidInputError: the scenario holds none of them, or they are too few.
+        QualityGateError: the touched points leave the pose open.
     """
-    if scenario.start is not None:
-        return scenario.start
-    touched = landmark_pose(scenario)
-    if touched is not None:
-        return touched
-    raise InvalidInputError(
-        "the scenario has neither a start pose nor landmarks; add start.tfm, or landmarks_mr.mrk.json and "
-        "landmarks_tracker.mrk.json"
-    )
+    given = scenario.start if scenario.start is not None else landmark_pose(scenario)
+    if given is not None:
+        return given
+    touched = touched_points(scenario, heart.model)
+    if touched is None:
+        raise InvalidInputError(NO_START)
+    fit = start_from_surface_points(touched, heart.model, heart.center_mm, rng=np.random.default_rng(seed))
+    if not fit.stop.usable:
+        raise QualityGateError(f"no start: {fit.sentence}")
+    return fit.target_from_source
+
+
+def touched_disagreement(scenario: Scenario, pose: Rigid, model: DvfModel) -> SurfaceDisagreement | None:
+    """How far the points touched on the surface lie from the model's at a pose; None without such points."""
+    touched = touched_points(scenario, model)
+    return None if touched is None else surface_disagreement(pose, touched, model)
+
+
+def touched_points(scenario: Scenario, model: DvfModel) -> TouchedPoints | None:
+    """The touched points with their place in the model's cycle: at end-diastole unless it was given."""
+    if scenario.touched is None:
+        return None
+    phase = scenario.touched_phase
+    at = float(model.timing.fractions[model.ed_phase]) if phase is None else phase
+    return TouchedPoints(scenario.touched, np.full(len(scenario.touched), at))
 
 
 def landmark_pose(scenario: Scenario) -> Rigid | None:
@@ -26,6 +66,11 @@ def landmark_pose(scenario: Scenario) -> Rigid | None:
     if scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
         return None
     return start_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker).mr_from_tracker
+
+
+def landmarks_start(scenario: Scenario) -> bool:
+    """Whether the start comes from touched landmarks; a session then fits them itself as they are touched."""
+    return scenario.start is None and landmark_pose(scenario) is not None
 
 
 def landmark_prior(scenario: Scenario) -> LandmarkPrior | None:

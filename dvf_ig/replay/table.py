@@ -9,13 +9,14 @@ from .preconditions import RATE_HZ
 def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     """The short table: quantity, estimate, and its error where the truth is known (else empty)."""
     est = result["estimates"]
+    residual_mm = est["probe_calibration_mean95_mm"]
     tip = ", ".join(f"{v:.2f}" for v in est["tip_mm"])
     lag_error_s = result["lag_error_s"]
     return [
         ("tool tip", f"({tip}) mm", _error(result["tip_error_mm"], "{:.2f} mm")),
         (
             "probe image",
-            f"N-wire residual {est['probe_calibration_mean95_mm']:.2f} mm",
+            "from a file" if residual_mm is None else f"phantom residual {residual_mm:.2f} mm",
             _error(result["probe_error_mm"], "{:.2f} mm at the far corner"),
         ),
         (

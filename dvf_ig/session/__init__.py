@@ -2,12 +2,14 @@
 
 from .beat_evaluation import BeatEvaluation as BeatEvaluation
 from .calibrations import CalibrationsInUse as CalibrationsInUse
+from .calibrations import UltrasoundCalibration as UltrasoundCalibration
 from .events import EcgSamples as EcgSamples
 from .events import Event as Event
 from .events import Landmark as Landmark
 from .events import Rearm as Rearm
 from .events import ToolPose as ToolPose
 from .events import TrackedFrame as TrackedFrame
+from .events import Trigger as Trigger
 from .executor import Beside as Beside
 from .executor import Executor as Executor
 from .executor import InCaller as InCaller
@@ -20,6 +22,10 @@ from .heart import Heart as Heart
 from .heart import build_heart as build_heart
 from .heart import label_map as label_map
 from .heart import label_map_of_model as label_map_of_model
+from .heart_clock import BeatSource as BeatSource
+from .heart_clock import EcgSource as EcgSource
+from .heart_clock import TriggerSource as TriggerSource
+from .heart_clock import beat_source_of as beat_source_of
 from .history import Attempt as Attempt
 from .history import PoseUpdate as PoseUpdate
 from .history import SessionHistory as SessionHistory

@@ -1,4 +1,4 @@
-"""The calibrations that a session works with: tool tip, probe image and latency."""
+"""The calibrations that a session works with: probe image and latency, and the tool's tip."""
 
 from dataclasses import dataclass
 
@@ -7,22 +7,34 @@ from dvf_ig.core.frames import require_same_frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CalibrationsInUse:
-    """What places the tool's tip and every pixel of the ultrasound, in space and in time.
+class UltrasoundCalibration:
+    """What places every pixel of the ultrasound, in space and in time.
 
     Attributes:
-        tip: tool tip, one point in frame "tool".
         probe_from_image: image calibration.
         lag_s: t_tracker(event) = t_video + lag_s.
     """
 
-    tip: Points
     probe_from_image: ImageMap
     lag_s: float
 
     def __post_init__(self) -> None:
+        if not abs(self.lag_s) <= 1.0:
+            raise InvalidInputError(f"the latency is {self.lag_s:g} s; needed -1 to 1 s (is it in ms?)")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationsInUse(UltrasoundCalibration):
+    """The same, and what places the tool's tip.
+
+    Attributes:
+        tip: tool tip, one point in frame "tool".
+    """
+
+    tip: Points
+
+    def __post_init__(self) -> None:
+        UltrasoundCalibration.__post_init__(self)
         require_same_frame("tool", self.tip.frame, "tool tip of a session")
         if len(self.tip) != 1:
             raise InvalidInputError(f"the tool tip has {len(self.tip)} points; needed one")
-        if not abs(self.lag_s) <= 1.0:
-            raise InvalidInputError(f"the latency is {self.lag_s:g} s; needed -1 to 1 s (is it in ms?)")

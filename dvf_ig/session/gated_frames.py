@@ -29,7 +29,7 @@ from dvf_ig.registration import (
     subsample,
 )
 
-from .calibrations import CalibrationsInUse
+from .calibrations import UltrasoundCalibration
 from .heart import Heart
 
 MAX_FRAMES = 48
@@ -56,7 +56,7 @@ class UltrasoundRecording:
     fan: Fan | None
     heart: Heart
     peaks: tuple[RPeak, ...]
-    calibrations: CalibrationsInUse
+    calibrations: UltrasoundCalibration
     retiming: RetimeMode
 
     @property

@@ -11,7 +11,7 @@ from dvf_ig.core import DvfIgError, Fan, Rigid
 from dvf_ig.registration import LandmarkPrior, RegistrationResult, SliceThreads
 
 from .beat_evaluation import ComparedBeat, compare_beat
-from .calibrations import CalibrationsInUse
+from .calibrations import UltrasoundCalibration
 from .executor import Executor, Job, answered
 from .frame_buffer import FrameBuffer
 from .frame_registration import register_frames
@@ -82,7 +82,7 @@ class ArrivedUltrasound:
 
     buffer: FrameBuffer
     heart: Heart
-    calibrations: CalibrationsInUse
+    calibrations: UltrasoundCalibration
     fan: Fan | None
     retiming: RetimeMode
     seed: int

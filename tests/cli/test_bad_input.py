@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import SimpleITK as sitk
+from recorded import pivot_of, tool_of
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import Scenario
+from dvf_ig.core import Scenario, Signal
 from dvf_ig.io import write_ecg_csv, write_model, write_poses
 from dvf_ig.replay import Replay
 
@@ -46,15 +47,16 @@ def test_truncated_ultrasound(folder: Path) -> None:
 
 
 def test_ecg_without_beats(folder: Path, scenario: Scenario) -> None:
+    assert isinstance(scenario.ecg, Signal)
     noise = 0.01 * np.random.default_rng(0).normal(size=scenario.ecg.samples.shape)
     write_ecg_csv(dataclasses.replace(scenario.ecg, samples=noise), folder / "ecg.csv")
     replay_fails(folder, 3, "R peaks", "electrodes")
 
 
 def test_tool_never_tracked(folder: Path, scenario: Scenario) -> None:
-    lost = np.zeros(len(scenario.tool), dtype=bool)
-    write_poses(dataclasses.replace(scenario.tool, valid=lost), folder / "tool.igs.mha")
-    replay_fails(folder, 3, "tool.igs.mha", "status OK")
+    lost = np.zeros(len(tool_of(scenario)), dtype=bool)
+    write_poses(dataclasses.replace(tool_of(scenario), valid=lost), folder / "tool.igs.mha")
+    replay_fails(folder, 3, "tool recording", "status OK")
 
 
 def test_missing_recording(folder: Path) -> None:
@@ -63,7 +65,7 @@ def test_missing_recording(folder: Path) -> None:
 
 
 def test_static_pivot_recording(folder: Path, scenario: Scenario) -> None:
-    still = scenario.pivot
+    still = pivot_of(scenario)
     n = len(still)
     static = dataclasses.replace(
         still,

@@ -1,4 +1,4 @@
-"""`register --us-volume` on files of the toy heart: the pose that arrays give; each misuse in a sentence."""
+"""`register --us-volume` on files of the toy heart: the pose that arrays give, and each misuse."""
 
 import json
 from dataclasses import replace
@@ -15,6 +15,7 @@ from typer.testing import CliRunner, Result
 from dvf_ig.cli.main import app
 from dvf_ig.core import Grid, Landmarks, Points, Preop, Rigid, Signal, TrackedVolume, Volume, VolumeSeries
 from dvf_ig.io import (
+    read_heart_options,
     read_model,
     write_ecg_csv,
     write_landmarks,
@@ -202,8 +203,8 @@ WRONG = [
     (["none.nrrd@0"], ["--start", "start.tfm"], 3, "does not exist"),
     (["cine.nrrd@0"], ["--start", "start.tfm"], 3, "split it"),
     (["a.nrrd@0"], ["--start", "start.tfm", "--mr", "a.nrrd"], 3, "needed 4-D"),
-    (["a.nrrd@0"], ["--start", "start.tfm", "--init", "start.tfm"], 2, "--init and --mask"),
-    (["a.nrrd@0"], ["--start", "start.tfm", "--fixed", "a.nrrd"], 2, "give a scenario folder"),
+    (["a.nrrd@0"], ["--start", "start.tfm", "--mask", "a.nrrd"], 2, "--mask does not go with --us-volume"),
+    (["a.nrrd@0"], ["--start", "start.tfm", "--fixed", "a.nrrd"], 2, "what is to be registered?"),
 ]
 
 
@@ -223,14 +224,15 @@ def test_volumes_need_a_model_and_the_other_kinds_do_not_take_their_options(
 ) -> None:
     done = register(lab, "--us-volume", f"{lab}/a.nrrd@0", "--start", lab / "start.tfm", "-o", tmp_path / "o")
     assert (done.exit_code, "--model" in done.output) == (2, True)
-    done = register(lab, lab, "--start", lab / "start.tfm", "-o", tmp_path / "o")
+    done = register(lab, lab, "--mr", lab / "model.npz", "-o", tmp_path / "o")
     assert (done.exit_code, "--us-volume" in done.output) == (2, True)
     assert not (tmp_path / "o").exists()
 
 
 def test_times_of_a_cine_without_any_are_the_models(lab: Path, tmp_path: Path) -> None:
-    from dvf_ig.cli.register.volumes import _cine
-
     write_volume_series(cine(), tmp_path / "alone.nrrd")
-    model = read_model(lab / "model.npz")
-    assert _cine(tmp_path / "alone.nrrd", model).timing is model.timing
+    files = {"model": str(lab / "model.npz"), "mr": str(tmp_path / "alone.nrrd")}
+    read = read_heart_options(files, None)
+    assert read.preop.mr is not None
+    assert read.model is not None
+    assert read.preop.mr.timing is read.model.timing

@@ -139,7 +139,7 @@ fixtures:
     ("text", "complaint"),
     [
         ("fixtures: [", "is not YAML"),
-        ("", "valid dictionary"),
+        ("", "needed keys with their values"),
         ("fixtures: []", "holds no fixture; needed at least one"),
         ("fixture: []", "unknown key fixture; needed some of fixtures, cap_n, retiming"),
         ("fixtures: [{gamma: 1.0}]", "fixtures.0: its 'law' is missing"),
@@ -148,15 +148,15 @@ fixtures:
             "fixtures: [{law: guidance, gamma: 2.0}]",
             "fixtures.0: unknown key gamma; needed some of name, cap_n, law, delta, m, depth_mm, blend",
         ),
-        ("fixtures: [{law: forbidden}, {law: guidance, delta: wide}]", "fixtures.1.delta: .*valid number"),
-        ("fixtures: [{law: forbidden, gamma: true}]", "fixtures.0.gamma: .*valid number"),
+        ("fixtures: [{law: forbidden}, {law: guidance, delta: wide}]", "fixtures.1.delta: needed a number"),
+        ("fixtures: [{law: forbidden, gamma: true}]", "fixtures.0.gamma: needed a number"),
         ("fixtures: [{law: forbidden, cap_n: .nan}]", "fixtures.0.cap_n: .*finite"),
         (
             "fixtures: [{law: forbidden, blend: nearest}]",
             "fixtures.0.blend: .*'force', 'distance' or 'period",
         ),
         ("fixtures: [{law: forbidden, gamma: -1}]", "fixtures.0: sigmoid steepness gamma_per_mm is -1"),
-        ("fixtures: [{law: path}]", "fixtures.0.path: Field required"),
+        ("fixtures: [{law: path}]", "fixtures.0.path: it is missing"),
         ("fixtures: [{law: path, path: [[0, 0], [1, 1]]}]", r"fixtures.0.path: needed points \[\[x, y, z\]"),
         ("fixtures: [{law: path, path: [[0, 0, 0]]}]", "fixtures.0: .*at least 2 points"),
         (

@@ -57,11 +57,11 @@ def test_clocks_that_hardly_overlap_are_refused(scenario) -> None:
         tick_times(scenario)
 
 
-def test_what_was_never_tracked_is_refused_by_its_file() -> None:
+def test_what_was_never_tracked_is_refused_by_its_name() -> None:
     require_tracked_poses(recorded())
-    with pytest.raises(InvalidInputError, match=r"^tool\.igs\.mha: none of the 50 poses"):
+    with pytest.raises(InvalidInputError, match=r"^tool recording: none of the 50 poses"):
         require_tracked_poses(recorded(tool_tracked=False))
-    with pytest.raises(InvalidInputError, match=r"^ultrasound\.igs\.mha: none of the 50 poses"):
+    with pytest.raises(InvalidInputError, match=r"^ultrasound recording: none of the 50 poses"):
         require_tracked_poses(recorded(probe_tracked=False))
 
 

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from recorded import tool_of
 
 from dvf_ig.core import InvalidInputError, NoOverlapError, PoseStream, Scenario, Signal, TrackedSequence
 from dvf_ig.guidance import Status
@@ -89,8 +90,9 @@ def _same_until(first: Replay, second: Replay, until_s: float) -> None:
 
 def _cut(scenario: Scenario, until_s: float) -> Scenario:
     """The recording as it was at `until_s`."""
-    ecg, us, tool = scenario.ecg, scenario.ultrasound, scenario.tool
+    ecg, us, tool = scenario.ecg, scenario.ultrasound, tool_of(scenario)
     lag_s = scenario.truth.lag_s if scenario.truth else 0.0
+    assert isinstance(ecg, Signal)
     samples = int((until_s - ecg.start_s) * ecg.rate_hz)
     frames = int(np.searchsorted(us.t_s + lag_s, until_s))
     return dataclasses.replace(
@@ -124,8 +126,8 @@ def _invalid(stream: PoseStream) -> PoseStream:
 
 
 def test_untracked_tool_or_probe_is_refused(scenario: Scenario) -> None:
-    with pytest.raises(InvalidInputError, match=r"tool\.igs\.mha: none of the .* poses .* has status OK"):
-        run_replay(dataclasses.replace(scenario, tool=_invalid(scenario.tool)))
+    with pytest.raises(InvalidInputError, match=r"tool recording: none of the .* poses .* has status OK"):
+        run_replay(dataclasses.replace(scenario, tool=_invalid(tool_of(scenario))))
     us = scenario.ultrasound
     blind = dataclasses.replace(us, poses={name: _invalid(s) for name, s in us.poses.items()})
     with pytest.raises(InvalidInputError, match="has status OK"):
@@ -133,6 +135,7 @@ def test_untracked_tool_or_probe_is_refused(scenario: Scenario) -> None:
 
 
 def test_ecg_without_beats_is_refused(scenario: Scenario, replay: Replay) -> None:
+    assert isinstance(scenario.ecg, Signal)
     noise = 0.01 * np.random.default_rng(0).normal(size=scenario.ecg.samples.shape)
     flat = dataclasses.replace(scenario.ecg, samples=noise)
     with pytest.raises(InvalidInputError, match=r"R peaks in .* check the electrodes"):
@@ -147,7 +150,7 @@ def test_ecg_on_another_clock_is_refused(scenario: Scenario) -> None:
 
 def test_scenario_without_a_start_is_refused(scenario: Scenario) -> None:
     lost = dataclasses.replace(scenario, start=None, landmarks_mr=None)
-    with pytest.raises(InvalidInputError, match="neither a start pose nor landmarks"):
+    with pytest.raises(InvalidInputError, match="neither a start pose, nor landmarks"):
         run_replay(lost)
 
 

@@ -9,6 +9,7 @@ import typer
 from dvf_ig.cli.shell import progress
 from dvf_ig.core import DvfModel, Preop
 
+from .blood import warn_of_no_blood
 from .from_image import model_from_image
 from .request import BuildRequest
 
@@ -16,12 +17,17 @@ from .request import BuildRequest
 def model_of(request: BuildRequest, *, as_json: bool) -> tuple[DvfModel, dict[str, Any]]:
     """The fitted model, and the evidence that is added to what is printed."""
     if request.image is not None:
-        model, motion = model_from_image(request, request.image, as_json=as_json)
-        return model, {"motion": motion}
+        return model_from_image(request, request.image, as_json=as_json)
     if request.surfaces is not None:
-        return _from_surfaces(request, request.surfaces), {}
+        model = _from_surfaces(request, request.surfaces)
+        if not model.chambers:
+            warn_of_no_blood("put LV_ENDOCARDIAL or RV_ENDOCARDIAL beside it")
+        return model, {}
     if request.labels is not None:
-        return _from_labels(request, request.labels), {}
+        model = _from_labels(request, request.labels)
+        if not model.chambers:
+            warn_of_no_blood("give --cavity")
+        return model, {}
     raise typer.BadParameter("give --surfaces DIR, --labels SERIES, or --image and labels or seeds")
 
 
@@ -58,6 +64,7 @@ def _from_labels(request: BuildRequest, image: Path) -> DvfModel:
         patient_id=request.patient_id(image),
         labels=read_volume_series(image, request.timing),
         organ_labels=request.organ,
+        cavity_labels=request.cavity,
         surface=request.surface,
     )
     source = f"{image.name}: labels {','.join(map(str, request.organ))}"

@@ -1,19 +1,20 @@
 """`dvf-ig register --model MODEL --us-volume FILE@PHASE …`: mr_from_tracker from gated 3-D ultrasound."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import warn
+from dvf_ig.cli.patient_model import patient_model
+
+from . import own
+from .output import Registered
 
 if TYPE_CHECKING:
-    from dvf_ig.core import DvfModel, Preop, Rigid, VolumeSeries
+    from dvf_ig.core import DvfModel, Rigid
     from dvf_ig.io import GatedVolumeFile
     from dvf_ig.registration import LandmarkPrior
-
-    from .output import Registered
 
 UsVolumesOption = Annotated[
     list[str] | None,
@@ -26,74 +27,46 @@ UsVolumesOption = Annotated[
         "phase and corrects for the heart rate.",
     ),
 ]
-MrOption = Annotated[
-    Path | None, typer.Option("--mr", help="4-D MR or CT that the model was built from: its grey levels.")
-]
-VolumeEcgOption = Annotated[
-    str | None, typer.Option("--ecg", help="ECG of volumes given as FILE=SECONDS: wfdb:, edf: or csv:.")
-]
-StartOption = Annotated[Path | None, typer.Option("--start", help="Coarse mr_from_tracker, ITK .tfm.")]
-StartLandmarksOption = Annotated[
-    tuple[Path, Path] | None,
-    typer.Option(
-        "--start-landmarks",
-        metavar="MR TRACKER",
-        help="The same anatomical points, by name, on the model and touched on the patient (.mrk.json, "
-        ".fcsv); five or more also take part in the registration.",
-    ),
-]
 
 
-def model_and_cine(model: Path | None, mr: Path | None) -> "tuple[Preop, DvfModel]":
-    """The patient's model from its file, with the grey levels that it was built from where they are given."""
-    from dvf_ig.core import Preop
-    from dvf_ig.io import read_model
+def register_volume_files(names: Sequence[str], options: Mapping[str, Any], seed: int) -> Registered:
+    """Volumes named FILE@PHASE or FILE=SECONDS.
 
-    if model is None:
-        raise typer.BadParameter("--us-volume needs --model MODEL, which `dvf-ig model build` makes")
-    fixture = read_model(model)
-    return Preop(fixture.patient_id, mr=_cine(mr, fixture) if mr is not None else None), fixture
-
-
-def register_volume_files(
-    names: Sequence[str],
-    preop: "Preop",
-    model: "DvfModel",
-    *,
-    ecg: str | None,
-    start: Path | None,
-    landmarks: tuple[Path, Path] | None,
-    seed: int,
-) -> "Registered":
+    Args:
+        options: by their names on the command line; None where they were not given.
+    """
     from time import perf_counter
 
     from dvf_ig.io import gated_volume_files, read_gated_volumes
+    from dvf_ig.replay.registration_inputs import volumes_shown
     from dvf_ig.session import build_heart, register_gated_volumes
 
     files = gated_volume_files(names)
-    _require_matching(files, ecg, start, landmarks)
-    pose, prior = _start(start, landmarks)
-    volumes = read_gated_volumes([file.path for file in files], _model_phases(files, ecg, model))
+    _require_matching(files, options)
+    pose, prior = _start(options["--start"], options["--start-landmarks"])
+    read = own.read_heart(options)
+    model, origin = patient_model(read.preop, read.model)
+    phases = _model_phases(files, options, model)
+    volumes = read_gated_volumes([file.path for file in files], phases)
+    heart, mr = build_heart(read.preop, model), read.preop.mr
     result = register_gated_volumes(
         volumes,
-        build_heart(preop, model),
+        heart,
         pose,
-        mr=preop.mr,
+        mr=mr,
         seed=seed,
         clock=perf_counter,
         prior=prior,
-        landmarks=pose if landmarks is not None else None,
+        landmarks=None if options["--start-landmarks"] is None else pose,
     )
-    return result, pose
+    typer.echo(origin, err=True)
+    about = ", ".join(file.path.name for file in files)
+    return Registered(result, pose, volumes_shown(result, pose, volumes, heart, mr, about=about))
 
 
-def _require_matching(
-    files: "Sequence[GatedVolumeFile]",
-    ecg: str | None,
-    start: Path | None,
-    landmarks: tuple[Path, Path] | None,
-) -> None:
-    timed = next((file for file in files if file.t_s is not None), None)
+def _require_matching(files: "Sequence[GatedVolumeFile]", options: Mapping[str, Any]) -> None:
+    own.require_heart(options)
+    timed, ecg = next((file for file in files if file.t_s is not None), None), options["--ecg"]
     if timed is not None and ecg is None:
         raise typer.BadParameter(
             f"{timed.path}={timed.t_s:g} needs the ECG of that time: --ecg; or give its phase, "
@@ -101,7 +74,7 @@ def _require_matching(
         )
     if timed is None and ecg is not None:
         raise typer.BadParameter("--ecg belongs to volumes given as FILE=SECONDS; every one has its phase")
-    if (start is None) == (landmarks is None):
+    if (options["--start"] is None) == (options["--start-landmarks"] is None):
         raise typer.BadParameter("give either --start FILE.tfm or --start-landmarks MR TRACKER")
 
 
@@ -118,31 +91,16 @@ def _start(file: Path | None, landmarks: tuple[Path, Path] | None) -> "tuple[Rig
     return read_transform(file, target="mr", source="tracker"), None
 
 
-def _cine(file: Path, model: "DvfModel") -> "VolumeSeries":
-    """The 4-D grey levels; where no times lie beside them, with those of the model's phases."""
-    from dataclasses import replace
-
-    from dvf_ig.io import read_volume_series
-
-    cine = read_volume_series(file, frame=model.frame)
-    if not cine.timing.timing_assumed:
-        return cine
-    if len(cine.timing) == model.phases:
-        return replace(cine, timing=model.timing)
-    warn(
-        f"{file} has {len(cine.timing)} phases, the model {model.phases}: its phase i is taken to be at i/"
-        f"{len(cine.timing)} of the cycle; put a timing.json beside it"
-    )
-    return cine
-
-
-def _model_phases(files: "Sequence[GatedVolumeFile]", ecg: str | None, model: "DvfModel") -> list[float]:
+def _model_phases(
+    files: "Sequence[GatedVolumeFile]", options: Mapping[str, Any], model: "DvfModel"
+) -> list[float]:
     """Where in the model's cycle each volume belongs; a phase without a heart rate is at the model's own."""
     from dvf_ig.cardiac import stream_recording
     from dvf_ig.io import read_ecg
     from dvf_ig.session import model_phase_at
 
-    peaks = stream_recording(read_ecg(ecg))[0] if ecg is not None else ()
+    ecg = options["--ecg"]
+    peaks = stream_recording(read_ecg(ecg, options["--rate"]))[0] if ecg is not None else ()
     return [
         model_phase_at(model, peaks, file.t_s) if file.t_s is not None else file.phase or 0.0
         for file in files

@@ -105,7 +105,7 @@ def _study(
     seed: int,
     as_json: bool,
 ) -> None:
-    with command():
+    with command(lists_inputs=False):
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.study.registration.experiments import settings_of, trial_numbers, trials_per_heart
         from dvf_ig.study.registration.page import NEAR_MM, write_capture_page

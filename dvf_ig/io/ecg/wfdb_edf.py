@@ -12,7 +12,10 @@ import numpy as np
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError
 from dvf_ig.core.signal import Signal
+from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import refuse_lfs_pointer
+
+from .record_files import record_files
 
 DAMAGE = (ValueError, LookupError, TypeError, ArithmeticError, OSError)
 """What these packages raise on damaged files."""
@@ -32,6 +35,8 @@ def read_wfdb(record: Path) -> Signal:
     try:
         with quiet():
             data = wfdb.rdrecord(str(record.resolve()))
+        for file in record_files(record):
+            record_file(file)
     except DAMAGE as exc:
         raise UnreadableFileError(f"{record}: not a readable WFDB record ({exc}); copy it again") from exc
     if data.p_signal is None:

@@ -12,8 +12,10 @@ from dvf_ig.core.rigid import Rigid
 from dvf_ig.core.scenario import LatencyRecording, Preop, Scenario
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.trigger import TriggerTimes
 from dvf_ig.io.atomic import atomic_folder, make_folder, write_bytes, write_text
 from dvf_ig.io.ecg.recording import write_ecg_csv
+from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX, write_triggers
 from dvf_ig.io.image.timing import timing_document
 from dvf_ig.io.image.volume import write_volume_series
 from dvf_ig.io.json_file import write_json
@@ -23,12 +25,14 @@ from dvf_ig.io.plus.latency import write_line_table
 from dvf_ig.io.plus.nwire import write_nwire_phantom, write_wire_points
 from dvf_ig.io.plus.sequence_write import write_poses, write_sequence
 from dvf_ig.io.transform import write_transform
+from dvf_ig.io.truth import write_truth
 
 from .layout import (
     CONFIG,
     PREVIEW,
     README,
     SPEC,
+    TRIGGER,
     TRUTH,
     FanConfig,
     FilesConfig,
@@ -38,7 +42,6 @@ from .layout import (
     is_our_folder,
 )
 from .readme import ScenarioNotes, readme_text
-from .truth import write_truth
 
 
 def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes | None = None) -> None:
@@ -50,20 +53,29 @@ def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes 
         notes: for people: what README.md, preview.png and truth/spec.yaml say; None leaves these out.
     Raises:
         OutputError: the folder holds something else, or cannot be written.
-        InvalidInputError: neither labels nor surfaces, or a name that its file format cannot hold.
+        InvalidInputError: neither labels nor surfaces, a recording is missing, or a name that its file format
+            cannot hold.
     """
     config = _config(scenario)
+    tool, tip, probe, latency = scenario.tool, scenario.tip, scenario.probe, scenario.latency
+    if tool is None or not isinstance(tip, PoseStream) or not isinstance(probe, NWireRecording):
+        raise InvalidInputError("a scenario folder holds tool, pivot and N-wire recordings; one is missing")
+    if not isinstance(latency, LatencyRecording):
+        raise InvalidInputError("a scenario folder holds a water-tank recording, not a latency")
     with atomic_folder(Path(folder), is_our_folder) as new:
         for part in ("preop", "calibration"):
             make_folder(new / part)
         _write_preop(scenario.preop, new, config.preop)
         files = config.files
-        write_ecg_csv(scenario.ecg, new / files.ecg)
+        if isinstance(scenario.ecg, TriggerTimes):
+            write_triggers(scenario.ecg, new / TRIGGER)
+        else:
+            write_ecg_csv(scenario.ecg, new / files.ecg)
         write_sequence(scenario.ultrasound, new / files.ultrasound)
-        write_poses(scenario.tool, new / files.tool, scenario.tool_after_restart)
-        write_poses(scenario.pivot, new / files.pivot)
-        _write_nwire(scenario.nwire, new, files)
-        _write_latency(scenario.latency, new, files)
+        write_poses(tool, new / files.tool, scenario.tool_after_restart)
+        write_poses(tip, new / files.pivot)
+        _write_nwire(probe, new, files)
+        _write_latency(latency, new, files)
         if scenario.start is not None and files.start is not None:
             write_transform(scenario.start, new / files.start)
         if scenario.landmarks_mr is not None and files.landmarks_mr is not None:
@@ -110,6 +122,7 @@ def _config(scenario: Scenario) -> ScenarioConfig:
             half_angle_rad=float(fan.half_angle_rad),
         ),
         files=FilesConfig(
+            ecg=f"{TRIGGER_PREFIX}{TRIGGER}" if isinstance(scenario.ecg, TriggerTimes) else "ecg.csv",
             start="start.tfm" if scenario.start is not None else None,
             landmarks_mr="landmarks_mr.mrk.json" if scenario.landmarks_mr is not None else None,
             landmarks_tracker="landmarks_tracker.mrk.json"

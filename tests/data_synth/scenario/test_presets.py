@@ -5,13 +5,14 @@ from functools import cache
 
 import numpy as np
 import pytest
+from recorded import latency_of, nwire_of, pivot_of, tool_of
 
 from data_synth import PRESETS, Preset, ScenarioSpec, phantom_scenario
 from data_synth.scenario.displacement import STEP_S
 from data_synth.scenario.world import image_middle_mm
 from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.core import FloatArray, ImageMap, Scenario, ScenarioTruth
+from dvf_ig.core import FloatArray, ImageMap, Scenario, ScenarioTruth, Signal
 
 SECONDS = 16.0
 HALF_S = 0.5 * SECONDS
@@ -32,15 +33,16 @@ def streams(scenario: Scenario) -> dict[str, list[FloatArray]]:
     assert scenario.start is not None
     assert scenario.landmarks_tracker is not None
     poses = {
-        "tool": scenario.tool,
+        "tool": tool_of(scenario),
         "probe": probe,
-        "pivot": scenario.pivot,
-        "nwire": scenario.nwire.phantom_from_probe,
-        "latency": scenario.latency.tracker_from_probe,
+        "pivot": pivot_of(scenario),
+        "nwire": nwire_of(scenario).phantom_from_probe,
+        "latency": latency_of(scenario).tracker_from_probe,
     }
     out = {name: [s.t_s, s.rotations, s.translations_mm] for name, s in poses.items()}
-    out["nwire"].append(scenario.nwire.points_px)
-    out["latency"].append(scenario.latency.wall_row_px.values)
+    out["nwire"].append(nwire_of(scenario).points_px)
+    out["latency"].append(latency_of(scenario).wall_row_px.values)
+    assert isinstance(scenario.ecg, Signal)
     out["ecg"] = [scenario.ecg.samples]
     out["ecg clock"] = [scenario.ecg.t_s]
     out["images"] = [scenario.ultrasound.images[::10].astype(np.float64)]
@@ -128,7 +130,7 @@ def test_the_patient_moves_by_what_is_stated(ball: object) -> None:
     center = ball.box_mm.mean(axis=0)  # type: ignore[attr-defined]
     assert np.linalg.norm(change.apply_array(center) - center) == pytest.approx(8.0, abs=1e-9)
     assert np.degrees(change.angle_rad) == pytest.approx(3.0, abs=1e-9)
-    rotations, translations, valid = scenario.tool.at_many(truth.tool.t_s)
+    rotations, translations, valid = tool_of(scenario).at_many(truth.tool.t_s)
     tip = rotations @ truth.tip.xyz_mm[0] + translations
     for after, pose in ((False, first), (True, last)):
         held = valid & ((truth.tool.t_s > HALF_S + 0.6) if after else (truth.tool.t_s < HALF_S - 0.1))
@@ -157,7 +159,7 @@ def test_a_probe_is_laid_aside_and_then_the_patient_moves() -> None:
 @pytest.mark.usefixtures("on_a_ball")
 def test_a_tool_freezes_while_the_true_one_goes_on() -> None:
     (scenario, truth), (calm, _) = made("frozen-tool"), made()
-    tool, whole = scenario.tool, calm.tool
+    tool, whole = tool_of(scenario), tool_of(calm)
     frozen = (tool.t_s >= HALF_S) & (tool.t_s < HALF_S + 20.0)
     assert tool.valid[frozen].all()
     assert (np.diff(tool.translations_mm[frozen], axis=0) == 0).all()
@@ -169,13 +171,13 @@ def test_a_tool_freezes_while_the_true_one_goes_on() -> None:
 @pytest.mark.usefixtures("on_a_ball")
 def test_the_tool_s_clock_restarts_ten_seconds_back() -> None:
     (scenario, _), (calm, _) = made("tool-clock-restart"), made()
-    before, after = scenario.tool, scenario.tool_after_restart
+    before, after = tool_of(scenario), scenario.tool_after_restart
     assert after is not None
     assert calm.tool_after_restart is None
-    assert len(before) + len(after) == len(calm.tool)
+    assert len(before) + len(after) == len(tool_of(calm))
     assert before.t_s[-1] == pytest.approx(HALF_S, abs=0.02)
-    np.testing.assert_allclose(after.t_s, calm.tool.t_s[len(before) :] - 10.0, atol=1e-9)
-    np.testing.assert_array_equal(after.rotations, calm.tool.rotations[len(before) :])
+    np.testing.assert_allclose(after.t_s, tool_of(calm).t_s[len(before) :] - 10.0, atol=1e-9)
+    np.testing.assert_array_equal(after.rotations, tool_of(calm).rotations[len(before) :])
 
 
 @pytest.mark.usefixtures("on_a_ball")
@@ -201,7 +203,7 @@ def moved_mm_deg(first: ImageMap, second: ImageMap) -> tuple[float, float]:
 
 def off_wire_mm(scenario: Scenario, image: ImageMap) -> float:
     """RMS distance of the segmented points from their wires through an image calibration."""
-    recording = scenario.nwire
+    recording = nwire_of(scenario)
     misses = []
     for i in range(len(recording.phantom_from_probe)):
         pixels = recording.points_px[i]
@@ -229,7 +231,7 @@ def test_the_wrong_calibration_is_of_the_stated_other_probe() -> None:
 @pytest.mark.usefixtures("on_a_ball")
 def test_sight_is_lost_for_seconds_while_the_tool_touches() -> None:
     scenario, truth = made("line-of-sight-loss")
-    tool = scenario.tool
+    tool = tool_of(scenario)
     edges = np.flatnonzero(np.diff(np.concatenate([[1], tool.valid.astype(int), [1]])))
     gaps = (edges[1::2] - edges[::2]) / 100.0
     assert (gaps > 1.4).sum() == 1
@@ -259,7 +261,7 @@ def test_breathing_carries_heart_probe_view_and_hand() -> None:
     assert size.max() == pytest.approx(6.0, abs=0.01)
     assert size.min() == pytest.approx(0.0, abs=0.01)
     np.testing.assert_array_equal(truth.tool.distance_mm, calm.tool.distance_mm)
-    rotations, translations, valid = scenario.tool.at_many(truth.tool.t_s)
+    rotations, translations, valid = tool_of(scenario).at_many(truth.tool.t_s)
     tip = rotations @ truth.tip.xyz_mm[0] + translations
     miss = truth.mr_from_tracker[0][1].apply_array(tip[valid]) - truth.tool.tip_mr_mm[valid]
     assert np.sqrt((miss**2).sum(axis=1).mean()) < 0.2

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recorded import latency_of, nwire_of, pivot_of, tool_of
 
 import data_synth.scenario.recording as scenario_module
 from data_synth import ScenarioSpec, phantom_scenario, replayed_path, surface_scenario
@@ -17,9 +18,11 @@ def arrays(made: Scenario) -> list[FloatArray]:
     assert truth is not None
     assert made.start is not None
     assert made.landmarks_tracker is not None
-    streams = [made.tool, made.pivot, made.nwire.phantom_from_probe, made.latency.tracker_from_probe]
+    nwire, latency = nwire_of(made), latency_of(made)
+    streams = [tool_of(made), pivot_of(made), nwire.phantom_from_probe, latency.tracker_from_probe]
     streams.append(made.ultrasound.poses["tracker_from_probe"])
-    out = [made.ecg.samples, made.nwire.points_px, made.latency.wall_row_px.values, made.start.matrix]
+    assert isinstance(made.ecg, Signal)
+    out = [made.ecg.samples, nwire.points_px, latency.wall_row_px.values, made.start.matrix]
     out += [made.landmarks_tracker.points.xyz_mm, truth.r_peaks_s, truth.tool.distance_mm]
     out += [truth.mr_from_tracker[0][1].matrix, truth.probe_from_image.matrix, truth.tip.xyz_mm]
     return out + [part for s in streams for part in (s.rotations, s.translations_mm)]
@@ -37,8 +40,8 @@ def test_the_same_seed_is_bit_identical_and_another_differs() -> None:
 @pytest.mark.usefixtures("on_a_ball")
 def test_a_longer_recording_keeps_what_does_not_depend_on_its_length() -> None:
     short, long = (phantom_scenario(ScenarioSpec(seconds=s, seed=5)) for s in (10.0, 20.0))
-    assert np.array_equal(short.nwire.points_px, long.nwire.points_px, equal_nan=True)
-    assert np.array_equal(short.pivot.translations_mm, long.pivot.translations_mm)
+    assert np.array_equal(nwire_of(short).points_px, nwire_of(long).points_px, equal_nan=True)
+    assert np.array_equal(pivot_of(short).translations_mm, pivot_of(long).translations_mm)
     assert short.truth is not None
     assert long.truth is not None
     peaks = long.truth.r_peaks_s
@@ -60,8 +63,8 @@ def test_a_minute_keeps_its_promises(seed: int, ball: Any) -> None:
     assert speed.max() <= 32.0
     assert 60 <= len(truth.r_peaks_s) <= 84
     assert 0.02 <= abs(truth.lag_s) <= 0.08
-    assert made.tool.valid.mean() > 0.99
-    assert made.tool.rate_hz == pytest.approx(100.0, rel=0.02)
+    assert tool_of(made).valid.mean() > 0.99
+    assert tool_of(made).rate_hz == pytest.approx(100.0, rel=0.02)
     assert len(made.ultrasound) == pytest.approx(718, abs=2)
     assert made.start is not None
     off = made.start @ truth.mr_from_tracker[0][1].inverse()
@@ -75,7 +78,7 @@ def test_tracked_tool_and_true_frames_put_the_tip_where_the_truth_says() -> None
     made = phantom_scenario(ScenarioSpec(seconds=20.0, seed=2))
     truth = made.truth
     assert truth is not None
-    rotations, translations, valid = made.tool.at_many(truth.tool.t_s)
+    rotations, translations, valid = tool_of(made).at_many(truth.tool.t_s)
     tip_tracker = rotations @ truth.tip.xyz_mm[0] + translations
     miss = truth.mr_from_tracker[0][1].apply_array(tip_tracker) - truth.tool.tip_mr_mm
     rms = np.sqrt((miss[valid] ** 2).sum(axis=1).mean())

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from recorded import nwire_of
 
-from dvf_ig.core import FloatArray, NWireRecording, PoseStream, Rigid, Scenario
+from dvf_ig.core import FloatArray, PoseStream, Rigid, Scenario
 from dvf_ig.io import read_latency_recording, read_nwire_recording, read_sequence, write_poses
 from dvf_ig.io.plus.feature_points import read_target_recording
 from dvf_ig.io.plus.latency import write_line_table
@@ -113,7 +114,7 @@ def test_a_latency_recording_keeps_the_lines_before_the_restart(tmp_path: Path) 
 def test_an_nwire_recording_keeps_the_wires_before_the_restart(
     tmp_path: Path, make_scenario: Callable[..., Scenario]
 ) -> None:
-    whole: NWireRecording = make_scenario(4).nwire
+    whole = nwire_of(make_scenario(4))
     probe = replace(whole.phantom_from_probe, target="tracker")
     write_poses(probe, tmp_path / "a.igs.mha", probe)
     write_nwire_phantom(tmp_path / "d.xml", whole.phantom, Rigid.identity("tracker", "phantom"))

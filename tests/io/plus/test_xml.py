@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from recorded import nwire_of
 
-from dvf_ig.core import InvalidInputError, Rigid, UnreadableFileError
+from dvf_ig.core import InvalidInputError, Rigid, Scenario, UnreadableFileError
 from dvf_ig.io import (
     CoordinateDefinition,
     read_calibrations,
@@ -143,8 +144,8 @@ def test_failed_frames_are_nan(data_dir: Path) -> None:
         read_wire_points(results, "CalibrationData", phantom, frames=100)
 
 
-def test_wire_points_round_trip(tmp_path: Path, make_scenario: Callable[..., object]) -> None:
-    recording = make_scenario(4).nwire  # type: ignore[attr-defined]
+def test_wire_points_round_trip(tmp_path: Path, make_scenario: Callable[..., Scenario]) -> None:
+    recording = nwire_of(make_scenario(4))
     write_wire_points(tmp_path / "p.xml", "ValidationData", recording.phantom, recording.points_px)
     back = read_wire_points(tmp_path / "p.xml", "ValidationData", recording.phantom)
     np.testing.assert_array_equal(back, recording.points_px)
@@ -154,8 +155,8 @@ def test_wire_points_round_trip(tmp_path: Path, make_scenario: Callable[..., obj
         write_wire_points(tmp_path / "q.xml", "CalibrationData", recording.phantom, np.zeros((2, 3, 2)))
 
 
-def test_phantom_round_trip(tmp_path: Path, make_scenario: Callable[..., object]) -> None:
-    phantom = make_scenario(4).nwire.phantom  # type: ignore[attr-defined]
+def test_phantom_round_trip(tmp_path: Path, make_scenario: Callable[..., Scenario]) -> None:
+    phantom = nwire_of(make_scenario(4)).phantom
     placed = Rigid("reference", "phantom", np.eye(3), np.array([1.0, 2, 3]))
     write_nwire_phantom(tmp_path / "d.xml", phantom, placed)
     back = read_nwire_phantom(tmp_path / "d.xml")

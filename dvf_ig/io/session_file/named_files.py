@@ -1,0 +1,81 @@
+"""The files that a session's configuration names, and whether they are there."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import BaseModel
+
+from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.io.ecg.recording import KINDS
+from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX
+from dvf_ig.io.truth import FILES as TRUTH_FILES
+
+from .schema import SessionConfig
+
+
+def require_files(config: SessionConfig, folder: Path, named_by: str) -> None:
+    """Raise UnreadableFileError where files are missing: one sentence that names them all.
+
+    Args:
+        folder: where their names begin.
+        named_by: what names them.
+    """
+    missing = [f"{name} ({key})" for key, name in named_files(config) if not _is_there(folder / name, key)]
+    if missing:
+        raise UnreadableFileError(
+            f"{folder} lacks {', '.join(missing)}, which {named_by} names; copy what is missing, or mend "
+            "its name"
+        )
+
+
+def named_files(config: SessionConfig) -> Iterator[tuple[str, str]]:
+    """(key, name) of every file and folder that a configuration names; an ECG's without its prefix."""
+    yield from _of(config.preop, "preop", "model", "mr", "labels", "surfaces_folder", "timing")
+    yield from _of(config.ultrasound, "ultrasound", "file")
+    if config.ecg is not None:
+        yield "ecg", split_ecg(config.ecg.file).name
+    if config.tool is not None:
+        yield from _of(config.tool, "tool", "file")
+    for key in ("probe", "latency", "tip"):
+        source = getattr(config.calibration, key)
+        if isinstance(source, str):
+            yield f"calibration.{key}", source
+        elif isinstance(source, BaseModel):
+            fields = [name for name in type(source).model_fields if name != "phantom"]
+            yield from _of(source, f"calibration.{key}", *fields)
+    yield from _of(config.start, "start", "transform", "landmarks_mr", "landmarks_tracker", "touched")
+    if isinstance(config.fixtures, str):
+        yield "fixtures", config.fixtures
+    if config.truth is not None:
+        yield from (("truth", f"{config.truth}/{name}") for name in TRUTH_FILES)
+
+
+@dataclass(frozen=True, slots=True)
+class EcgName:
+    """`plus:sweep.igs.mha#EcgData` as its format, its file, and the field in it."""
+
+    prefix: str
+    name: str
+    field: str
+
+
+def split_ecg(spec: str) -> EcgName:
+    """What names an ECG or a trigger, in parts; prefix and field are empty where they are not given."""
+    kind, colon, rest = spec.partition(":")
+    if not colon or f"{kind}:" not in (*(f"{k}:" for k in KINDS), TRIGGER_PREFIX):
+        kind, colon, rest = "", "", spec
+    name, at, field = rest.partition("#")
+    return EcgName(kind + colon, name, at + field)
+
+
+def _of(section: BaseModel, key: str, *fields: str) -> Iterator[tuple[str, str]]:
+    for field in fields:
+        name = getattr(section, field)
+        if name is not None:
+            yield f"{key}.{field}", name
+
+
+def _is_there(path: Path, key: str) -> bool:
+    """A WFDB record is named without its ending; surfaces and poses may be folders."""
+    return path.exists() or (key == "ecg" and path.with_name(f"{path.name}.hea").is_file())
