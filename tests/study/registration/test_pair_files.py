@@ -76,14 +76,8 @@ def test_the_files_of_a_trial_give_its_error(toy_pairs: None, tmp_path: Path) ->
         for part in ("--us-volume", f"{file}@{file.stem[-4:]}")
     ]
     assert len(volumes) == 12
-    given = [
-        "--model",
-        place / "model.npz",
-        "--mr",
-        place / "cine.nrrd",
-        "--start",
-        place / f"start-{number}.tfm",
-    ]
+    heart = ["--cine", place / "cine.nrrd", "--labels", place / "labels.nrrd", "--cavity", 2]
+    given = [*heart, "--start", place / f"start-{number}.tfm"]
     done = CliRunner().invoke(
         app, ["register", *map(str, given), *volumes, "--seed", str(number), "-o", str(tmp_path / "out")]
     )
@@ -94,8 +88,8 @@ def test_the_files_of_a_trial_give_its_error(toy_pairs: None, tmp_path: Path) ->
     )
     found = json.loads(measured.stdout)
     assert found["start_tre_mm"]["mean"] == pytest.approx(line["start_mm"], abs=1e-6)
-    # the study takes the boundary from label voxels, the model from surfaces of them
-    assert found["tre_mm"]["mean"] == pytest.approx(line["tre_mm"], abs=0.05)
+    # the study turns poses about the centre of the phantom's box, a user's about that of the model's
+    assert found["tre_mm"]["mean"] == pytest.approx(line["tre_mm"], abs=5e-3)
     assert line["stop"] == json.loads((tmp_path / "out" / "result.json").read_text())["stop"]
 
 
