@@ -121,16 +121,22 @@ def insonified_voxels(grey: AnyArray) -> BoolArray:
 
 def _common_sectors(grids: Sequence[Grid], found: Sequence[BoolArray]) -> list[BoolArray]:
     """The insonified voxels of each image, with those of the images that share its sector."""
-    out: list[BoolArray] = []
-    for grid, mask in zip(grids, found, strict=True):
-        alike = [
-            other
-            for theirs, other in zip(grids, found, strict=True)
-            if theirs.shape == grid.shape
-            and np.allclose(theirs.spacing_mm, grid.spacing_mm, rtol=1e-3)
-            and 2 * (mask & other).sum() >= SAME_SECTOR * (mask.sum() + other.sum())
-        ]
-        out.append(mask if len(alike) < 2 else insonified_voxels(np.logical_or.reduce(alike)))
+    counts = [int(np.count_nonzero(mask)) for mask in found]
+
+    def share_sector(i: int, j: int) -> bool:
+        alike = grids[i].shape == grids[j].shape and np.allclose(
+            grids[i].spacing_mm, grids[j].spacing_mm, rtol=1e-3
+        )
+        both = int(np.count_nonzero(found[i] & found[j])) if alike else 0
+        return 2 * both >= SAME_SECTOR * (counts[i] + counts[j])
+
+    unions: dict[tuple[int, ...], BoolArray] = {}
+    out = []
+    for i, mask in enumerate(found):
+        sharing = tuple(j for j in range(len(found)) if j == i or share_sector(i, j))
+        if len(sharing) > 1 and sharing not in unions:
+            unions[sharing] = insonified_voxels(np.logical_or.reduce([found[j] for j in sharing]))
+        out.append(unions.get(sharing, mask))
     return out
 
 

@@ -59,7 +59,7 @@ def keep_pairs(
 def write_pair(pair: ImagePair, volumes: Sequence[TrackedVolume], folder: Path) -> None:
     """Write the heart before and now into a folder.
 
-    Before: model.npz, cine.nrrd with timing.json. Now: VIEW-PHASE.nrrd in the tracker's coordinates for each
+    Before: model.npz; cine.nrrd with timing.json, and labels.nrrd of all its phases. Now: VIEW-PHASE.nrrd in the tracker's coordinates for each
     of VOLUME_VIEWS and GATED. Truth: truth.tfm, and the targets on both sides, targets_mr.mrk.json and
     targets_tracker.mrk.json.
 
@@ -68,11 +68,12 @@ def write_pair(pair: ImagePair, volumes: Sequence[TrackedVolume], folder: Path) 
     Raises:
         OutputError: not writable.
     """
-    mr = pair.preop.mr
-    if mr is None:
-        raise TypeError("the phantom's pre-operative data hold MR")
+    mr, labels = pair.preop.mr, pair.preop.labels
+    if mr is None or labels is None:
+        raise TypeError("the phantom's pre-operative data hold MR and labels")
     with output_folder(folder):
         write_volume_series(mr, folder / "cine.nrrd")
+        write_volume_series(labels, folder / "labels.nrrd")
         write_timing(mr.timing, folder / "timing.json")
         write_model(model_from_preop(pair.preop), folder / "model.npz")
         truth = pair.mr_from_tracker
