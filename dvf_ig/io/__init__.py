@@ -18,6 +18,9 @@ from .ecg.trigger import read_beat_source as read_beat_source
 from .ecg.trigger import read_triggers as read_triggers
 from .ecg.trigger import write_triggers as write_triggers
 from .fixtures import read_fixtures as read_fixtures
+from .image.gated_volume import GatedVolumeFile as GatedVolumeFile
+from .image.gated_volume import gated_volume_files as gated_volume_files
+from .image.gated_volume import read_gated_volumes as read_gated_volumes
 from .image.labels import read_cine_labels as read_cine_labels
 from .image.labels import read_label_names as read_label_names
 from .image.labels import read_labels as read_labels
@@ -78,6 +81,8 @@ from .provenance import provenance_fields as provenance_fields
 from .scenario.read import read_scenario as read_scenario
 from .scenario.readme import ScenarioNotes as ScenarioNotes
 from .scenario.write import write_scenario as write_scenario
+from .session_file.preop import PreopFiles as PreopFiles
+from .session_file.preop import read_heart_options as read_heart_options
 from .session_file.read import SessionRecordings as SessionRecordings
 from .session_file.read import read_options as read_options
 from .session_file.read import read_session as read_session

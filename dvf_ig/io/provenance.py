@@ -31,6 +31,9 @@ LIBRARIES = (
 """Whose versions decide what is computed."""
 
 
+_Stamp = tuple[int, int, int, int]
+
+
 @dataclass(frozen=True, slots=True)
 class _InputFile:
     path: Path
@@ -42,12 +45,12 @@ class _Record:
     """What one command has read, in the order in which it was read.
 
     Attributes:
-        files: by device, node, size and time of change, so that none is hashed twice.
+        files: by their stamps, so that none is hashed twice; a pipe by its name.
         folders: that were given as one thing, for example a scenario.
     """
 
     def __init__(self) -> None:
-        self.files: dict[tuple[int, int, int, int], _InputFile] = {}
+        self.files: dict[_Stamp | Path, _InputFile] = {}
         self.folders: list[Path] = []
 
 
@@ -74,21 +77,29 @@ def not_recorded() -> Iterator[None]:
         _RECORD.reset(token)
 
 
-def record_file(path: Path, content: bytes | None = None) -> None:
+def file_stamp(path: Path) -> _Stamp | None:
+    """What changes when a file does: device, node, size, time of change; None where it is no regular file."""
+    now = path.stat() if path.is_file() else None
+    return None if now is None else (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns)
+
+
+def record_file(path: Path, content: bytes | None = None, before: _Stamp | None = None) -> None:
     """Add a file that was read; nothing where no record is open.
 
     Args:
         path: as it was opened.
         content: all that was read of it; None reads it here, for files that a library opens itself.
+        before: its stamp before the library read it.
     Raises:
-        UnreadableFileError: it has gone, or cannot be read again.
+        UnreadableFileError: it has changed since, has gone, or cannot be read again.
     """
     record = _RECORD.get()
     if record is None:
         return
     try:
-        now = path.stat()
-        key = (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns)
+        key = file_stamp(path) or path
+        if before not in (None, key):
+            raise UnreadableFileError(f"{path} changed while it was read; try again when it is complete")
         if key in record.files:
             return
         if content is not None:
@@ -98,7 +109,7 @@ def record_file(path: Path, content: bytes | None = None) -> None:
                 digest = hashlib.file_digest(stream, "sha256")
                 size = stream.tell()
     except OSError as exc:
-        raise UnreadableFileError(f"{path} changed while it was read: {exc.strerror or exc}") from exc
+        raise UnreadableFileError(f"cannot read {path} again: {exc.strerror or exc}") from exc
     record.files[key] = _InputFile(path, digest.hexdigest(), size)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 
-from .provenance import record_file, record_folder
+from .provenance import file_stamp, record_file, record_folder
 
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 
@@ -50,9 +50,10 @@ def reading(path: Path, what: str) -> Iterator[None]:
     if path.is_dir():
         record_folder(path)
     try:
+        before = file_stamp(path)
         yield
-        if path.is_file():
-            record_file(path)
+        if before is not None:
+            record_file(path, before=before)
     except UnreadableFileError:
         raise
     except FileNotFoundError as exc:

@@ -32,13 +32,8 @@ def write_sidecar(path: Path, content: Mapping[str, Any], kind: str, named: Path
     Raises:
         OutputError: a file of the user's own, or of another kind, is there; or not writable.
     """
-    write_marked(path, {**content, **provenance_fields()}, kind, named)
-
-
-def write_marked(path: Path, content: Mapping[str, Any], kind: str, named: Path | None = None) -> None:
-    """As `write_sidecar`, for what is no result, such as the frames of a transform."""
     refuse_foreign(path, kind=kind, named=named)
-    write_json(path, {**plain(dict(content)), "kind": kind, "written_by": MARK})
+    write_json(path, {**plain({**content, **provenance_fields()}), "kind": kind, "written_by": MARK})
 
 
 def refuse_foreign(*paths: Path, kind: str | None = None, named: Path | None = None) -> None:

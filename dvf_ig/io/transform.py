@@ -12,7 +12,7 @@ from dvf_ig.core.rigid import Rigid, rigidity_defect
 from .atomic import atomic_file, write_text
 from .json_file import read_json
 from .reading import read_bytes, reading, refuse_lfs_pointer
-from .sidecar import refuse_foreign, write_marked
+from .sidecar import refuse_foreign, write_sidecar
 
 CONVENTION = "ITK: maps points of 'from' (fixed image) to 'to' (moving image); LPS, mm"
 _AFFINE = ("AffineTransform", "MatrixOffsetTransformBase")
@@ -73,7 +73,7 @@ def write_transform(rigid: Rigid, path: Path | str, error_mm: float | None = Non
         f"Parameters: {numbers}\nFixedParameters: 0 0 0\n",
     )
     sidecar = {"from": rigid.source, "to": rigid.target, "convention": CONVENTION, "error_mm": error_mm}
-    write_marked(path.with_suffix(".json"), sidecar, "transform")
+    write_sidecar(path.with_suffix(".json"), sidecar, "transform")
 
 
 def write_transforms(rigid: Rigid, path: Path | str, error_mm: float | None = None) -> tuple[Path, Path]:

@@ -1,11 +1,12 @@
 """What a replay leaves for other programs: pose (ITK, PLUS), poses over time (3D Slicer), and every tick."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, OutputError, Rigid
+from dvf_ig.core import IntArray, InvalidInputError, OutputError, Rigid
+from dvf_ig.core.arrays import AnyArray
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.io import refuse_foreign, write_pose_sequence, write_registration, write_text, write_transforms
 
@@ -83,41 +84,45 @@ def ticks_csv(ticks: Ticks) -> str:
 
     Tip in the tracker's and in the MR's frame (LPS), force in the tracker's.
     """
-    pose = ticks.mr_from_tracker
-    tip_mr = np.einsum("nij,nj->ni", pose[:, :, :3], ticks.tip_tracker_mm) + pose[:, :, 3]
-    phase = ticks.phase
-    columns = [
-        phase.t_s.tolist(),
-        _below_one(phase.phi),
-        phase.valid.tolist(),
-        _below_one(ticks.model_phase),
-        phase.rr_s.tolist(),
-        *ticks.tip_tracker_mm.T.tolist(),
-        *tip_mr.T.tolist(),
-        ticks.distance_mm.tolist(),
-        *ticks.force_n.T.tolist(),
-        [_STATUS[code] for code in ticks.status.tolist()],
-        [_SUPERVISOR[code] for code in ticks.supervisor.tolist()],
-        _hazards(ticks.hazards.tolist()),
-        ticks.pose_age_s.tolist(),
-    ]
+    columns, form = _columns(ticks), ",".join(one for _, one in COLUMNS) + "\n"
     if len(columns) != len(COLUMNS):
         raise InvalidInputError(f"{len(columns)} columns for {len(COLUMNS)} names")
-    form = ",".join(one for _, one in COLUMNS)
-    rows = "\n".join([form % row for row in zip(*columns, strict=True)])
-    return f"{_HEADER}\n{rows}\n".replace("nan", "").replace("inf", "")
+    text = [_HEADER + "\n"]
+    for begin in range(0, len(ticks), _BLOCK):
+        rows = zip(*(column[begin : begin + _BLOCK].tolist() for column in columns), strict=True)
+        text.append("".join([form % row for row in rows]).replace("nan", "").replace("inf", ""))
+    return "".join(text)
 
 
-_STATUS = {int(one): one.name.lower() for one in Status}
-_SUPERVISOR = {int(one): one.name.lower() for one in SupervisorState}
+_BLOCK = 10_000
+"""Rows at a time: Python's numbers take ten times the memory of the arrays."""
 
 
-def _below_one(phase: FloatArray) -> list[float]:
-    """So that a phase in [0, 1) is not rounded to 1."""
-    below: list[float] = np.minimum(phase, 0.999999).tolist()
-    return below
+def _columns(ticks: Ticks) -> list[AnyArray]:
+    pose, phase = ticks.mr_from_tracker, ticks.phase
+    tip_mr = np.einsum("nij,nj->ni", pose[:, :, :3], ticks.tip_tracker_mm) + pose[:, :, 3]
+    return [
+        phase.t_s,
+        np.minimum(phase.phi, _BELOW_ONE),
+        phase.valid,
+        np.minimum(ticks.model_phase, _BELOW_ONE),
+        phase.rr_s,
+        *ticks.tip_tracker_mm.T,
+        *tip_mr.T,
+        ticks.distance_mm,
+        *ticks.force_n.T,
+        _words(ticks.status, lambda code: Status(code).name.lower()),
+        _words(ticks.supervisor, lambda code: SupervisorState(code).name.lower()),
+        _words(ticks.hazards, lambda bits: "|".join(h.name.lower() for h in Hazard(bits) if h.name)),
+        ticks.pose_age_s,
+    ]
 
 
-def _hazards(bits: list[int]) -> list[str]:
-    names = {one: "|".join(h.name.lower() for h in Hazard(one) if h.name) for one in set(bits)}
-    return [names[one] for one in bits]
+_BELOW_ONE = 0.999999
+"""So that a phase in [0, 1) is not rounded to 1."""
+
+
+def _words(codes: IntArray, word: Callable[[int], str]) -> AnyArray:
+    """(n,) the word of each code."""
+    found, places = np.unique(codes, return_inverse=True)
+    return np.array([word(code) for code in found.tolist()], dtype=object)[places]

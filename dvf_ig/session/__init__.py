@@ -36,3 +36,5 @@ from .registration_monitor import landmark_disagreement_mm as landmark_disagreem
 from .session import Session as Session
 from .setup import SessionSetup as SessionSetup
 from .state import GuidanceState as GuidanceState
+from .volume_registration import model_phase_at as model_phase_at
+from .volume_registration import register_gated_volumes as register_gated_volumes

@@ -1,6 +1,7 @@
 """Inputs of a result: each file that a reader opens, named as the user did, with its digest and size."""
 
 import hashlib
+import json
 import shutil
 import tarfile
 from collections.abc import Callable
@@ -29,7 +30,7 @@ from dvf_ig.io import (
 )
 from dvf_ig.io.ecg.record_files import record_files
 from dvf_ig.io.provenance import not_recorded, recorded_inputs, versions
-from dvf_ig.io.reading import read_text
+from dvf_ig.io.reading import read_text, reading
 
 
 def inputs_of(read: Callable[[], Any]) -> dict[str, tuple[str, int]]:
@@ -189,3 +190,31 @@ def test_every_segment_of_a_wfdb_record_counts(tmp_path: Path) -> None:
         (tmp_path / f"{name}.hea").write_text("\n".join(lines))
     found = [path.name for path in record_files(tmp_path / "all")]
     assert found == ["all.hea", "one.hea", "a.dat", "two.hea", "b.dat"]
+
+
+def test_a_file_that_changes_while_it_is_read_is_refused(tmp_path: Path) -> None:
+    path = image(tmp_path / "a.mha")
+
+    def changed() -> None:
+        with reading(path, "an image"):
+            path.write_bytes(b"more" + path.read_bytes())
+
+    with pytest.raises(UnreadableFileError, match=r"a\.mha changed while it was read"):
+        inputs_of(changed)
+    changed()
+
+
+def test_the_sidecar_of_a_transform_says_what_it_was_made_from(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("a")
+    with recorded_inputs():
+        read_text(tmp_path / "a.txt", "text")
+        write_transforms(Rigid.identity("mr", "tracker"), tmp_path / "t.tfm")
+    written = json.loads((tmp_path / "t.json").read_text())
+    assert [one["file"] for one in written["inputs"]] == ["a.txt"]
+    assert written["versions"] == versions()
+    assert (written["kind"], written["to"]) == ("transform", "mr")
+
+
+def test_the_pair_of_an_analyze_image_counts(tmp_path: Path) -> None:
+    image(tmp_path / "a.img")
+    assert inputs_of(lambda: read_volume(tmp_path / "a.hdr")) == digests(tmp_path, "a.hdr", "a.img")

@@ -21,6 +21,7 @@ from .kinds import Kind, kind_of
 from .output import files_of, payload_of, require_usable, rows_of
 from .pair import register_images
 from .scenario import register_folder, register_own
+from .volumes import UsVolumesOption, register_volume_files
 
 if TYPE_CHECKING:
     from dvf_ig.io import SessionRecordings
@@ -54,6 +55,7 @@ def register(
     fan: own.FanOption = None,
     probe_name: ProbeNameOption = None,
     reference_name: ReferenceNameOption = None,
+    us_volume: UsVolumesOption = None,
     fixed: Annotated[Path | None, typer.Option("--fixed", help="3-D ultrasound image.")] = None,
     moving: Annotated[Path | None, typer.Option("--moving", help="3-D MR or CT image.")] = None,
     mask: Annotated[Path | None, typer.Option("--mask", help="Mask on the fixed image's grid.")] = None,
@@ -63,9 +65,9 @@ def register(
 ) -> None:
     """Register ultrasound to the pre-operative model, and say whether the result may be used.
 
-    Tracked frames, of a scenario folder, a SESSION.yaml, or named by options, give mr_from_tracker; an image
-    pair gives moving_from_fixed. The evidence and a page are written in any case; exits 5, 6 or 7 when the
-    pose must not be used.
+    Tracked frames, of a scenario folder, a SESSION.yaml, or named by options, and gated 3-D volumes give
+    mr_from_tracker; an image pair gives moving_from_fixed. The evidence and a page are written in any case;
+    exits 5, 6 or 7 when the pose must not be used.
 
         dvf-ig register --us SWEEP.igs.mha --ecg edf:ECG.edf --model heart.npz --mr CINE --probe probe.json
           --latency lag.json --start-landmarks model.mrk.json patient.mrk.json -o OUT
@@ -83,7 +85,13 @@ def register(
             "--touched": touched,
         }  # fmt: skip
         kind = kind_of(
-            {Kind.scenario: scenario, Kind.config: config, Kind.recordings: us, Kind.pair: fixed or moving},
+            {
+                Kind.scenario: scenario,
+                Kind.config: config,
+                Kind.recordings: us,
+                Kind.volumes: us_volume,
+                Kind.pair: fixed or moving,
+            },
             own_options | {"--mask": mask},
         )
         name = "moving_from_fixed" if kind is Kind.pair else "mr_from_tracker"
@@ -94,6 +102,8 @@ def register(
                 registered = register_folder(scenario, model, start, seed)
             elif kind is Kind.pair:
                 registered = register_images(fixed, moving, start, mask, seed)
+            elif us_volume is not None:
+                registered = register_volume_files(us_volume, own_options, seed)
             else:
                 registered = register_own(_recordings(config, us, own_options), seed)
             payload = payload_of(registered.result, registered.start, name, seed)

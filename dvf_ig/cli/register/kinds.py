@@ -13,6 +13,7 @@ class Kind(StrEnum):
     scenario = "SCENARIO"
     config = "--config"
     recordings = "--us"
+    volumes = "--us-volume"
     pair = "--fixed and --moving"
 
 
@@ -23,6 +24,7 @@ OPTIONS: dict[Kind, set[str]] = {
     Kind.scenario: {"--model", "--start"},
     Kind.config: set(),
     Kind.recordings: HEART | START | CALIBRATION | {"--ecg", "--rate"},
+    Kind.volumes: HEART | {"--ecg", "--rate", "--start", "--start-landmarks"},
     Kind.pair: {"--start", "--mask"},
 }
 

@@ -24,27 +24,39 @@ class OutputFiles(NamedTuple):
     evidence: Path
     page: Path
 
+    @property
+    def plus_xml(self) -> Path:
+        """Where a usable mr_from_tracker goes for PLUS, whose format cannot say that one was refused."""
+        return self.transform.with_suffix(".xml")
+
     def refuse_foreign(self) -> None:
         """Refuse files of the user's own that stand there, before the work begins."""
         from dvf_ig.io import refuse_foreign
 
         refuse_foreign(self.evidence, kind="registration")
         refuse_foreign(self.transform.with_suffix(".json"), kind="transform")
-        refuse_foreign(self.page)
+        refuse_foreign(self.page, self.plus_xml)
 
     def write(self, registered: Registered, payload: dict[str, Any], name: str) -> None:
-        """Write them, and tell the user."""
+        """Write all of them or none, and tell the user."""
         from dvf_ig.cli.shell import wrote
-        from dvf_ig.io import write_sidecar, write_text, write_transforms
+        from dvf_ig.io import files_together, write_registration, write_sidecar, write_text, write_transforms
         from dvf_ig.replay.registration_page import registration_page
 
         result, start, shown = registered
+        pose = result.target_from_source
         page = registration_page(result, start, shown, self.transform, payload["seed"])
-        for file in write_transforms(result.target_from_source, self.transform):
-            wrote(file, name)
-        write_sidecar(self.evidence, payload, "registration")
+        transforms = [self.transform, *(self.transform.with_suffix(s) for s in (".h5", ".json"))]
+        every = (*transforms, self.plus_xml, self.evidence, self.page)
+        with files_together(self.transform.parent, tuple(path.name for path in every)) as new:
+            written = [*write_transforms(pose, new / self.transform.name)]
+            if name == "mr_from_tracker" and result.stop.usable:
+                written.append(write_registration(pose, new / self.plus_xml.name))
+            write_sidecar(new / self.evidence.name, payload, "registration")
+            write_text(new / self.page.name, page)
+        for file in written:
+            wrote(self.transform.with_name(file.name), name)
         wrote(self.evidence)
-        write_text(self.page, page)
         wrote(self.page)
 
 

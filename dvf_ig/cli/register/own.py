@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from dvf_ig.io import SessionRecordings
+    from dvf_ig.io import PreopFiles, SessionRecordings
 
 ConfigOption = Annotated[
     Path | None,
@@ -91,6 +91,23 @@ def read_recordings(us: Path | None, options: Mapping[str, Any]) -> "SessionReco
     return read_options(document_of(us, options))
 
 
+def read_heart(options: Mapping[str, Any]) -> "PreopFiles":
+    """The pre-operative heart that the options name."""
+    from dvf_ig.io import read_heart_options
+
+    return read_heart_options(_heart(options) or {}, options["--patient"])
+
+
+def _heart(options: Mapping[str, Any]) -> dict[str, Any] | None:
+    return _given(
+        model=options["--model"],
+        mr=options["--mr"],
+        labels=options["--labels"],
+        organ_labels=_values(options["--organ"], "--organ"),
+        cavity_labels=_values(options["--cavity"], "--cavity"),
+    )
+
+
 def document_of(us: Path | None, options: Mapping[str, Any]) -> dict[str, Any]:
     """The same as the content of a SESSION.yaml."""
     landmarks = options["--start-landmarks"] or (None, None)
@@ -98,13 +115,7 @@ def document_of(us: Path | None, options: Mapping[str, Any]) -> dict[str, Any]:
     return (
         _given(
             patient_id=options["--patient"],
-            preop=_given(
-                model=options["--model"],
-                mr=options["--mr"],
-                labels=options["--labels"],
-                organ_labels=_values(options["--organ"], "--organ"),
-                cavity_labels=_values(options["--cavity"], "--cavity"),
-            ),
+            preop=_heart(options),
             ultrasound=_given(
                 file=us,
                 probe_name=options["--probe-name"],
@@ -124,11 +135,16 @@ def document_of(us: Path | None, options: Mapping[str, Any]) -> dict[str, Any]:
     )
 
 
-def _require_enough(options: Mapping[str, Any]) -> None:
+def require_heart(options: Mapping[str, Any]) -> None:
+    """Raise typer.BadParameter unless the options name one heart."""
     if options["--model"] is not None and options["--labels"] is not None:
         raise typer.BadParameter("give --model, or --labels from which one is built, not both")
     if options["--model"] is None and options["--labels"] is None:
         raise typer.BadParameter("whose heart? give --model MODEL, or --cine CINE with --labels LABELS")
+
+
+def _require_enough(options: Mapping[str, Any]) -> None:
+    require_heart(options)
     if options["--probe"] is None:
         raise typer.BadParameter(
             "--us needs --probe FILE, the probe's calibration (dvf-ig calibrate probe … -o FILE)"

@@ -1,9 +1,11 @@
-"""The files in which a header (`.mhd`, `.nhdr`) says that its voxels are."""
+"""The files in which an image's voxels are, where they are not in the file that was named."""
 
 import re
 from pathlib import Path
 
 DETACHED_SUFFIXES = (".mhd", ".nhdr")
+_PAIRS = {".hdr": ".img", ".img": ".hdr"}
+"""Header and voxels of Analyze and two-file NIfTI; either may be opened."""
 _DATA_FILE = re.compile(
     r"^(?:ElementDataFile[ \t]*=|data ?file:)[ \t]*([^\r\n]+?)[ \t]*$([^\0]*)", re.IGNORECASE | re.MULTILINE
 )
@@ -19,6 +21,9 @@ def voxel_files(header: Path) -> tuple[Path, ...]:
     Raises:
         OSError: the header cannot be read.
     """
+    if header.suffix.lower() in _PAIRS:
+        other = header.with_suffix(_PAIRS[header.suffix.lower()])
+        return (other,) if other.is_file() else ()
     if header.suffix.lower() not in DETACHED_SUFFIXES:
         return ()
     found = _DATA_FILE.search(header.read_bytes().decode("utf-8", "replace"))

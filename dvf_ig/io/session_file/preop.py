@@ -1,6 +1,7 @@
 """The pre-operative heart of a session: a model, labels of one or every phase, or surfaces."""
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,11 @@ from dvf_ig.io.json_file import read_json
 from dvf_ig.io.mesh.series import read_surface_series, surface_names
 from dvf_ig.io.model import read_model
 from dvf_ig.io.reading import reading
+from dvf_ig.io.yaml_config import validated
 
 from .schema import PreopConfig
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +49,8 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
     patient = patient_id or (model.patient_id if model is not None else _name(config, folder))
     timing = _Timing(None if config.timing is None else folder / config.timing)
     mr = None if config.mr is None else timing.series(folder / config.mr, "mr")
+    if mr is not None and model is not None:
+        mr = _with_times(mr, model, config.mr or "")
     labels, ed_labels = None, None
     if config.labels is not None:
         path = folder / config.labels
@@ -69,6 +75,28 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
         surface=config.surface,
     )
     return PreopFiles(preop, model)
+
+
+def read_heart_options(document: dict[str, Any], patient_id: str | None) -> PreopFiles:
+    """As `read_preop`, of a section `preop` whose files are named from the working directory."""
+    return read_preop(validated(PreopConfig, document, Path("options")), Path(), patient_id)
+
+
+def _with_times(mr: VolumeSeries, model: DvfModel, name: str) -> VolumeSeries:
+    """The series a model was made from has the times of the model's phases where it brings none itself."""
+    if not mr.timing.timing_assumed:
+        return mr
+    if len(mr.timing) == model.phases:
+        return replace(mr, timing=model.timing)
+    log.warning(
+        "%s has %d phases, the model %d: its phase i is taken to be at i/%d of the cycle; put a timing.json "
+        "beside it",
+        name,
+        len(mr.timing),
+        model.phases,
+        len(mr.timing),
+    )
+    return mr
 
 
 def _all_labels(labels: VolumeSeries | None) -> tuple[int, ...]:
