@@ -16,6 +16,8 @@ from .plane_names import edge_letters, plane_name
 
 DARK_PERCENT, BRIGHT_PERCENT = 1.0, 99.5
 """Grey levels of the anatomy that are shown black and in full colour."""
+LONGEST_PX = 400
+"""A picture is about so large; of longer edges every second, third, … pixel is taken."""
 NO_GREY_LEVELS = "No grey-level MR was given: colour shows where the model has blood."
 SAMPLED = 200_000
 """Voxels of which these are taken."""
@@ -116,6 +118,9 @@ def plane_overlay(
         frame_from_pixel: (3, 3) mm from (column, row, 1).
         name: of the image, for the reader.
     """
+    step = max(1, max(image.shape) // LONGEST_PX)
+    image = image[::step, ::step]
+    frame_from_pixel = frame_from_pixel @ np.diag([step, step, 1.0])
     rows, columns = image.shape
     column, row = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64))
     xyz_mm = np.stack([column, row, np.ones_like(row)], axis=-1) @ frame_from_pixel.T

@@ -1,6 +1,7 @@
 """`register --us-volume` on files of the toy heart: the pose that arrays give, and each misuse."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -8,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from html_outline import outline_of
 from toy_heart import CENTER_MM, toy_mr, toy_pose
 from toy_volume import resampled, toy_volume
 from typer.testing import CliRunner, Result
@@ -144,6 +146,13 @@ def test_files_give_the_pose_of_arrays(lab: Path, tmp_path: Path) -> None:
     assert target_errors_mm(found, toy_pose(), TARGETS).mean() < 0.4
     np.testing.assert_allclose(payload["start"], start_pose().matrix, atol=1e-12)
     assert (tmp_path / "out" / "mr_from_tracker.tfm").is_file()
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    outline = outline_of(page)
+    assert outline.faults == []
+    assert len(outline.images) == 24
+    assert "a.nrrd, b.nrrd" in page
+    assert "volume 2, across its third axis" in page
+    assert f"<td>{payload['part_disagreement_mm']:.2f} mm</td><td>at most 2.25 mm</td>" in page
 
 
 def test_landmarks_are_start_and_prior_and_times_need_the_ecg(lab: Path, tmp_path: Path) -> None:
@@ -157,6 +166,9 @@ def test_landmarks_are_start_and_prior_and_times_need_the_ecg(lab: Path, tmp_pat
     assert done.exit_code in (0, 7), done.output
     marked, felt = touched(0.4)
     found, payload = pose_in(tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert re.search(r"<td>\d+\.\d\d mm</td><td>at most 4 mm</td><td class=(passed|failed)>", page)
+    assert "colour shows where the model has blood" in page
     start = Rigid.from_matrix(payload["start"], "mr", "tracker")
     prior = prior_from_landmarks(marked, felt)
     assert prior is not None

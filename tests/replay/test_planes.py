@@ -82,6 +82,22 @@ def test_the_balls_contour_is_a_circle_about_its_centre_at_that_phase() -> None:
     assert not np.allclose(got.start.distance_mm, got.registered.distance_mm, atol=1.0)
 
 
+def test_large_images_are_thinned_and_stay_where_they_are() -> None:
+    anatomy = anatomy_of_heart(toy_heart(), None)
+    image = np.arange(900, dtype=np.uint16)[None].repeat(3, axis=0).astype(np.uint8)
+    frame_from_pixel = np.array([[0.05, 0.0, -20.0], [0.0, 0.1, 1.0], [0.0, 0.0, 2.0]])
+    here = Rigid.identity("mr", "mr")
+    got = plane_overlay(anatomy, here, here, image, frame_from_pixel, name="a", model_phase=0.05)
+    assert got.image.shape == (2, 450)
+    assert got.pixel_mm == pytest.approx((0.1, 0.2))
+    assert got.registered.distance_mm is not None
+    x_mm = -20.0 + 0.1 * np.arange(450)
+    away = np.sqrt(np.square(x_mm) + 1.0**2 + 2.0**2)  # phase 0: the centre is the origin
+    near = np.abs(RADII[0] - away) < 4.0
+    np.testing.assert_allclose(got.registered.distance_mm[0, near], (RADII[0] - away)[near], atol=0.05)
+    np.testing.assert_array_equal(got.image[0], image[0, ::2])
+
+
 def test_grey_levels_are_those_of_the_nearest_phase_at_the_place() -> None:
     grid = oblique("mr", (24, 20, 22), (1.5, 2.0, 1.8))
     values = np.stack([ramp(grid.centers_mm()), 1000.0 - ramp(grid.centers_mm())])

@@ -49,6 +49,7 @@ def register_volume_files(names: Sequence[str], options: Mapping[str, Any], seed
     phases = _model_phases(files, options, model)
     volumes = read_gated_volumes([file.path for file in files], phases)
     heart, mr = build_heart(read.preop, model), read.preop.mr
+    landmarks = None if options["--start-landmarks"] is None else pose
     result = register_gated_volumes(
         volumes,
         heart,
@@ -57,11 +58,12 @@ def register_volume_files(names: Sequence[str], options: Mapping[str, Any], seed
         seed=seed,
         clock=perf_counter,
         prior=prior,
-        landmarks=None if options["--start-landmarks"] is None else pose,
+        landmarks=landmarks,
     )
     typer.echo(origin, err=True)
     about = ", ".join(file.path.name for file in files)
-    return Registered(result, pose, volumes_shown(result, pose, volumes, heart, mr, about=about))
+    shown = volumes_shown(result, pose, volumes, heart, mr, landmarks=landmarks, about=about)
+    return Registered(result, pose, shown)
 
 
 def _require_matching(files: "Sequence[GatedVolumeFile]", options: Mapping[str, Any]) -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 STYLE = """
 body { max-width: 1360px; }
-.verdict { font-size: 1.05rem; max-width: 95ch; padding: .6rem 1rem; }
+.verdict { font-size: 1.05rem; max-width: 95ch; padding: .6rem 1rem; print-color-adjust: exact; }
 .verdict b { font-size: 1.3rem; display: block; }
 .planes { display: grid; grid-template-columns: repeat(4, 1fr); gap: .4rem; }
 @media (max-width: 900px) { .planes { grid-template-columns: repeat(2, 1fr); } }
