@@ -125,7 +125,10 @@ def read_probe(path: Path | str, sensor: str = "probe", *, allow_refused: bool =
         return read_image_map(path, sensor)
     found = _read(ProbeFile, path, "a probe calibration", "probe", allow_refused=allow_refused)
     if found.sensor_frame != sensor:
-        raise UnreadableFileError(f"{path} calibrates '{found.sensor_frame}'; needed '{sensor}'")
+        raise UnreadableFileError(
+            f"{path} calibrates '{found.sensor_frame}'; needed '{sensor}': give this probe's "
+            "calibration, or name its sensor (--probe-name)"
+        )
     with reading(path, "a probe calibration"):
         return ImageMap.from_matrix(found.sensor_from_image, sensor)
 

@@ -43,7 +43,8 @@ def read_transform(path: Path | str, target: str | None = None, source: str | No
         wanted = (target or recorded_target, source or recorded_source)
         if wanted != (recorded_target, recorded_source):
             raise FrameMismatchError(
-                f"{path} is {recorded_target}_from_{recorded_source}; needed {wanted[0]}_from_{wanted[1]}"
+                f"{path} is {recorded_target}_from_{recorded_source}; needed {wanted[0]}_from_{wanted[1]}: "
+                f"invert it, or correct the names in {sidecar.name}"
             )
         target, source = wanted
     elif path.is_file() and (target is None or source is None):

@@ -6,6 +6,12 @@ from dvf_ig.core import ImageMap, InvalidInputError, Points
 from dvf_ig.core.frames import require_same_frame
 
 
+def require_lag(lag_s: float) -> None:
+    """Raise InvalidInputError where it is no latency of video, s."""
+    if not abs(lag_s) <= 1.0:
+        raise InvalidInputError(f"the latency is {lag_s:g} s; needed -1 to 1 s (is it in ms?)")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class UltrasoundCalibration:
     """What places every pixel of the ultrasound, in space and in time.
@@ -19,8 +25,7 @@ class UltrasoundCalibration:
     lag_s: float
 
     def __post_init__(self) -> None:
-        if not abs(self.lag_s) <= 1.0:
-            raise InvalidInputError(f"the latency is {self.lag_s:g} s; needed -1 to 1 s (is it in ms?)")
+        require_lag(self.lag_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded import tool_of
 
 from dvf_ig.core import FloatArray, InvalidInputError, NoOverlapError, Scenario, TriggerTimes
 from dvf_ig.io import describe, read_scenario, write_scenario
@@ -64,8 +65,8 @@ def test_a_trigger_registers_and_guides_as_an_ecg_does_until_it_stops(
 def test_ticks_go_on_where_a_trigger_is_silent(scenario: Scenario) -> None:
     silent = replace(scenario, ecg=TriggerTimes(np.array([3.0, 3.8, 4.6, 5.4])))
     t_s = tick_times(silent)
-    assert t_s[0] == scenario.tool.t_s[0]
-    assert t_s[-1] > scenario.tool.t_s[-1] - 0.01
+    assert t_s[0] == tool_of(scenario).t_s[0]
+    assert t_s[-1] > tool_of(scenario).t_s[-1] - 0.01
     with pytest.raises(InvalidInputError, match="the trigger gives 4 beats of 4 pulses"):
         require_heart_beats([0] * 4, silent)
     with pytest.raises(NoOverlapError, match=r"trigger .* share less than a second"):

@@ -27,6 +27,7 @@ def read_image_map(path: Path | str, sensor: str = "probe") -> ImageMap:
         found = read_transforms(path, parse_xml(path, "a PLUS image calibration"))
         if name not in found:
             raise UnreadableFileError(
-                f"{path} has no transform {name}; it has {', '.join(sorted(found)) or 'none'}"
+                f"{path} has no transform {name}; it has {', '.join(sorted(found)) or 'none'}: give "
+                "the file that holds it, or name the image's sensor"
             )
         return ImageMap.from_matrix(found[name].matrix, sensor)

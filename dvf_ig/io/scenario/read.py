@@ -6,6 +6,7 @@ from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.scenario import Scenario
 from dvf_ig.io.provenance import record_folder
 from dvf_ig.io.session_file.read import read_recordings
+from dvf_ig.io.session_file.schema import SessionConfig
 
 from .as_session import session_of_scenario
 from .layout import CONFIG, ScenarioConfig, read_config
@@ -22,10 +23,19 @@ def read_scenario(folder: Path | str, *, truth: bool = True) -> Scenario:
     """
     folder = Path(folder)
     record_folder(folder)
+    session = read_scenario_session(folder, truth=truth)
+    return read_recordings(session, folder, f"its {CONFIG}").scenario
+
+
+def read_scenario_session(folder: Path, *, truth: bool = True) -> SessionConfig:
+    """The configuration of a scenario folder; the files that it names are not opened.
+
+    Raises:
+        UnreadableFileError: no scenario folder, or its description is wrong.
+    """
     config = read_config(folder)
     _require_kind(config, folder)
-    session = session_of_scenario(config, folder, truth=truth)
-    return read_recordings(session, folder, f"its {CONFIG}").scenario
+    return session_of_scenario(config, folder, truth=truth)
 
 
 def _require_kind(config: ScenarioConfig, folder: Path) -> None:

@@ -11,6 +11,7 @@ from dvf_ig.io.ecg.recording import KINDS
 from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX
 from dvf_ig.io.truth import FILES as TRUTH_FILES
 
+from .draft import SessionDraft
 from .schema import SessionConfig
 
 
@@ -21,7 +22,7 @@ def require_files(config: SessionConfig, folder: Path, named_by: str) -> None:
         folder: where their names begin.
         named_by: what names them.
     """
-    missing = [f"{name} ({key})" for key, name in named_files(config) if not _is_there(folder / name, key)]
+    missing = [f"{name} ({key})" for key, name in named_files(config) if not is_there(folder / name, key)]
     if missing:
         raise UnreadableFileError(
             f"{folder} lacks {', '.join(missing)}, which {named_by} names; copy what is missing, or mend "
@@ -29,12 +30,13 @@ def require_files(config: SessionConfig, folder: Path, named_by: str) -> None:
         )
 
 
-def named_files(config: SessionConfig) -> Iterator[tuple[str, str]]:
+def named_files(config: SessionConfig | SessionDraft) -> Iterator[tuple[str, str]]:
     """(key, name) of every file and folder that a configuration names; an ECG's without its prefix."""
-    yield from _of(config.preop, "preop", "model", "mr", "labels", "surfaces_folder", "timing")
+    if config.preop is not None:
+        yield from _of(config.preop, "preop", "model", "mr", "labels", "surfaces_folder", "timing")
     yield from _of(config.ultrasound, "ultrasound", "file")
     if config.ecg is not None:
-        yield "ecg", split_ecg(config.ecg.file).name
+        yield "ecg.file", split_ecg(config.ecg.file).name
     if config.tool is not None:
         yield from _of(config.tool, "tool", "file")
     for key in ("probe", "latency", "tip"):
@@ -76,6 +78,6 @@ def _of(section: BaseModel, key: str, *fields: str) -> Iterator[tuple[str, str]]
             yield f"{key}.{field}", name
 
 
-def _is_there(path: Path, key: str) -> bool:
+def is_there(path: Path, key: str) -> bool:
     """A WFDB record is named without its ending; surfaces and poses may be folders."""
-    return path.exists() or (key == "ecg" and path.with_name(f"{path.name}.hea").is_file())
+    return path.exists() or (key == "ecg.file" and path.with_name(f"{path.name}.hea").is_file())

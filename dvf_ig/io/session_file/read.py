@@ -8,27 +8,19 @@ from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.scenario import Scenario
 from dvf_ig.core.sequence import Fan, TrackedSequence
-from dvf_ig.core.signal import Signal
 from dvf_ig.core.stream import PoseStream
-from dvf_ig.core.trigger import TriggerTimes
-from dvf_ig.io.ecg.recording import read_ecg
-from dvf_ig.io.ecg.trigger import read_beat_source
 from dvf_ig.io.fixtures import FixturesConfig, RetimingName, read_fixtures
-from dvf_ig.io.landmarks import read_landmarks
-from dvf_ig.io.plus.feature_points import tracked_probe
-from dvf_ig.io.plus.names import ProbeNames, frame_from_plus
-from dvf_ig.io.plus.poses import read_poses
-from dvf_ig.io.plus.sequence_read import read_sequence
-from dvf_ig.io.points_file import read_points
+from dvf_ig.io.plus.names import ProbeNames
 from dvf_ig.io.reading import reading
-from dvf_ig.io.transform import read_transform
 from dvf_ig.io.truth import read_truth
 from dvf_ig.io.yaml_config import read_yaml, validated
 
 from .calibration import read_latency_source, read_probe_source, read_tip_source
-from .named_files import require_files, split_ecg
+from .draft import SessionDraft
+from .named_files import require_files
+from .parts import read_session_ecg, read_start, read_sweep, read_tool
 from .preop import read_preop
-from .schema import SCHEMA, EcgConfig, SessionConfig, StartConfig, ToolConfig
+from .schema import SCHEMA, SessionConfig
 
 if TYPE_CHECKING:
     from dvf_ig.guidance import FixtureSet
@@ -58,11 +50,25 @@ def read_session_config(path: Path | str) -> SessionConfig:
         UnreadableFileError: absent, not YAML, unknown keys, or missing or wrong values.
     """
     path = Path(path)
+    return validated(SessionConfig, _document(path), path)
+
+
+def read_session_draft(path: Path | str) -> SessionDraft:
+    """The same of a configuration that may still lack parts.
+
+    Raises:
+        UnreadableFileError: as `read_session_config`.
+    """
+    path = Path(path)
+    return validated(SessionDraft, _document(path), path)
+
+
+def _document(path: Path) -> Any:
     document = read_yaml(path, "a session's configuration")
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         got = document.get("schema") if isinstance(document, dict) else None
         raise UnreadableFileError(f"{path} has schema '{got}'; needed '{SCHEMA}' (dvf-ig config init)")
-    return validated(SessionConfig, document, path)
+    return document
 
 
 def read_session(path: Path | str) -> SessionRecordings:
@@ -98,12 +104,11 @@ def read_recordings(config: SessionConfig, folder: Path, named_by: str) -> Sessi
     require_files(config, folder, named_by)
     names = ProbeNames.from_plus(config.ultrasound.probe_name, config.ultrasound.reference_name)
     files = read_preop(config.preop, folder, config.patient_id)
-    sweep = folder / config.ultrasound.file
-    with reading(sweep, "tracked ultrasound"):
-        recorded = read_sequence(sweep)
-        probe = tracked_probe(recorded, names)
-    tool = _tool(config.tool, folder, recorded, probe)
-    calibration, start, fan = config.calibration, config.start, config.ultrasound.fan
+    path = folder / config.ultrasound.file
+    sweep = read_sweep(path, names)
+    tool = read_tool(config.tool, folder, sweep)
+    calibration, fan = config.calibration, config.ultrasound.fan
+    start = read_start(config.start, folder)
     tip = None
     if calibration.tip is not None:
         tip = read_tip_source(calibration.tip, folder, "tool" if tool is None else tool.source)
@@ -111,18 +116,22 @@ def read_recordings(config: SessionConfig, folder: Path, named_by: str) -> Sessi
         name=config.name or files.preop.patient_id,
         preset=config.preset,
         preop=files.preop,
-        ecg=_ecg(config.ecg, folder, sweep),
-        ultrasound=_ultrasound(recorded, probe),
+        ecg=read_session_ecg(config.ecg, folder, path),
+        ultrasound=_ultrasound(sweep.recorded, sweep.probe),
         fan=None if fan is None else Fan(**fan.model_dump()),
         probe=read_probe_source(calibration.probe, folder, names),
         latency=read_latency_source(calibration.latency, folder),
         tool=None if tool is None else replace(tool, target="tracker", source="tool"),
         tip=tip,
-        **_start(start, folder),
+        start=start.start,
+        landmarks_mr=start.landmarks_mr,
+        landmarks_tracker=start.landmarks_tracker,
+        touched=start.touched,
+        touched_phase=config.start.touched_phase,
         seed=config.seed,
         truth=None if config.truth is None else read_truth(folder / config.truth),
     )
-    fixtures, retiming = _fixtures(config, folder, named_by)
+    fixtures, retiming = read_session_fixtures(config, folder, named_by)
     return SessionRecordings(scenario, files.model, fixtures, retiming)
 
 
@@ -132,42 +141,8 @@ def _ultrasound(recorded: TrackedSequence, probe: PoseStream) -> TrackedSequence
     return replace(recorded, poses={named.name: named})
 
 
-def _tool(
-    config: ToolConfig | None, folder: Path, recorded: TrackedSequence, probe: PoseStream
-) -> PoseStream | None:
-    """The tool's poses against what the probe's are relative to; None where none is named or recorded."""
-    if config is not None:
-        source = None if config.name is None else frame_from_plus(config.name)
-        return read_poses(folder / config.file, probe.target, source)
-    others = {stream.source for stream in recorded.poses.values()} - {probe.source, probe.target, "reference"}
-    return recorded.stream(probe.target, others.pop()) if len(others) == 1 else None
-
-
-def _ecg(config: EcgConfig | None, folder: Path, sweep: Path) -> Signal | TriggerTimes:
-    """From its own file, else from the field data of the ultrasound."""
-    if config is None:
-        return read_ecg(f"plus:{sweep}")
-    spec = split_ecg(config.file)
-    named = f"{spec.prefix}{folder / spec.name}{spec.field}"
-    return read_beat_source(named, rate_hz=config.rate_hz, delay_s=config.delay_s)
-
-
-def _start(config: StartConfig, folder: Path) -> dict[str, Any]:
-    """The fields of a scenario that its registration starts from."""
-    mr, tracker, touched = config.landmarks_mr, config.landmarks_tracker, config.touched
-    return {
-        "start": None
-        if config.transform is None
-        else read_transform(folder / config.transform, "mr", "tracker"),
-        "landmarks_mr": None if mr is None else read_landmarks(folder / mr, "mr"),
-        "landmarks_tracker": None if tracker is None else read_landmarks(folder / tracker, "tracker"),
-        "touched": None if touched is None else read_points(folder / touched, "tracker"),
-        "touched_phase": config.touched_phase,
-    }
-
-
-def _fixtures(
-    config: SessionConfig, folder: Path, named_by: str
+def read_session_fixtures(
+    config: SessionConfig | SessionDraft, folder: Path, named_by: str
 ) -> tuple["FixtureSet | None", RetimingName | None]:
     if config.fixtures is None:
         return None, config.retiming

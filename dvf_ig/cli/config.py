@@ -1,0 +1,252 @@
+"""`dvf-ig config`: begin, show and check the file that describes a lab's own recordings."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from .shell import EcgRateOption, JsonFlag, ProbeNameOption, ReferenceNameOption, command, emit, wrote
+
+if TYPE_CHECKING:
+    from dvf_ig.io.session_file.draft import SessionDraft
+    from dvf_ig.io.session_file.problem import Use
+    from dvf_ig.io.session_file.verdict import Verdict
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help="A lab's own recordings as one file, SESSION.yaml, for register and replay --config: begin it, show "
+    "it, check it.",
+)
+
+INIT_EXAMPLE = """
+Examples:
+
+    dvf-ig config init --us sweep.igs.mha --ecg edf:ecg.edf -o session.yaml
+
+    dvf-ig config init --us sweep.igs.mha --ecg edf:ecg.edf --probe probe.json --latency latency.json
+    --model heart.npz --landmarks model.mrk.json patient.mrk.json --tool tool.igs.mha --tip tip.json
+    -o session.yaml
+"""
+PARTS = {
+    "preop": "heart",
+    "ultrasound": "ultrasound",
+    "ecg": "ECG",
+    "tool": "tool",
+    "calibration.probe": "probe calibration",
+    "calibration.latency": "latency",
+    "calibration.tip": "tool tip",
+    "start": "start",
+}
+OPTIONS = {
+    "preop": "--model FILE, or --cine FILE --labels FILE, or --surfaces DIR",
+    "ecg": "--ecg edf:FILE",
+    "tool": "--tool FILE",
+    "calibration.probe": "--probe FILE",
+    "calibration.latency": "--latency FILE or SECONDS",
+    "calibration.tip": "--tip FILE",
+    "start": "--start FILE, or --landmarks MODEL PATIENT, or --touched FILE",
+}
+
+
+USES: "tuple[Use, Use]" = ("register", "replay")
+
+
+SessionArgument = Annotated[Path, typer.Argument(help="SESSION.yaml, or a scenario folder.")]
+
+
+def init(
+    us: Annotated[Path, typer.Option("--us", help="Tracked ultrasound (.igs.mha, .igs.nrrd).")],
+    output: Annotated[Path, typer.Option("-o", "--out", help="SESSION.yaml to write.")],
+    ecg: Annotated[
+        str | None,
+        typer.Option("--ecg", help="wfdb:RECORD, edf:FILE or csv:FILE; not needed where --us holds it."),
+    ] = None,
+    rate: EcgRateOption = None,
+    probe: Annotated[
+        Path | None, typer.Option("--probe", help="Probe calibration: our JSON, or a PLUS .xml.")
+    ] = None,
+    latency: Annotated[
+        str | None, typer.Option("--latency", help="Latency of the images: file, or seconds.")
+    ] = None,
+    tip: Annotated[Path | None, typer.Option("--tip", help="Tool tip: our JSON, or a PLUS .xml.")] = None,
+    tool: Annotated[
+        Path | None, typer.Option("--tool", help="Poses of the tool, where --us does not hold them.")
+    ] = None,
+    tool_name: Annotated[
+        str | None, typer.Option("--tool-name", help="The tool, as the recording names it.")
+    ] = None,
+    model: Annotated[Path | None, typer.Option("--model", help="Model of the heart (model build).")] = None,
+    cine: Annotated[
+        Path | None, typer.Option("--cine", help="4-D MR or CT: with --labels, or beside --model.")
+    ] = None,
+    labels: Annotated[
+        Path | None, typer.Option("--labels", help="Labels, 4-D or of end-diastole alone.")
+    ] = None,
+    surfaces: Annotated[Path | None, typer.Option("--surfaces", help="Folder of surfaces.")] = None,
+    start: Annotated[Path | None, typer.Option("--start", help="Coarse mr_from_tracker (.tfm).")] = None,
+    landmarks: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option("--landmarks", help="The same points in the model and on the patient: two files."),
+    ] = None,
+    touched: Annotated[
+        Path | None, typer.Option("--touched", help="Points touched all over the heart's surface.")
+    ] = None,
+    probe_name: ProbeNameOption = None,
+    reference_name: ReferenceNameOption = None,
+    patient: Annotated[str | None, typer.Option("--patient", help="Patient id.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Begin a SESSION.yaml from a lab's files: look into each, say what is missing or does not fit.
+
+    Exits 0 when `register` could run with it. Where something is still missing, the file is written
+    with commented lines for it; where a file cannot be read or does not fit, nothing is written.
+    """
+    with command():
+        from dvf_ig.io.session_file.draft import GivenFiles
+        from dvf_ig.io.session_file.found import found
+        from dvf_ig.io.session_file.problem import in_options
+        from dvf_ig.io.session_file.verdict import begin_session
+        from dvf_ig.io.session_file.write import session_text, write_session
+
+        given = GivenFiles(
+            ultrasound=us,
+            ecg=ecg,
+            rate_hz=rate,
+            probe=probe,
+            latency=latency,
+            tip=tip,
+            tool=tool,
+            tool_name=tool_name,
+            model=model,
+            mr=cine,
+            labels=labels,
+            surfaces=surfaces,
+            start=start,
+            landmarks=landmarks,
+            touched=touched,
+            probe_name=probe_name,
+            reference_name=reference_name,
+            patient_id=patient,
+        )
+        draft, verdict = begin_session(given, output)
+        told = found(verdict.parts)
+        wrong = [p for p in (*verdict.unreadable, *verdict.misfits) if p.concerns("register")]
+        if not wrong:
+            write_session(output, session_text(draft, told))
+        _show(output, verdict, told, as_json=as_json)
+        if wrong:
+            _refuse([in_options(problem.sentence) for problem in wrong])
+        wrote(output)
+        lacking = [problem.key for problem in verdict.missing if problem.concerns("register")]
+        if lacking:
+            _refuse([f"{output} is written, but register cannot run yet; it lacks: {', '.join(lacking)}"])
+
+
+def dump(session: SessionArgument, as_json: JsonFlag = False) -> None:
+    """Print the complete configuration with every default, as YAML; saved beside the files it reads back.
+
+    Examples:
+
+        dvf-ig config dump session.yaml
+
+        dvf-ig config dump DIR > DIR/session.yaml     (DIR: a scenario folder)
+    """
+    with command():
+        from dvf_ig.io.session_file.write import dump_text
+
+        config, _ = _read(session)
+        if as_json:
+            emit(config.model_dump(mode="json", by_alias=True), (), as_json=True)
+        else:
+            sys.stdout.write(dump_text(config))
+
+
+def validate(
+    session: SessionArgument,
+    purpose: Annotated[
+        Literal["register", "replay"] | None,
+        typer.Option("--for", help="What it is to be used for (default: all that it names, for register)."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Open every file of a configuration and check that all fit; name each that does not, and what to do.
+
+    Exits 0 when all is well, else 3 after one line for each problem.
+
+    Examples:
+
+        dvf-ig config validate session.yaml
+
+        dvf-ig config validate session.yaml --for replay
+    """
+    with command():
+        from dvf_ig.io.session_file.found import found
+        from dvf_ig.io.session_file.problem import in_keys
+        from dvf_ig.io.session_file.verdict import judge_session
+
+        config, folder = _read(session)
+        verdict = judge_session(config, folder, str(session))
+        _show(session, verdict, found(verdict.parts), as_json=as_json)
+        if purpose is None:
+            lacking = [problem for problem in verdict.missing if problem.concerns("register")]
+            wrong = [*verdict.unreadable, *verdict.misfits, *lacking]
+        else:
+            wrong = list(verdict.hindrances(purpose))
+        if wrong:
+            _refuse([in_keys(problem.sentence) for problem in wrong])
+
+
+app.command("init", epilog=INIT_EXAMPLE)(init)
+app.command("dump")(dump)
+app.command("validate")(validate)
+
+
+def _read(session: Path) -> "tuple[SessionDraft, Path]":
+    """The configuration, and the folder at which its names of files begin."""
+    from dvf_ig.io.scenario.read import read_scenario_session
+    from dvf_ig.io.session_file.draft import as_draft
+    from dvf_ig.io.session_file.read import read_session_draft
+
+    if session.is_dir():
+        return as_draft(read_scenario_session(session)), session
+    return read_session_draft(session), session.parent
+
+
+def _readiness(use: "Use", verdict: "Verdict") -> str:
+    keys = list(dict.fromkeys(problem.key for problem in verdict.hindrances(use)))
+    return "can run" if not keys else f"cannot run yet: {', '.join(keys)}"
+
+
+def _refuse(sentences: Sequence[str]) -> None:
+    """Print one line for each problem, and end with the exit code of bad input."""
+    for sentence in sentences:
+        typer.secho(f"error: {sentence}", err=True, fg=typer.colors.RED)
+    raise typer.Exit(3)
+
+
+def _show(path: Path, verdict: "Verdict", told: Mapping[str, str | None], *, as_json: bool) -> None:
+    kinds = {"unreadable": verdict.unreadable, "misfit": verdict.misfits, "missing": verdict.missing}
+    ready = {use: not verdict.hindrances(use) for use in USES}
+    payload: dict[str, Any] = {
+        "session": str(path),
+        "parts": dict(told),
+        "ready": ready,
+        "problems": [
+            {"key": p.key, "kind": kind, "hinders": p.hinders, "sentence": str(p.error)}
+            for kind, problems in kinds.items()
+            for p in problems
+        ],
+    }
+    if as_json:
+        emit(payload, (), as_json=True)
+        return
+    wrong = [p.key for p in (*verdict.unreadable, *verdict.misfits)]
+    rows = [("session", str(path))]
+    for key, label in PARTS.items():
+        text = told[key] or ("cannot be used" if any(k.startswith(key) for k in wrong) else "-")
+        rows.append((label, text))
+    rows += [(use, _readiness(use, verdict)) for use in USES]
+    rows += [("missing", f"{p.error}  ({OPTIONS[p.key]})") for p in verdict.missing]
+    emit({}, rows, as_json=False)

@@ -1,0 +1,157 @@
+"""A session's configuration that may still lack parts, as `config init` begins one and users go on."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.io.ecg.recording import KINDS
+from dvf_ig.io.fixtures import Number, RetimingName
+from dvf_ig.io.yaml_config import Section
+
+from .schema import (
+    EcgConfig,
+    FileName,
+    FixtureSource,
+    LatencySource,
+    PreopConfig,
+    ProbeSource,
+    SessionConfig,
+    StartConfig,
+    Text,
+    TipSource,
+    ToolConfig,
+    UltrasoundConfig,
+)
+
+
+class CalibrationDraft(Section):
+    """The calibrations that there are so far."""
+
+    probe: ProbeSource | None = None
+    latency: LatencySource | None = None
+    tip: TipSource | None = None
+
+
+class SessionDraft(Section):
+    """A `SessionConfig` of which only the ultrasound is sure to be there."""
+
+    schema_: Literal["dvf_ig.session/1"] = Field(default="dvf_ig.session/1", alias="schema")
+    name: Text | None = None
+    preset: str = "recorded"
+    seed: int | None = None
+    patient_id: Text | None = None
+    preop: PreopConfig | None = None
+    ultrasound: UltrasoundConfig
+    ecg: EcgConfig | None = None
+    tool: ToolConfig | None = None
+    calibration: CalibrationDraft = CalibrationDraft()
+    start: StartConfig = StartConfig()
+    fixtures: FixtureSource | None = None
+    cap_n: Number | None = None
+    retiming: RetimingName | None = None
+    truth: FileName | None = None
+
+
+def as_draft(config: SessionConfig) -> SessionDraft:
+    """A complete configuration as one that need not be."""
+    return SessionDraft.model_validate(config.model_dump(by_alias=True))
+
+
+@dataclass(frozen=True, slots=True)
+class GivenFiles:
+    """A lab's files, as a user names them from the working directory.
+
+    Attributes:
+        ultrasound: tracked images; the only file that is needed to begin with.
+        ecg: as `gate` takes it, for example `edf:FILE`; `rate_hz` of a table without times.
+        probe, tip: what `calibrate -o` wrote, JSON or PLUS XML.
+        latency: such a file, or seconds.
+        tool: poses; `tool_name` as the recording names it.
+        model, mr, labels, surfaces: the pre-operative heart.
+        start: mr_from_tracker; `landmarks` in the model and on the patient; `touched` points.
+    """
+
+    ultrasound: Path
+    ecg: str | None = None
+    rate_hz: float | None = None
+    probe: Path | None = None
+    latency: str | None = None
+    tip: Path | None = None
+    tool: Path | None = None
+    tool_name: str | None = None
+    model: Path | None = None
+    mr: Path | None = None
+    labels: Path | None = None
+    surfaces: Path | None = None
+    start: Path | None = None
+    landmarks: tuple[Path, Path] | None = None
+    touched: Path | None = None
+    probe_name: str | None = None
+    reference_name: str | None = None
+    patient_id: str | None = None
+
+    def draft(self, folder: Path) -> SessionDraft:
+        """The configuration whose names of files begin at `folder`.
+
+        Raises:
+            InvalidInputError: a cine without labels, a rate without an ECG, or a file named by nothing.
+        """
+        if self.rate_hz is not None and self.ecg is None:
+            raise InvalidInputError("a sampling rate belongs to an ECG as a text table; give --ecg, too")
+        if self.mr is not None and (self.model, self.labels, self.surfaces) == (None, None, None):
+            raise InvalidInputError(
+                f"{self.mr} shows the heart but not where its surface is; give --labels LABELS (of "
+                "end-diastole at least), or --model MODEL"
+            )
+
+        def name(path: Path | None) -> str | None:
+            return None if path is None else _relative(path, folder)
+
+        heart = {"model": self.model, "mr": self.mr, "labels": self.labels, "surfaces_folder": self.surfaces}
+        files = {key: name(path) for key, path in heart.items() if path is not None}
+        tool = self.tool if self.tool is not None or self.tool_name is None else self.ultrasound
+        return SessionDraft(
+            patient_id=self.patient_id,
+            preop=PreopConfig.model_validate(files) if files else None,
+            ultrasound=UltrasoundConfig(
+                file=_relative(self.ultrasound, folder),
+                probe_name=self.probe_name,
+                reference_name=self.reference_name,
+            ),
+            ecg=None if self.ecg is None else EcgConfig(file=_spec(self.ecg, folder), rate_hz=self.rate_hz),
+            tool=None if tool is None else ToolConfig(file=_relative(tool, folder), name=self.tool_name),
+            calibration=CalibrationDraft(
+                probe=name(self.probe),
+                latency=None if self.latency is None else _seconds_or_name(self.latency, folder),
+                tip=name(self.tip),
+            ),
+            start=StartConfig(
+                transform=name(self.start),
+                landmarks_mr=None if self.landmarks is None else name(self.landmarks[0]),
+                landmarks_tracker=None if self.landmarks is None else name(self.landmarks[1]),
+                touched=name(self.touched),
+            ),
+        )
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """Its name from a folder, with / between its parts wherever it was made."""
+    return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
+
+
+def _spec(spec: str, folder: Path) -> str:
+    kind, colon, name = spec.partition(":")
+    prefixed = bool(colon) and kind in KINDS
+    relative = _relative(Path(name if prefixed else spec), folder)
+    return f"{kind}:{relative}" if prefixed else relative
+
+
+def _seconds_or_name(text: str, folder: Path) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return _relative(Path(text), folder)
