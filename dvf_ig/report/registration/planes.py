@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
@@ -24,14 +25,16 @@ SQUARES = 8
 TINT, STAIN = 0.55, 0.6
 """How much colour a bright pre-operative voxel adds to dark ultrasound, and takes from bright ultrasound."""
 SCALE_BARS_MM = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-LETTER: dict[str, Any] = {"color": "white", "fontsize": 9, "alpha": 0.9}
+OVER_BRIGHT = [withStroke(linewidth=2.5, foreground="black")]
+"""Under what is drawn in white."""
+LETTER: dict[str, Any] = {"color": "white", "fontsize": 9, "path_effects": OVER_BRIGHT}
 
 
 def fused_figure(overlay: PlaneOverlay, anatomy: AnatomyPlane) -> Figure:
     """Ultrasound in grey with the anatomy's grey levels in colour and the model's contours."""
     figure = _panel(fused_rgb(overlay.image, anatomy.grey), overlay, anatomy)
     axis = figure.axes[0]
-    draw_contour(axis, anatomy.blood_mm, overlay.size_mm, "white", width=0.9, dashed=True)
+    draw_contour(axis, anatomy.blood_mm, overlay.size_mm, "white", width=1.0, dashed=True, casing=True)
     draw_contour(axis, anatomy.distance_mm, overlay.size_mm, ON_GREY, width=1.7)
     for level in overlay.outline_levels:
         draw_contour(axis, anatomy.grey, overlay.size_mm, ON_GREY, level=level)
@@ -82,7 +85,8 @@ def _panel(rgb: FloatArray, overlay: PlaneOverlay, anatomy: AnatomyPlane) -> Fig
     axis.set_axis_off()
     bar_mm, margin = scale_bar_mm(width_mm), 0.03 * max(width_mm, height_mm)
     y = height_mm - margin
-    axis.plot([margin, margin + bar_mm], [y, y], color="white", lw=2.5, solid_capstyle="butt")
+    for color, width in (("black", 4.5), ("white", 2.5)):
+        axis.plot([margin, margin + bar_mm], [y, y], color=color, lw=width, solid_capstyle="butt")
     axis.text(margin + bar_mm / 2, y - 0.6 * margin, f"{bar_mm:g} mm", ha="center", va="bottom", **LETTER)
     left, right, top, bottom = anatomy.edges
     axis.text(0.4 * margin, height_mm / 2, left, ha="left", va="center", **LETTER)

@@ -126,7 +126,7 @@ def test_the_key_names_what_is_drawn() -> None:
 def test_contours_lie_where_the_distance_is_zero() -> None:
     given = overlay()
     for anatomy, surface_mm in ((given.start, 10.0), (given.registered, 20.0)):
-        blood, surface = fused_figure(given, anatomy).axes[0].collections
+        _, blood, surface = fused_figure(given, anatomy).axes[0].collections
         for contour, y_mm in ((surface, surface_mm), (blood, surface_mm + 5.0)):
             drawn = np.concatenate([path.vertices for path in contour.get_paths()])
             assert drawn[:, 1] == pytest.approx(y_mm)
@@ -170,7 +170,7 @@ def test_panels_are_to_scale_with_a_scale_bar_and_the_patients_sides() -> None:
     axis = figure.axes[0]
     width, height = figure.get_size_inches()
     assert width / height == pytest.approx(60.0 / 40.0)
-    (bar,) = axis.lines
+    _, bar = axis.lines
     x = np.asarray(bar.get_xdata())
     assert x[1] - x[0] == pytest.approx(20.0)
     assert [text.get_text() for text in axis.texts] == ["20 mm", "R", "L", "A", "P"]
