@@ -33,4 +33,5 @@ from .summary import MIN_BEATS as MIN_BEATS
 from .summary import GateSummary as GateSummary
 from .summary import state_segments as state_segments
 from .summary import summarise_gating as summarise_gating
+from .trigger import TriggerDetector as TriggerDetector
 from .trigger import trigger_peaks as trigger_peaks

@@ -1,14 +1,15 @@
-"""Phase over a recorded ECG, causally: at each time from what was known by then."""
+"""Phase over a recorded ECG or trigger, causally: at each time from what was known by then."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, PhaseTrack, Signal
+from dvf_ig.core import FloatArray, PhaseTrack, Signal, TriggerTimes
 
 from .lead_off import LeadChange
 from .phase_clock import PhaseClock, PhaseClockOptions
 from .rpeak import CHUNK_S, RPeak, RPeakDetector
+from .trigger import trigger_peaks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -17,7 +18,7 @@ class PhaseTracking:
 
     Attributes:
         peaks: in order of detection.
-        lead_changes: when the ECG was lost and when it returned.
+        lead_changes: when the ECG or trigger was lost and when it returned.
         track: phase at the requested times.
     """
 
@@ -27,28 +28,30 @@ class PhaseTracking:
 
 
 def track_phase(
-    signal: Signal, t_s: FloatArray, *, options: PhaseClockOptions | None = None
+    source: Signal | TriggerTimes, t_s: FloatArray, *, options: PhaseClockOptions | None = None
 ) -> PhaseTracking:
     """Detect R peaks and estimate phase over a recording, each time from what was known by then.
 
     Args:
-        signal: the ECG.
-        t_s: (n,) strictly increasing times at which phase is wanted, in the ECG's time base.
+        source: the ECG, or the pulses of a trigger.
+        t_s: (n,) strictly increasing times at which phase is wanted, in its time base.
     Raises:
         InvalidInputError: sampled below 100 Hz, or times that do not increase.
     """
-    peaks, changes = stream_recording(signal)
+    peaks, changes = stream_recording(source)
     return PhaseTracking(peaks, changes, phase_from_peaks(peaks, changes, t_s, options=options))
 
 
-def stream_recording(signal: Signal) -> tuple[tuple[RPeak, ...], tuple[LeadChange, ...]]:
+def stream_recording(source: Signal | TriggerTimes) -> tuple[tuple[RPeak, ...], tuple[LeadChange, ...]]:
     """R peaks and lead changes of a whole recording, detected causally."""
-    detector = RPeakDetector(signal.rate_hz, len(signal.leads))
-    step = max(1, round(CHUNK_S * signal.rate_hz))
+    if isinstance(source, TriggerTimes):
+        return trigger_peaks(source)
+    detector = RPeakDetector(source.rate_hz, len(source.leads))
+    step = max(1, round(CHUNK_S * source.rate_hz))
     peaks: list[RPeak] = []
-    for first in range(0, len(signal), step):
-        start_s = signal.start_s + first / signal.rate_hz
-        peaks.extend(detector.push(signal.samples[first : first + step], start_s))
+    for first in range(0, len(source), step):
+        start_s = source.start_s + first / source.rate_hz
+        peaks.extend(detector.push(source.samples[first : first + step], start_s))
     return tuple(peaks), tuple(detector.take_lead_changes())
 
 

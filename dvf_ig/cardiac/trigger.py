@@ -1,43 +1,57 @@
 """R peaks from the trigger output of a monitor or scanner instead of an ECG."""
 
-import numpy as np
+from dvf_ig.core import InvalidInputError, TriggerTimes
+from dvf_ig.core.trigger import check_trigger_delay
 
-from dvf_ig.core import FloatArray, InvalidInputError
-
+from .lead_off import LeadChange
+from .phase_clock import SAME_BEAT_S
 from .rpeak import RPeak
 
-LONGEST_DELAY_S = 0.5
-SHORTEST_INTERVAL_S = 0.2
-"""Two pulses closer than this cannot be two heart beats (300 per minute)."""
+SHORTEST_INTERVAL_S = SAME_BEAT_S
+"""Two pulses closer than this are no two heart beats (240 per minute)."""
 
 
-def trigger_peaks(t_s: FloatArray, fixed_delay_s: float = 0.0) -> tuple[RPeak, ...]:
-    """R peaks from trigger pulses.
-
-    Args:
-        t_s: (n,) times of the pulses, increasing, in the time base in which phase is wanted.
-        fixed_delay_s: how long after the R peak the device fires; measure it once, it does not change.
-    Returns:
-        one R peak a pulse, `fixed_delay_s` before it and detected when it fires.
-    Raises:
-        InvalidInputError: no pulse, times that are not finite or do not increase, pulses less than 0.2 s
-            apart, or a delay outside 0 to 0.5 s.
+class TriggerDetector:
+    """Takes pulses as they come. Pulses too close to be beats are no beats: which of them is R nobody knows,
+    so the trigger counts as lost until the next one, as an ECG does whose electrodes come off.
     """
-    times = np.asarray(t_s, dtype=np.float64)
-    if times.ndim != 1 or len(times) == 0 or not np.isfinite(times).all():
-        raise InvalidInputError(
-            f"trigger times have shape {times.shape} or are not finite; needed (n,) seconds, n at least 1"
-        )
-    if not 0.0 <= fixed_delay_s <= LONGEST_DELAY_S:
-        raise InvalidInputError(
-            f"the trigger's delay is {fixed_delay_s:g} s; needed 0 to {LONGEST_DELAY_S:g} s "
-            "after R (is it in ms?)"
-        )
-    gaps = np.diff(times)
-    if len(gaps) and gaps.min() < SHORTEST_INTERVAL_S:
-        k = int(gaps.argmin())
-        raise InvalidInputError(
-            f"trigger {k + 1} at {times[k + 1]:.3f} s comes {gaps[k]:.3f} s after the one before; needed at "
-            f"least {SHORTEST_INTERVAL_S:g} s: order the pulses, and keep one edge of each"
-        )
-    return tuple(RPeak(float(t) - fixed_delay_s, float(t), 1.0) for t in times)
+
+    def __init__(self, delay_s: float = 0.0) -> None:
+        """`delay_s`: how long after the R peak the device fires.
+
+        Raises:
+            InvalidInputError: a delay outside 0 to 0.5 s.
+        """
+        check_trigger_delay(delay_s)
+        self._delay_s = delay_s
+        self._last_s = float("-inf")
+        self._changes: list[LeadChange] = []
+
+    def push(self, t_s: float) -> list[RPeak]:
+        """The next pulse: its R peak, `delay_s` before it and known when it fires; none for a double pulse.
+
+        Raises:
+            InvalidInputError: it fired before the last one.
+        """
+        if t_s < self._last_s:
+            raise InvalidInputError(
+                f"a trigger at {t_s:.4f} s came after the one at {self._last_s:.4f} s; feed them in order"
+            )
+        double = t_s - self._last_s < SHORTEST_INTERVAL_S
+        self._last_s = t_s
+        if double:
+            self._changes += [LeadChange(t_s, False), LeadChange(t_s, True)]
+            return []
+        return [RPeak(t_s - self._delay_s, t_s, 1.0)]
+
+    def take_lead_changes(self) -> list[LeadChange]:
+        """Losses and returns of the trigger since the last call, in order of time."""
+        changes, self._changes = self._changes, []
+        return changes
+
+
+def trigger_peaks(trigger: TriggerTimes) -> tuple[tuple[RPeak, ...], tuple[LeadChange, ...]]:
+    """R peaks of a recorded trigger, and when it was lost and came back."""
+    detector = TriggerDetector(trigger.delay_s)
+    peaks = [peak for t_s in trigger.t_s.tolist() for peak in detector.push(t_s)]
+    return tuple(peaks), tuple(detector.take_lead_changes())

@@ -72,7 +72,7 @@ def _version(distribution: str) -> str | None:
 
 def doctor(as_json: JsonFlag = False) -> None:
     """Say what is missing on this machine and how to get it (exit 2 if something needed is missing)."""
-    with command():
+    with command(lists_inputs=False):
         results = checks()
         missing = [c for c in results if c.found is None and c.needed]
         rows = [(c.what, c.found if c.found else f"MISSING: {c.remedy}") for c in results]

@@ -5,22 +5,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .shell import EcgRateOption, JsonFlag, command, emit, wrote
+from .shell import EcgRateOption, JsonFlag, command, emit, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import PhaseClockOptions, PhaseTracking
-    from dvf_ig.core import Signal
+    from dvf_ig.core import FloatArray, Signal, TriggerTimes
 
 VALIDITY_RATE_HZ = 100.0
-TRIGGER_PREFIX = "trigger:"
 
 
 def gate(
     ecg: Annotated[
         str,
         typer.Argument(
-            help="wfdb:RECORD, edf:FILE or csv:FILE (the ending .hea, .dat, .edf, .csv or .tsv says it "
-            "too), or trigger:FILE.",
+            help="wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE[#FIELD] (an ending .hea, .dat, .edf, "
+            ".csv, .tsv, .mha or .nrrd says it too), or trigger:FILE.",
             metavar="ECG",
         ),
     ],
@@ -41,14 +40,14 @@ def gate(
 ) -> None:
     """Detect R peaks causally and report where the heart's phase is valid."""
     with command():
-        from dvf_ig.io import refuse_foreign, write_json
+        from dvf_ig.io import provenance_fields, refuse_foreign, write_json
 
         rate_hz = phase_at or VALIDITY_RATE_HZ
         signal, tracking = _track(ecg, rate, rate_hz, predictor, delay_s)
         result = _result(tracking, with_phase=phase_at is not None)
         if output is not None:
             refuse_foreign(output.with_suffix(".png"))
-            write_json(output, result)
+            write_json(output, {**result, **provenance_fields()})
             wrote(output)
             _draw(output.with_suffix(".png"), ecg, signal, tracking)
         emit(result, _rows(result), as_json=as_json)
@@ -60,37 +59,30 @@ def _track(
     import numpy as np
 
     from dvf_ig.cardiac import track_phase
-    from dvf_ig.core import InvalidInputError
-    from dvf_ig.io import read_ecg
+    from dvf_ig.core import Signal
+    from dvf_ig.io import read_beat_source
 
     options = _options(predictor)
-    if spec.startswith(TRIGGER_PREFIX):
-        if ecg_rate_hz is not None:
-            raise InvalidInputError(f"--rate belongs to an ECG table; '{spec}' holds the times of pulses")
-        return None, _track_trigger(Path(spec[len(TRIGGER_PREFIX) :]), rate_hz, options, delay_s or 0.0)
-    if delay_s is not None:
-        raise InvalidInputError(
-            f"--delay-s belongs to trigger:FILE; '{spec}' is an ECG, whose R peaks are found"
+    source = read_beat_source(spec, rate_hz=ecg_rate_hz, delay_s=delay_s)
+    if isinstance(source, Signal):
+        duration_s = len(source) / source.rate_hz
+        t_s = source.start_s + np.arange(max(1, int(duration_s * rate_hz))) / rate_hz
+        return source, track_phase(source, t_s, options=options)
+    tracking = track_phase(source, _trigger_times(source, rate_hz), options=options)
+    doubles = len(tracking.lead_changes) // 2
+    if doubles:
+        warn(
+            f"{doubles} of {len(source)} pulses come too soon after another to be a beat; the phase is not "
+            "valid after them: record one edge of each pulse"
         )
-    signal = read_ecg(spec, ecg_rate_hz)
-    duration_s = len(signal) / signal.rate_hz
-    t_s = signal.start_s + np.arange(max(1, int(duration_s * rate_hz))) / rate_hz
-    return signal, track_phase(signal, t_s, options=options)
+    return None, tracking
 
 
-def _track_trigger(
-    path: Path, rate_hz: float, options: "PhaseClockOptions", delay_s: float
-) -> "PhaseTracking":
+def _trigger_times(source: "TriggerTimes", rate_hz: float) -> "FloatArray":
     import numpy as np
 
-    from dvf_ig.cardiac import PhaseTracking, phase_from_peaks, trigger_peaks
-    from dvf_ig.io import read_triggers
-
-    fired_s = read_triggers(path)
-    peaks = trigger_peaks(fired_s, delay_s)
-    count = max(1, int((fired_s[-1] - fired_s[0]) * rate_hz) + 1)
-    t_s = fired_s[0] + np.arange(count) / rate_hz
-    return PhaseTracking(peaks, (), phase_from_peaks(peaks, (), t_s, options=options))
+    count = max(1, int((source.t_s[-1] - source.start_s) * rate_hz) + 1)
+    return np.asarray(source.start_s + np.arange(count) / rate_hz)
 
 
 def _options(predictor: str) -> "PhaseClockOptions":

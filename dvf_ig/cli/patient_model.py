@@ -1,4 +1,4 @@
-"""The model of a recorded patient: from a given file, from the cache, or built."""
+"""The model of a recorded patient: from a file, from the cache, or built."""
 
 from pathlib import Path
 
@@ -7,12 +7,14 @@ from dvf_ig.core import DvfModel, Preop
 from .shell import progress
 
 
-def patient_model(preop: Preop, file: Path | None) -> tuple[DvfModel, str]:
-    """The model in `file` where one is given, else from the cache or built; and one line that says so."""
+def patient_model(preop: Preop, given: DvfModel | Path | None) -> tuple[DvfModel, str]:
+    """The given model or the one in a file, else from the cache or built; and one line that says so."""
     from dvf_ig.io import cached_model, read_model
 
-    if file is not None:
-        return read_model(file, patient_id=preop.patient_id), f"model from {file}"
+    if isinstance(given, DvfModel):
+        return given, f"model of patient {given.patient_id}"
+    if given is not None:
+        return read_model(given, patient_id=preop.patient_id), f"model from {given}"
     with progress("model") as report:
         found = cached_model(preop, progress=report)
     return found.model, found.remark

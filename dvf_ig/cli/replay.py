@@ -1,7 +1,7 @@
-"""`dvf-ig replay`: a scenario folder from raw streams to force."""
+"""`dvf-ig replay`: a recorded intervention from raw streams to force."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,12 +20,23 @@ from .fixture_options import (
     chosen_retiming,
 )
 from .patient_model import patient_model
-from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
+from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, warn, wrote
+
+if TYPE_CHECKING:
+    from dvf_ig.io import SessionRecordings
 
 
 def replay(
-    scenario: Annotated[Path, typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`).")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for result.json and report.html.")],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Folder for the result, its page, the pose and the ticks.")
+    ],
+    scenario: Annotated[
+        Path | None, typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`); or give --config.")
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", help="SESSION.yaml that names your recordings (see `dvf-ig config init`)."),
+    ] = None,
     model: Annotated[
         Path | None, typer.Option("--model", help="This patient's model, if `dvf-ig model build` made one.")
     ] = None,
@@ -47,35 +58,66 @@ def replay(
 
     Calibrates tool, probe and latency, detects heart beats, registers ultrasound to the model and evaluates
     the fixtures at the tool tip every millisecond. Where the folder holds the truth, every error is printed.
+    The pose goes to ITK, 3D Slicer and PLUS files, the ticks to a table (see the guide, results of a replay).
     Exits 7 after writing its evidence when no registration could be used.
     """
     with command(threads):
         from dvf_ig.core import QualityGateError
-        from dvf_ig.io import output_folder, read_scenario, write_json, write_text
+        from dvf_ig.io import (
+            files_together,
+            output_folder,
+            provenance_fields,
+            write_json,
+            write_text,
+        )
         from dvf_ig.replay import require_replayable, result_of, run_replay, table
+        from dvf_ig.replay.outputs import NAMES, require_own_outputs, write_outputs
         from dvf_ig.replay.report import report_html
 
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
-        options, of_file = chosen_fixtures(given, fixtures)
-        mode = chosen_retiming(retiming, of_file)
-        recorded = read_scenario(scenario)
-        result_path, report_path = out / "result.json", out / "report.html"
+        recordings = _read(scenario, config, model)
+        options, of_file = chosen_fixtures(given, fixtures, recordings.fixtures)
+        mode = chosen_retiming(retiming, recordings.retiming or of_file)
+        recorded = recordings.scenario
         require_replayable(recorded)
         with output_folder(out):
-            built, origin = patient_model(recorded.preop, model)
+            require_own_outputs(out)
+            built, origin = patient_model(recorded.preop, recordings.model or model)
             with progress("replay") as report:
                 done = run_replay(
-                    recorded, model=built, fixtures=options, retiming=mode, seed=seed, progress=report
+                    recorded,
+                    model=built,
+                    fixtures=options,
+                    retiming=mode,
+                    seed=seed,
+                    progress=report,
                 )
             result = result_of(done)
-            write_text(report_path, report_html(done, result))
-            write_json(result_path, result)
+            with files_together(out, ("result.json", "report.html", *NAMES)) as new:
+                write_text(new / "report.html", report_html(done, result))
+                write_json(new / "result.json", {**result, **provenance_fields()})
+                frames = write_outputs(done.poses, done.ticks, new)
         heading = ("", "estimate", "error against the truth" if done.scenario.truth is not None else "")
         emit(result, [heading, *table(result)], as_json=as_json)
         typer.echo(origin, err=True)
-        wrote(result_path)
-        wrote(report_path)
+        for name in ("result.json", "report.html", *frames):
+            wrote(out / name, frames.get(name))
+        if done.poses and done.history.updates[-1].pose is None:
+            warn("at the end no pose was in use: mr_from_tracker is the last one before it was suspended")
         if not done.poses:
             reason = result["registrations"][-1]["reason"] if done.attempts else "the recording is too short"
             raise QualityGateError(f"no registration could be used, so no force was given: {reason}")
+
+
+def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "SessionRecordings":
+    """The recordings of a scenario folder or of a SESSION.yaml."""
+    from dvf_ig.io import SessionRecordings, read_scenario, read_session
+
+    if (scenario is None) == (config is None):
+        raise typer.BadParameter("what is to be replayed? give a scenario folder, or --config SESSION.yaml")
+    if config is None:
+        return SessionRecordings(read_scenario(scenario or Path()), None, None, None)
+    if model is not None:
+        raise typer.BadParameter(f"{config} says whose model it is (preop.model); leave out --model")
+    return read_session(config)

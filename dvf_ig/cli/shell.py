@@ -9,7 +9,8 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -64,18 +65,39 @@ def exit_code(error: DvfIgError) -> int:
     return 3
 
 
+_provenance: ContextVar[Callable[[], Mapping[str, Any]]] = ContextVar("provenance", default=dict)
+"""Fields that `emit` adds to a result."""
+
+
 @contextmanager
-def command(threads: int | None = None) -> Iterator[None]:
-    """Body of a command: limits threads, tells what is logged as a warning as a note, and turns a DvfIgError
-    into one sentence and its exit code."""
+def command(threads: int | None = None, *, lists_inputs: bool = True) -> Iterator[None]:
+    """Body of a command: limits threads, records what is read, tells what is logged as a warning as a note,
+    and turns a DvfIgError into one sentence and its exit code.
+
+    Args:
+        threads: see `limit_threads`.
+        lists_inputs: its result says which files were read, and versions; not where other processes read.
+    """
     if threads is not None:
         limit_threads(threads)
     try:
-        with _notes_of_warnings():
+        with _notes_of_warnings(), _inputs_listed() if lists_inputs else nullcontext():
             yield
     except DvfIgError as error:
         typer.secho(f"error: {error}", err=True, fg=typer.colors.RED)
         raise typer.Exit(exit_code(error)) from error
+
+
+@contextmanager
+def _inputs_listed() -> Iterator[None]:
+    from dvf_ig.io.provenance import provenance_fields, recorded_inputs
+
+    token = _provenance.set(provenance_fields)
+    try:
+        with recorded_inputs():
+            yield
+    finally:
+        _provenance.reset(token)
 
 
 class _Notes(logging.Handler):
@@ -126,9 +148,9 @@ def whole_numbers(text: str, option: str, example: str) -> tuple[int, ...]:
 
 
 def emit(result: Mapping[str, Any], rows: Sequence[tuple[str, ...]], *, as_json: bool) -> None:
-    """Print a result: one JSON object, or its rows as aligned columns."""
+    """Print a result: one JSON object, with where it comes from, or its rows as aligned columns."""
     if as_json:
-        json.dump(result, sys.stdout, indent=2, allow_nan=False)
+        json.dump({**result, **_provenance.get()()}, sys.stdout, indent=2, allow_nan=False)
         sys.stdout.write("\n")
         return
     columns = max((len(row) for row in rows), default=0)

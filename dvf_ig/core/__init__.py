@@ -24,6 +24,7 @@ from .image_map import ImageMap as ImageMap
 from .mesh import LV_CAVITY as LV_CAVITY
 from .mesh import Mesh as Mesh
 from .mesh import SurfaceSeries as SurfaceSeries
+from .model import Chamber as Chamber
 from .model import DvfModel as DvfModel
 from .phantom import NWirePhantom as NWirePhantom
 from .phantom import NWireRecording as NWireRecording
@@ -55,6 +56,7 @@ from .signal import Trace as Trace
 from .stop import Stop as Stop
 from .stream import PoseStream as PoseStream
 from .tracked_volume import TrackedVolume as TrackedVolume
+from .trigger import TriggerTimes as TriggerTimes
 from .volume import Grid as Grid
 from .volume import Volume as Volume
 from .volume import VolumeSeries as VolumeSeries

@@ -1,4 +1,4 @@
-"""The dynamic virtual fixture model: one spline of signed distance per cardiac phase."""
+"""The dynamic virtual fixture model: one spline of signed distance a phase, and chambers of blood."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,31 @@ from numpy.typing import NDArray
 from .arrays import BoolArray, FloatArray, frozen, frozen_floats, read_only_arrays
 from .cycle import CycleTiming
 from .errors import InvalidInputError
-from .frames import check_frame
+from .frames import check_frame, require_same_frame
 from .mesh import Mesh
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chamber:
+    """The closed surface of blood-filled space, which ultrasound shows, through the cycle.
+
+    Attributes:
+        name: for example "LV_ENDOCARDIAL" or "lv_blood".
+        surfaces: one mesh a phase, outward orientation; vertices and triangles may differ between phases.
+            Vertices are rounded to 32-bit floats (1e-5 mm), as the model's file holds them.
+    """
+
+    name: str
+    surfaces: tuple[Mesh, ...]
+
+    def __post_init__(self) -> None:
+        rounded = tuple(
+            Mesh(mesh.frame, mesh.vertices_mm.astype(np.float32), mesh.triangles) for mesh in self.surfaces
+        )
+        object.__setattr__(self, "surfaces", rounded)
+
+    def phase(self, i: int) -> Mesh:
+        return self.surfaces[i]
 
 
 @read_only_arrays
@@ -31,6 +54,7 @@ class DvfModel:
         reference: one mesh a phase, the surface the model was fitted to.
         reference_caps: per phase, True for triangles that close an opening and were never measured.
         sources: what it was built from, for the record.
+        chambers: the blood within the organ, which ultrasound shows; none where it is not known.
     """
 
     patient_id: str
@@ -45,6 +69,7 @@ class DvfModel:
     reference: tuple[Mesh, ...]
     reference_caps: tuple[BoolArray, ...]
     sources: tuple[str, ...] = ()
+    chambers: tuple[Chamber, ...] = ()
 
     def __post_init__(self) -> None:
         check_frame(self.frame)
@@ -63,6 +88,13 @@ class DvfModel:
             )
         if self.knot_spacing_mm <= 0:
             raise InvalidInputError(f"knot spacing is {self.knot_spacing_mm:g} mm; it must be positive")
+        for chamber in self.chambers:
+            if len(chamber.surfaces) != n:
+                raise InvalidInputError(
+                    f"chamber {chamber.name} has {len(chamber.surfaces)} surfaces for {n} phases"
+                )
+            for mesh in chamber.surfaces:
+                require_same_frame(self.frame, mesh.frame, f"chamber {chamber.name}")
         coefficients.setflags(write=False)
         object.__setattr__(self, "coefficients", coefficients)
         object.__setattr__(self, "origin_mm", frozen_floats(self.origin_mm, "model origin", (3,)))
@@ -71,6 +103,15 @@ class DvfModel:
             for c, m in zip(self.reference_caps, self.reference, strict=True)
         )
         object.__setattr__(self, "reference_caps", caps)
+
+    def require_patient(self, patient_id: str, this_is: str = "the model is") -> None:
+        """Raise InvalidInputError, with what to do, unless this is the model of that patient."""
+        if self.patient_id != patient_id:
+            raise InvalidInputError(
+                f"{this_is} of patient '{self.patient_id}', needed patient '{patient_id}'; choose the right "
+                "patient's model, or, where it is the same patient, name the other data alike: "
+                f"--patient '{self.patient_id}', or patient_id: '{self.patient_id}' in their YAML file"
+            )
 
     @property
     def phases(self) -> int:

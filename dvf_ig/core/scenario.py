@@ -11,23 +11,33 @@ from .rigid import Rigid
 from .sequence import Fan, TrackedSequence
 from .signal import Signal, Trace
 from .stream import PoseStream
+from .trigger import TriggerTimes
 from .volume import Volume, VolumeSeries
+
+LV_BLOOD = "lv_blood"
+"""Name of the label of the left ventricle's blood."""
+BLOOD_WORDS = ("blood", "cavity")
+"""A label with one of these in its name is blood."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preop:
     """The pre-operative data of the heart, in frame "mr".
 
-    `labels` (with or without `mr`), `mr` with `ed_labels`, or `surfaces`; none with a model.
+    The model is built from `labels`, from `mr` with `ed_labels`, or from `surfaces`. Where there is a model
+    already, none of them is needed: only whose heart it is.
 
     Attributes:
         patient_id: whose heart.
         mr: 4-D MR intensities.
         labels: 4-D label image, uint8.
-        ed_labels: labels of end-diastole alone; their motion is found in `mr`.
-        ed_phase: the phase of `mr` that they belong to.
+        ed_labels: labels of end-diastole alone, on the grid of `mr`, whose motion carries them.
+        ed_phase: the phase of `mr` that `ed_labels` belong to.
         label_names: value to anatomical name; 0 is background.
-        organ_labels: the labels whose union the forbidden surface encloses.
+        organ_labels: the labels whose union the forbidden surface encloses; with `ed_labels`, none means all
+            but 0.
+        cavity_labels: the labels of blood, that of the left ventricle first; none means those that their
+            names tell (see `blood_labels`).
         surfaces: corresponding surface series, each with its name.
         surface: name of the surface that fixtures are built on (for surfaces), e.g. "EPICARDIAL".
     """
@@ -41,6 +51,26 @@ class Preop:
     organ_labels: tuple[int, ...] = ()
     surfaces: tuple[SurfaceSeries, ...] = ()
     surface: str = "EPICARDIAL"
+    cavity_labels: tuple[int, ...] = ()
+
+    @property
+    def blood_labels(self) -> tuple[int, ...]:
+        """`cavity_labels`, else the organ's labels whose name has "blood" or "cavity" in it."""
+        if self.cavity_labels:
+            return self.cavity_labels
+        return tuple(
+            value
+            for value, name in self.label_names
+            if (value in self.organ_labels or not self.organ_labels)
+            and any(word in name.lower() for word in BLOOD_WORDS)
+        )
+
+    @property
+    def lv_label(self) -> int | None:
+        """The label of the left ventricle's blood, whose volume gives end-systole; None where not known."""
+        if self.cavity_labels:
+            return self.cavity_labels[0]
+        return next((value for value, name in self.label_names if name == LV_BLOOD), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +181,7 @@ class Scenario:
         name: short title.
         preset: which synthetic preset, or "recorded".
         preop: the pre-operative data.
-        ecg: ECG of the live part.
+        ecg: ECG of the live part, or the pulses of a trigger in its place.
         ultrasound: images with tracker_from_probe recorded at the video time stamps.
         fan: insonified sector, where the scanner's geometry is known.
         probe: of the image: tracked images of a phantom, or probe_from_image.
@@ -171,7 +201,7 @@ class Scenario:
     name: str
     preset: str
     preop: Preop
-    ecg: Signal
+    ecg: Signal | TriggerTimes
     ultrasound: TrackedSequence
     fan: Fan | None
     probe: NWireRecording | TargetRecording | ImageMap

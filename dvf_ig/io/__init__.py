@@ -1,5 +1,6 @@
 """Files to core values and back: the only place that knows LPS/RAS, pixels, bytes and PLUS names."""
 
+from .atomic import files_together as files_together
 from .atomic import output_folder as output_folder
 from .atomic import write_text as write_text
 from .calibration_files import read_hand_eye as read_hand_eye
@@ -13,9 +14,16 @@ from .ecg.beat_annotations import BeatAnnotations as BeatAnnotations
 from .ecg.beat_annotations import read_annotations as read_annotations
 from .ecg.recording import read_ecg as read_ecg
 from .ecg.recording import write_ecg_csv as write_ecg_csv
+from .ecg.trigger import read_beat_source as read_beat_source
 from .ecg.trigger import read_triggers as read_triggers
+from .ecg.trigger import write_triggers as write_triggers
 from .fixtures import read_fixtures as read_fixtures
+from .image.gated_volume import GatedVolumeFile as GatedVolumeFile
+from .image.gated_volume import gated_volume_files as gated_volume_files
+from .image.gated_volume import read_gated_volumes as read_gated_volumes
 from .image.labels import read_cine_labels as read_cine_labels
+from .image.labels import read_label_names as read_label_names
+from .image.labels import read_labels as read_labels
 from .image.seeds import read_seeds as read_seeds
 from .image.timing import read_timing as read_timing
 from .image.timing import write_timing as write_timing
@@ -40,6 +48,8 @@ from .model import read_model as read_model
 from .model import write_model as write_model
 from .model_cache import CachedModel as CachedModel
 from .model_cache import cached_model as cached_model
+from .plus.ecg_field import read_ecg_field as read_ecg_field
+from .plus.ecg_field_write import add_ecg_field as add_ecg_field
 from .plus.feature_points import read_feature_points as read_feature_points
 from .plus.feature_points import read_target_recording as read_target_recording
 from .plus.feature_points import tracked_probe as tracked_probe
@@ -57,6 +67,7 @@ from .plus.nwire import write_wire_points as write_wire_points
 from .plus.phantom_landmarks import read_phantom_landmarks as read_phantom_landmarks
 from .plus.poses import read_poses as read_poses
 from .plus.sequence_read import read_sequence as read_sequence
+from .plus.sequence_write import write_pose_sequence as write_pose_sequence
 from .plus.sequence_write import write_poses as write_poses
 from .plus.sequence_write import write_sequence as write_sequence
 from .plus.wire_search import read_wire_search as read_wire_search
@@ -64,10 +75,17 @@ from .plus.xml import CoordinateDefinition as CoordinateDefinition
 from .plus.xml import read_calibrations as read_calibrations
 from .plus.xml import read_coordinate_definitions as read_coordinate_definitions
 from .plus.xml import write_coordinate_definitions as write_coordinate_definitions
+from .plus.xml import write_registration as write_registration
 from .points_file import read_points as read_points
+from .provenance import provenance_fields as provenance_fields
 from .scenario.read import read_scenario as read_scenario
 from .scenario.readme import ScenarioNotes as ScenarioNotes
 from .scenario.write import write_scenario as write_scenario
+from .session_file.preop import PreopFiles as PreopFiles
+from .session_file.preop import read_heart_options as read_heart_options
+from .session_file.read import SessionRecordings as SessionRecordings
+from .session_file.read import read_options as read_options
+from .session_file.read import read_session as read_session
 from .sidecar import refuse_foreign as refuse_foreign
 from .sidecar import write_sidecar as write_sidecar
 from .transform import read_transform as read_transform

@@ -3,7 +3,7 @@
 import os
 import shutil
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -71,6 +71,43 @@ def output_folder(folder: Path) -> Iterator[Path]:
         for path in made:
             if path.is_dir() and not any(path.iterdir()):
                 path.rmdir()
+
+
+@contextmanager
+def files_together(folder: Path, names: Collection[str]) -> Iterator[Path]:
+    """A temporary folder whose files take their places in `folder` when the block ends well: all, or none.
+
+    Args:
+        folder: exists.
+        names: every file that may be written; those that the block leaves out are removed from `folder`, so
+            that nothing of an earlier run lies beside the results of this one.
+    Raises:
+        OutputError: not writable, or a folder has the name of a file.
+    """
+    temporary = folder / f".{uuid.uuid4().hex[:8]}"
+    new, old = temporary / "new", temporary / "old"
+    moved: list[str] = []
+    try:
+        new.mkdir(parents=True)
+        old.mkdir()
+        yield new
+        for name in names:
+            if (folder / name).is_dir():
+                raise OutputError(f"cannot write {folder / name}: it is a folder; choose another output")
+        for name in names:
+            moved.append(name)
+            if (folder / name).exists():
+                os.replace(folder / name, old / name)
+            if (new / name).exists():
+                os.replace(new / name, folder / name)
+    except OSError as exc:
+        for name in moved:
+            (folder / name).unlink(missing_ok=True)
+            if (old / name).exists():
+                os.replace(old / name, folder / name)
+        raise OutputError(f"cannot write into {folder}: {_reason(exc, folder / 'file')}") from exc
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 @contextmanager

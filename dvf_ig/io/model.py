@@ -11,11 +11,12 @@ import numpy as np
 
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.cycle import CycleTiming
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.mesh import Mesh
 from dvf_ig.core.model import DvfModel
 
 from .atomic import write_bytes
+from .model_chambers import chamber_arrays, chambers_of_arrays
 from .reading import read_bytes, reading
 
 SCHEMA = "dvf_ig.model/1"
@@ -59,12 +60,8 @@ def read_model(path: Path | str, patient_id: str | None = None) -> DvfModel:
         InvalidInputError: the model of another patient.
     """
     model = parse_model(read_bytes(Path(path), "a model file"), Path(path))
-    if patient_id is not None and model.patient_id != patient_id:
-        raise InvalidInputError(
-            f"{path} is the model of patient '{model.patient_id}', needed patient '{patient_id}'; choose "
-            "the right patient's model, or, where it is the same patient, build it again with: dvf-ig model "
-            f"build … --patient '{patient_id}'"
-        )
+    if patient_id is not None:
+        model.require_patient(patient_id, f"{path} is the model")
     return model
 
 
@@ -122,6 +119,9 @@ def _parts(model: DvfModel) -> tuple[dict[str, Any], dict[str, AnyArray]]:
         "vertex_counts": np.array([len(m.vertices_mm) for m in model.reference], dtype=np.int64),
         "triangle_counts": np.array([len(m.triangles) for m in model.reference], dtype=np.int64),
     }
+    if model.chambers:
+        header["chambers"] = [chamber.name for chamber in model.chambers]
+        arrays |= chamber_arrays(model.chambers)
     return header, arrays
 
 
@@ -182,6 +182,7 @@ def _model(path: Path, header: dict[str, Any], arrays: dict[str, AnyArray]) -> D
             reference=tuple(Mesh(frame, v, t) for v, t in zip(vertices, triangles, strict=True)),
             reference_caps=tuple(caps),
             sources=tuple(header["sources"]),
+            chambers=chambers_of_arrays(header.get("chambers", []), frame, arrays),
         )
     except KeyError as exc:
         raise UnreadableFileError(f"{path}: the model lacks {exc}; build it again") from exc

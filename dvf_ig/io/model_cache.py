@@ -26,16 +26,18 @@ from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileErr
 from dvf_ig.core.mesh import SurfaceSeries
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.scenario import Preop
+from dvf_ig.core.volume import Grid, VolumeSeries
 
 from .atomic import make_folder, write_bytes
 from .model import model_bytes, parse_model
+from .provenance import not_recorded
 from .reading import read_bytes
 
 if TYPE_CHECKING:
     from dvf_ig.preop import ModelOptions
 
 MAX_BYTES = 1_000_000_000
-"""All entries together; those that were used longest ago go first. A model of 20 phases has 40 MB."""
+"""All entries together; those that were used longest ago go first. A model of 20 phases has 55 MB."""
 
 ENVIRONMENT = "DVF_IG_CACHE"
 SUFFIX = ".dvf-model"
@@ -89,7 +91,8 @@ def cached_model(
     why = "model built"
     if path.exists():
         try:
-            model = _read(path, key, preop.patient_id)
+            with not_recorded():
+                model = _read(path, key, preop.patient_id)
         except (UnreadableFileError, InvalidInputError) as error:
             why = f"model built again ({error})"
         else:
@@ -124,23 +127,37 @@ def model_key(preop: Preop, options: "ModelOptions") -> str:
     settings = {name: value for name, value in asdict(options).items() if name != "threads"}
     _add(digest, "options", settings)
     _add(digest, "patient", (preop.patient_id, preop.surface))
-    if preop.labels is None:
+    if preop.labels is None and preop.ed_labels is None:
         for series in preop.surfaces:
             _add_surface(digest, series)
         return digest.hexdigest()
-    _add(digest, "labels", (preop.label_names, preop.organ_labels))
-    grid, timing = preop.labels.grid, preop.labels.timing
-    _add(digest, "grid", (grid.frame, grid.shape))
+    _add(digest, "labels", (preop.label_names, preop.organ_labels, preop.cavity_labels))
+    if preop.labels is not None:
+        _add_image(digest, preop.labels)
+    elif preop.ed_labels is not None and preop.mr is not None:
+        _add_image(digest, preop.mr)
+        _add(digest, "end-diastole", preop.ed_phase)
+        _add_array(digest, "end-diastolic labels", preop.ed_labels.values)
+        _add_grid(digest, preop.ed_labels.grid)
+    return digest.hexdigest()
+
+
+def _add_image(digest: Any, image: VolumeSeries) -> None:
+    timing = image.timing
     _add(digest, "timing", (timing.rr_s, timing.rr_assumed, timing.timing_assumed))
+    _add_grid(digest, image.grid)
+    _add_array(digest, "fractions", timing.fractions)
+    _add_array(digest, "values", image.values)
+
+
+def _add_grid(digest: Any, grid: Grid) -> None:
+    _add(digest, "grid", (grid.frame, grid.shape))
     for name, array in (
         ("origin", grid.origin_mm),
         ("spacing", grid.spacing_mm),
         ("direction", grid.direction),
-        ("fractions", timing.fractions),
-        ("values", preop.labels.values),
     ):
         _add_array(digest, name, array)
-    return digest.hexdigest()
 
 
 def _add_surface(digest: Any, series: SurfaceSeries) -> None:

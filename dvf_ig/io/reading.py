@@ -1,10 +1,12 @@
-"""Turn whatever goes wrong while a file is read into one sentence that names the file."""
+"""Turn whatever goes wrong while a file is read into one sentence that names it; record what was read."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+
+from .provenance import file_stamp, record_file, record_folder
 
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 
@@ -32,7 +34,10 @@ def refuse_lfs_pointer(path: Path) -> None:
 
 @contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
-    """Wrap a block that opens and interprets `path`.
+    """Wrap a block that opens and interprets `path`; when it ends well, the file counts as an input.
+
+    Of a folder, the files that are read within it count. What a library opens besides `path` itself must be
+    told to `record_file`.
 
     Args:
         path: the file or folder.
@@ -42,8 +47,13 @@ def reading(path: Path, what: str) -> Iterator[None]:
             it should become, or is a Git-LFS pointer. Errors that are this class already pass unchanged.
     """
     refuse_lfs_pointer(path)
+    if path.is_dir():
+        record_folder(path)
     try:
+        before = file_stamp(path)
         yield
+        if before is not None:
+            record_file(path, before=before)
     except UnreadableFileError:
         raise
     except FileNotFoundError as exc:
@@ -59,10 +69,12 @@ def reading(path: Path, what: str) -> Iterator[None]:
 def read_bytes(path: Path, what: str) -> bytes:
     """The whole file, or UnreadableFileError naming it."""
     with reading(path, what):
-        return path.read_bytes()
+        data = path.read_bytes()
+        record_file(path, data)
+        return data
 
 
 def read_text(path: Path, what: str) -> str:
     """The whole file as UTF-8 text without a byte-order mark, or UnreadableFileError naming it."""
     with reading(path, what):
-        return path.read_text(encoding="utf-8-sig")
+        return read_bytes(path, what).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")

@@ -1,7 +1,8 @@
 """Files that are written beside the one a user named: they never take the place of a file of the user's own.
 
 What this program writes carries a mark: the field `written_by` in JSON, with the kind of its content, a
-comment in XML, the software entry of a PNG. A file without it is somebody else's.
+comment in XML, HTML and the header of a sequence, the software entry of a PNG. A file without it is somebody
+else's.
 """
 
 import json
@@ -12,14 +13,16 @@ from typing import Any
 from dvf_ig.core.errors import OutputError
 
 from .json_file import plain, write_json
+from .provenance import provenance_fields
 
 MARK = "dvf_ig"
-XML_COMMENT = f" written by {MARK} "
+MARKUP_COMMENT = f" written by {MARK} "
+SEQUENCE_COMMENT = f"written by {MARK}"
 _PNG_SOFTWARE = f"Software\0{MARK}".encode()
 
 
 def write_sidecar(path: Path, content: Mapping[str, Any], kind: str, named: Path | None = None) -> None:
-    """Write a JSON object with our mark and its kind.
+    """Write a result as JSON: with our mark and its kind, and where it comes from (see `provenance_fields`).
 
     Args:
         path: the file.
@@ -30,14 +33,15 @@ def write_sidecar(path: Path, content: Mapping[str, Any], kind: str, named: Path
         OutputError: a file of the user's own, or of another kind, is there; or not writable.
     """
     refuse_foreign(path, kind=kind, named=named)
-    write_json(path, {**plain(dict(content)), "kind": kind, "written_by": MARK})
+    write_json(path, {**plain({**content, **provenance_fields()}), "kind": kind, "written_by": MARK})
 
 
 def refuse_foreign(*paths: Path, kind: str | None = None, named: Path | None = None) -> None:
     """Refuse paths at which a file stands that this program did not write.
 
     Args:
-        paths: JSON, XML or PNG files, or ITK transforms `.tfm`, `.h5`, whose mark is in the JSON beside them.
+        paths: JSON, XML, HTML or PNG files, sequences, or ITK transforms `.tfm`, `.h5`, whose mark is in
+            the JSON beside them.
         kind: of JSON; None accepts every kind.
         named: see `write_sidecar`.
     Raises:
@@ -61,7 +65,8 @@ def _is_ours(path: Path, kind: str | None) -> bool:
         content = path.read_bytes()
     except OSError:
         return False
-    return f"<!--{XML_COMMENT}-->".encode() in content or _PNG_SOFTWARE in content[:4096]
+    marks = (f"<!--{MARKUP_COMMENT}-->".encode(), _PNG_SOFTWARE, f"Comment = {SEQUENCE_COMMENT}".encode())
+    return any(mark in content[:4096] for mark in marks)
 
 
 def _json_kind(path: Path) -> str | None:

@@ -1,5 +1,7 @@
 """Averages of blocks of voxels, of what a table says of their grey levels."""
 
+from math import ceil, floor
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,3 +34,39 @@ def pool_blocks(
                             whole = whole and mask[a, b, c] != 0
                             total += table[grey[a, b, c]]
                 out[i, j, k] = total / np.float32(step * step * step) if whole else np.nan
+
+
+@kernel
+def pool_cubes(
+    grey: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    table: NDArray[np.float32],
+    edge: NDArray[np.float64],
+    out: NDArray[np.float32],
+) -> None:
+    """Mean of `table[grey]` over boxes of any size, each voxel weighted by its share inside; NaN as above.
+
+    Args:
+        grey, mask: (nx, ny, nz).
+        table: (256,).
+        edge: (3,) of a box in voxels along each axis; a multiple of one voxel may be off by rounding.
+        out: (mx, my, mz), with m·edge at most n along each axis. Box i lies between i·edge and (i + 1)·edge,
+            voxel j between j and j + 1.
+    """
+    least = 1e-6  # of a voxel: less of it is rounding
+    for i in range(out.shape[0]):
+        x0, x1 = i * edge[0], (i + 1) * edge[0]
+        for j in range(out.shape[1]):
+            y0, y1 = j * edge[1], (j + 1) * edge[1]
+            for k in range(out.shape[2]):
+                z0, z1 = k * edge[2], (k + 1) * edge[2]
+                total = 0.0
+                whole = True
+                for a in range(floor(x0 + least), ceil(x1 - least)):
+                    wx = min(x1, a + 1.0) - max(x0, float(a))
+                    for b in range(floor(y0 + least), ceil(y1 - least)):
+                        wy = wx * (min(y1, b + 1.0) - max(y0, float(b)))
+                        for c in range(floor(z0 + least), ceil(z1 - least)):
+                            whole = whole and mask[a, b, c] != 0
+                            total += wy * (min(z1, c + 1.0) - max(z0, float(c))) * table[grey[a, b, c]]
+                out[i, j, k] = total / (edge[0] * edge[1] * edge[2]) if whole else np.nan

@@ -4,7 +4,6 @@ from .build import ModelOptions as ModelOptions
 from .build import border_distance_mm as border_distance_mm
 from .build import build_model as build_model
 from .build import model_from_labels as model_from_labels
-from .build import model_from_preop as model_from_preop
 from .build import model_from_surfaces as model_from_surfaces
 from .build import potential_at_border as potential_at_border
 from .check import ModelCheck as ModelCheck
@@ -25,9 +24,13 @@ from .distance.signed import signed_distance_mm as signed_distance_mm
 from .distance.triangle_tree import Nearest as Nearest
 from .distance.triangle_tree import TriangleTree as TriangleTree
 from .distance.triangle_tree import build_triangle_tree as build_triangle_tree
+from .from_preop import cine_options as cine_options
+from .from_preop import model_from_preop as model_from_preop
 from .knots import KnotChoice as KnotChoice
 from .knots import KnotTrial as KnotTrial
 from .knots import choose_knot_spacing as choose_knot_spacing
+from .label_check import LabelCheck as LabelCheck
+from .label_check import check_labels as check_labels
 from .motion.cavity import cavity_volumes_mm3 as cavity_volumes_mm3
 from .motion.cycle import CycleMotion as CycleMotion
 from .motion.cycle import MotionOptions as MotionOptions
@@ -52,8 +55,12 @@ from .spline.fit import AxisSolver as AxisSolver
 from .spline.fit import fit_coefficients as fit_coefficients
 from .spline.fit import fit_weighted as fit_weighted
 from .spline.fit import surface_weights as surface_weights
+from .spline.volume import distance_volume as distance_volume
 from .surface.budget import SurfaceBudget as SurfaceBudget
 from .surface.budget import surface_budget as surface_budget
+from .surface.chambers import CHAMBER_SURFACES as CHAMBER_SURFACES
+from .surface.chambers import chambers_from_labels as chambers_from_labels
+from .surface.chambers import chambers_from_surfaces as chambers_from_surfaces
 from .surface.closing import close_surface as close_surface
 from .surface.from_labels import border_caps as border_caps
 from .surface.from_labels import surface_of_mask as surface_of_mask
@@ -63,4 +70,5 @@ from .surface.normals import facet_normals as facet_normals
 from .surface.normals import smooth_normals as smooth_normals
 from .surface.normals import vertex_normals as vertex_normals
 from .surface.rasterise import rasterise as rasterise
+from .surface.rasterise import rasterise_meshes as rasterise_meshes
 from .surface.topology import count_edges as count_edges

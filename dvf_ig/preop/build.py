@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from dvf_ig.core import (
     LV_CAVITY,
     BoolArray,
+    Chamber,
     CycleTiming,
     DvfModel,
     FloatArray,
@@ -22,6 +23,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.frames import require_same_frame
 from dvf_ig.preop.spline.phase_fit import axis_solvers, fit_phase, sample_grid
+from dvf_ig.preop.surface.chambers import chambers_from_labels, chambers_from_surfaces
 from dvf_ig.preop.surface.closing import close_surface
 from dvf_ig.preop.surface.from_labels import border_caps, surfaces_from_labels
 from dvf_ig.preop.surface.topology import count_edges
@@ -76,6 +78,7 @@ def build_model(
     options: ModelOptions = ModelOptions(),
     progress: Progress | None = None,
     sources: Sequence[str] = (),
+    chambers: Sequence[Chamber] = (),
 ) -> DvfModel:
     """Fit one cubic spline of signed distance per phase, all on one grid.
 
@@ -87,6 +90,7 @@ def build_model(
             the enclosed volume.
         progress: called with the fraction done.
         sources: provenance recorded in the model.
+        chambers: of blood, kept in the model as they are.
     Raises:
         InvalidInputError: counts that do not match the timing, a surface that is not closed, or a wanted
             accuracy that no pitch reaches.
@@ -117,6 +121,7 @@ def build_model(
         reference=tuple(reference),
         reference_caps=tuple(caps),
         sources=tuple(sources),
+        chambers=tuple(chambers),
     )
 
 
@@ -137,36 +142,28 @@ def _fit_phases(
     return np.stack(coefficients)
 
 
-def model_from_preop(
-    preop: Preop, *, options: ModelOptions = ModelOptions(), progress: Progress | None = None
-) -> DvfModel:
-    """The patient's model: from labels where there are any, else from the surface named in the data.
-
-    Raises:
-        InvalidInputError: neither labels nor that surface, or what `build_model` refuses.
-    """
-    if preop.labels is not None:
-        return model_from_labels(preop, options=options, progress=progress)
-    by_name = {series.name: series for series in preop.surfaces}
-    if preop.surface not in by_name:
-        known = ", ".join(by_name) or "none"
-        raise InvalidInputError(
-            f"the pre-operative data have no surface '{preop.surface}'; they have {known}"
-        )
-    cavity = by_name.get(LV_CAVITY)
-    return model_from_surfaces(by_name[preop.surface], cavity=cavity, options=options, progress=progress)
-
-
 def model_from_surfaces(
     series: SurfaceSeries,
     *,
-    cavity: SurfaceSeries | None = None,
+    others: Sequence[SurfaceSeries] = (),
     options: ModelOptions = ModelOptions(),
     progress: Progress | None = None,
     sources: Sequence[str] = (),
 ) -> DvfModel:
-    """Close a surface series and build its model; `cavity` is the left ventricle's inner surface."""
+    """Close a surface series and build its model.
+
+    Args:
+        others: surfaces of the same heart at the same phases: LV_ENDOCARDIAL and RV_ENDOCARDIAL become the
+            model's chambers, and the volume of the left ventricle tells end-diastole and end-systole.
+    Raises:
+        InvalidInputError: a surface that cannot be closed, or other phase times.
+    """
+    for other in others:
+        if not np.array_equal(other.timing.fractions, series.timing.fractions):
+            raise InvalidInputError(f"surfaces {series.name} and {other.name} have different phase times")
     closed = close_surface(series)
+    chambers = chambers_from_surfaces(others)
+    ventricle = next((c for c in chambers if c.name == LV_CAVITY), None)
     phases = range(len(closed.timing))
     return build_model(
         [closed.phase(i) for i in phases],
@@ -175,10 +172,11 @@ def model_from_surfaces(
         patient_id=closed.patient_id,
         surface_name=closed.name,
         frame=closed.frame,
-        cavity_mm3=close_surface(cavity).volumes_mm3() if cavity is not None else None,
+        cavity_mm3=None if ventricle is None else np.array([m.volume_mm3() for m in ventricle.surfaces]),
         options=options,
         progress=progress,
         sources=sources,
+        chambers=chambers,
     )
 
 
@@ -189,7 +187,7 @@ def model_from_labels(
     progress: Progress | None = None,
     sources: Sequence[str] = (),
 ) -> DvfModel:
-    """Extract the organ's surface from 4-D labels and build its model.
+    """Extract the organ's surface and the chambers of blood from 4-D labels and build the model.
 
     Raises:
         InvalidInputError: no label image, or no organ labels.
@@ -204,20 +202,23 @@ def model_from_labels(
         patient_id=preop.patient_id,
         surface_name=preop.surface,
         frame=preop.labels.grid.frame,
-        cavity_mm3=_labelled_cavity_mm3(preop.labels, dict(preop.label_names)),
+        cavity_mm3=_labelled_mm3(preop.labels, preop.lv_label),
         options=options,
         progress=progress,
         sources=sources,
+        chambers=chambers_from_labels(
+            preop.labels, preop.blood_labels, dict(preop.label_names), threads=options.threads
+        ),
     )
 
 
-def _labelled_cavity_mm3(labels: VolumeSeries, names: dict[int, str]) -> FloatArray | None:
-    """(n,) volume of the label named "lv_blood"; None where no label is."""
-    value = next((v for v, name in names.items() if name == "lv_blood"), None)
+def _labelled_mm3(labels: VolumeSeries, value: int | None) -> FloatArray | None:
+    """(n,) volume of a label; None without one, or where a phase has no voxel of it."""
     if value is None:
         return None
     voxel_mm3 = float(np.prod(labels.grid.spacing_mm))
-    return np.array([np.count_nonzero(phase == value) * voxel_mm3 for phase in labels.values])
+    volumes = np.array([np.count_nonzero(phase == value) * voxel_mm3 for phase in labels.values])
+    return volumes if volumes.all() else None
 
 
 def _check_reference(reference: Sequence[Mesh], timing: CycleTiming, frame: str, name: str) -> None:

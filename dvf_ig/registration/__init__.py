@@ -66,5 +66,6 @@ from .tracking.pose_estimate import BeatMeasurement as BeatMeasurement
 from .tracking.pose_estimate import PoseEstimate as PoseEstimate
 from .tracking.pose_estimate import measure_beat as measure_beat
 from .volumes import VOLUME_SMOOTHING_MM as VOLUME_SMOOTHING_MM
+from .volumes import VolumeTarget as VolumeTarget
 from .volumes import prepare_volumes as prepare_volumes
 from .volumes import register_volumes as register_volumes

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from dvf_ig.core import FloatArray, Rigid, Stop, read_only_arrays
 from dvf_ig.registration.evidence.checks import Evidence
 
+from .data import RegistrationOptions
+
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,6 +25,7 @@ class RegistrationResult:
         second_best: LC2 of the best candidate more than 4 mm away; 0 if there was none.
         moved_mm: mean distance over the heart between start and result.
         evaluations: of LC2's normal equations; seconds: by the caller's clock; slices: effort.
+        options: what it was searched with, and the limits that its evidence was held against.
     """
 
     target_from_source: Rigid
@@ -39,6 +42,7 @@ class RegistrationResult:
     evaluations: int
     seconds: float
     slices: int
+    options: RegistrationOptions
 
     @property
     def sentence(self) -> str:

@@ -80,4 +80,5 @@ def register_rigid(
             evaluations=candidates.evaluations + refined.evaluations,
             seconds=clock() - began,
             slices=len(data.fine.slices),
+            options=opts,
         )

@@ -1,21 +1,21 @@
 """Registration of gated 3-D ultrasound: planes of every volume, with place and phase."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import FloatArray, InvalidInputError, Rigid, TrackedVolume
-from dvf_ig.kernels.pool import pool_blocks
+from dvf_ig.core import FloatArray, InvalidInputError, Rigid, TrackedVolume, read_only_arrays
+from dvf_ig.kernels.pool import pool_blocks, pool_cubes
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.points import boundary_points
 from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.evidence.checks import VOLUME_LIMITS
 from dvf_ig.registration.lc2.channels import ModelChannels
-from dvf_ig.registration.lc2.slices import SliceSet, grey_to_root_amplitude, joined, slices_of_volume
+from dvf_ig.registration.lc2.slices import SliceSet, joined, root_amplitude, slices_of_volume
 
-from .data import Level, RegistrationData, RegistrationOptions
+from .data import BOUNDARY_SHARE, Level, RegistrationData, RegistrationOptions
 from .result import RegistrationResult
 from .rigid import register_rigid
 from .start import LandmarkPrior
@@ -26,80 +26,142 @@ or 3.5 mm, and 0.83 on 2 mm voxels."""
 COARSE_PITCH_MM, COARSE_PLANES = 4.0, 6
 FINE_PITCH_MM, FINE_PLANES = 3.0, 13
 BOUNDARY_PITCH_MM, BOUNDARY_PLANES = 2.0, 8
+CUBE_TOLERANCE = 1e-3
+"""Relative difference of voxel edges up to which voxels count as cubes of one size."""
 SEARCH = RegistrationOptions(
     starts=8, spread_mm=12.0, candidates=2, bound_mm=120.0, limits=VOLUME_LIMITS, half_volumes=True
 )
 
 
+Brightness = Callable[[NDArray[np.uint8]], NDArray[np.float32]]
+"""Of grey levels, before they are averaged: `root_amplitude` or `normalised_grey`."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class VolumeTarget:
+    """What gated volumes are registered to.
+
+    Attributes:
+        channels: by which LC2 explains the ultrasound; of MR, smoothed by VOLUME_SMOOTHING_MM.
+        center_mm: (3,) centre of the heart box, in the channels' frame.
+        surface: the model's surface at the phases in use, where its labels are known.
+        boundary_share: how far the result goes from LC2's pose to that of the boundary.
+        brightness: of ultrasound that is compared with these channels.
+    """
+
+    channels: ModelChannels
+    center_mm: FloatArray
+    surface: BoundaryTarget | None = None
+    boundary_share: float = BOUNDARY_SHARE
+    brightness: Brightness = root_amplitude
+
+
 def register_volumes(
     volumes: Sequence[TrackedVolume],
-    model: ModelChannels,
+    target: VolumeTarget,
     start: Rigid,
-    center_mm: FloatArray,
     *,
     rng: np.random.Generator,
     clock: Callable[[], float],
     prior: LandmarkPrior | None = None,
-    surface: BoundaryTarget | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
     """Register gated 3-D images to the phase-matched model from a coarse pose.
 
     Args:
         volumes: any number of views and phases.
-        model: channels smoothed by VOLUME_SMOOTHING_MM.
-        start: target_from_source; center_mm: (3,) centre of the heart box, target frame.
+        start: target_from_source.
         clock: seconds from any origin, for the result's `seconds`.
         prior: touched landmarks that the pose must also agree with.
-        surface: the model's surface at the phases in use, where its labels are known.
+        progress: is told the share of the work that is done.
     Returns:
         as `register_rigid`; `seconds` counts the preparation of the volumes.
+    Raises:
+        InvalidInputError: no volume, or nothing insonified.
     """
     began = clock()
     coarse, fine = (
-        Level(prepare_volumes(volumes, pitch_mm=pitch, planes=planes), model, pitch)
+        Level(
+            prepare_volumes(volumes, pitch_mm=pitch, planes=planes, brightness=target.brightness),
+            target.channels,
+            pitch,
+        )
         for pitch, planes in ((COARSE_PITCH_MM, COARSE_PLANES), (FINE_PITCH_MM, FINE_PLANES))
     )
     boundary = None
-    if surface is not None:
+    if target.surface is not None:
         slices = prepare_volumes(volumes, pitch_mm=BOUNDARY_PITCH_MM, planes=BOUNDARY_PLANES)
-        boundary = Boundary(boundary_points(slices), surface)
-    data = RegistrationData(coarse, fine, center_mm, boundary, prior)
-    result = register_rigid(data, start, rng=rng, clock=clock, options=SEARCH)
+        boundary = Boundary(boundary_points(slices), target.surface)
+    data = RegistrationData(coarse, fine, target.center_mm, boundary, prior)
+    options = replace(SEARCH, boundary_share=target.boundary_share)
+    result = register_rigid(data, start, rng=rng, clock=clock, options=options, progress=progress)
     return replace(result, seconds=clock() - began)
 
 
-def prepare_volumes(volumes: Sequence[TrackedVolume], *, pitch_mm: float, planes: int) -> SliceSet:
+def prepare_volumes(
+    volumes: Sequence[TrackedVolume], *, pitch_mm: float, planes: int, brightness: Brightness = root_amplitude
+) -> SliceSet:
     """Average volumes down to about `pitch_mm` and take planes of each along its three axes.
+
+    Where all voxels are cubes of one size, the nearest whole number of them is averaged; others, and volumes
+    that differ, are averaged over cubes of `pitch_mm`, each voxel by its share inside the cube.
 
     Args:
         volumes: of one transducer, at any number of phases; they share one unknown pose.
-        pitch_mm: wanted; the nearest whole number of voxels is averaged.
+        pitch_mm: wanted.
         planes: about this many along each axis.
+        brightness: of the grey levels.
     Raises:
-        InvalidInputError: no volume, or one with unequal voxels, or nothing insonified.
+        InvalidInputError: no volume, or nothing insonified.
     """
     if not volumes:
         raise InvalidInputError("no ultrasound volume passed the gate; needed at least one")
-    return joined([_planes(volume, pitch_mm, planes) for volume in volumes])
+    table = brightness(np.arange(256, dtype=np.uint8))
+    edges = np.array([volume.image.grid.spacing_mm for volume in volumes])
+    if np.ptp(edges) > CUBE_TOLERANCE * edges.max():
+        return joined([_planes(volume, _cubes(volume, table, pitch_mm), planes) for volume in volumes])
+    return joined([_planes(volume, _blocks(volume, table, pitch_mm), planes) for volume in volumes])
 
 
-def _planes(volume: TrackedVolume, pitch_mm: float, planes: int) -> SliceSet:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Averaged:
+    """Brightness averaged over blocks of `edge` voxels, NaN where one of them was not insonified."""
+
+    values: NDArray[np.float32]
+    edge: FloatArray
+
+
+def _blocks(volume: TrackedVolume, table: NDArray[np.float32], pitch_mm: float) -> _Averaged:
+    """Over the nearest whole number of voxels, which are cubes."""
     grid = volume.image.grid
-    if np.ptp(grid.spacing_mm) > 1e-3 * grid.spacing_mm.max():
-        raise InvalidInputError(
-            f"the ultrasound volume's voxels are {grid.spacing_mm.tolist()} mm; resample it to equal edges"
-        )
     step = max(1, round(pitch_mm / float(grid.spacing_mm[0])))
     small: NDArray[np.float32] = np.empty([n // step for n in grid.shape], dtype=np.float32)
-    mask = np.asarray(volume.mask.values != 0, dtype=np.uint8)
-    pool_blocks(volume.image.values, mask, grey_to_root_amplitude(), step, small)
-    pose = volume.tracker_from_image
-    first = grid.to_mm(np.full(3, (step - 1) / 2))
+    pool_blocks(volume.image.values, _insonified(volume), table, step, small)
+    return _Averaged(small, np.full(3, float(step)))
+
+
+def _cubes(volume: TrackedVolume, table: NDArray[np.float32], pitch_mm: float) -> _Averaged:
+    """Over cubes of exactly `pitch_mm`."""
+    grid = volume.image.grid
+    edge = pitch_mm / grid.spacing_mm
+    counts = [int(n / e + 1e-9) for n, e in zip(grid.shape, edge, strict=True)]  # 6 · 0.1 is 0.6
+    small: NDArray[np.float32] = np.empty(counts, dtype=np.float32)
+    pool_cubes(volume.image.values, _insonified(volume), table, edge, small)
+    return _Averaged(small, edge)
+
+
+def _insonified(volume: TrackedVolume) -> NDArray[np.uint8]:
+    return np.asarray(volume.mask.values != 0, dtype=np.uint8)
+
+
+def _planes(volume: TrackedVolume, averaged: _Averaged, planes: int) -> SliceSet:
+    grid, pose = volume.image.grid, volume.tracker_from_image
     return slices_of_volume(
-        small,
-        pose.rotation @ (grid.axes_mm * step),
-        pose.apply_array(first),
-        every=max(1, max(small.shape) // planes),
+        averaged.values,
+        pose.rotation @ (grid.axes_mm * averaged.edge),
+        pose.apply_array(grid.to_mm((averaged.edge - 1.0) / 2)),
+        every=max(1, max(averaged.values.shape) // planes),
         frame=pose.target,
         model_phase=volume.model_phase,
         t_s=volume.t_s,

@@ -3,8 +3,9 @@
 from .engine import Replay as Replay
 from .engine import run_replay as run_replay
 from .events import events_of as events_of
+from .preconditions import require_registrable as require_registrable
 from .preconditions import require_replayable as require_replayable
-from .registration import RecordingRegistration as RecordingRegistration
+from .registration import Registration as Registration
 from .registration import register_scenario as register_scenario
 from .result import evidence_of as evidence_of
 from .result import result_of as result_of

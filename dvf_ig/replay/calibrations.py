@@ -15,9 +15,9 @@ from dvf_ig.calibration import (
     TargetResult,
     accepted,
     calibrate_crosswire,
-    calibrate_nwire,
     calibrate_pivot,
     calibrate_wall,
+    compare_nwire_methods,
     estimate_latency,
 )
 from dvf_ig.core import (
@@ -67,10 +67,12 @@ class Calibrations:
 
 
 def calibrate(scenario: Scenario, seed: int) -> Calibrations:
-    """Calibrate tool, probe and latency from what was recorded; refusals are the methods' own."""
-    rng_pivot, rng_probe = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-    tip, pivot = _tip(scenario.tip, rng_pivot)
-    image, probe = _image(scenario.probe, rng_probe)
+    """Calibrate tool, probe and latency from what was recorded, exactly as `dvf-ig calibrate` does.
+
+    Refusals are the methods' own.
+    """
+    tip, pivot = _tip(scenario.tip, np.random.default_rng(seed))
+    image, probe = _image(scenario.probe, np.random.default_rng(seed))
     lag_s, latency = _lag(scenario.latency)
     return Calibrations(UltrasoundCalibration(image, lag_s), tip, pivot, probe, latency)
 
@@ -93,7 +95,7 @@ def _image(
     found: ProbeResult
     with _naming("probe calibration"):
         if isinstance(given, NWireRecording):
-            found = accepted(calibrate_nwire(given, rng=rng))
+            found = accepted(compare_nwire_methods(given, rng=rng).best)
         elif given.phantom == "cross-wire":
             found = accepted(calibrate_crosswire(given.poses, given.points_px, rng=rng))
         else:

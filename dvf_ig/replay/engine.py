@@ -22,6 +22,7 @@ from dvf_ig.session import (
     Session,
     SessionHistory,
     SessionSetup,
+    beat_source_of,
     build_heart,
 )
 
@@ -117,7 +118,7 @@ def run_replay(
     setup = SessionSetup(
         heart,
         in_use,
-        scenario.ecg.rate_hz,
+        beat_source_of(scenario.ecg),
         start=None if landmarks_start(scenario) else start,
         fan=scenario.fan,
         fixtures=fixtures,

@@ -6,8 +6,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, PoseStream, Scenario
-from dvf_ig.session import EcgSamples, Event, Landmark, ToolPose, TrackedFrame
+from dvf_ig.core import FloatArray, PoseStream, Scenario, TriggerTimes
+from dvf_ig.session import EcgSamples, Event, Landmark, ToolPose, TrackedFrame, Trigger
 
 from .preconditions import tool_of
 
@@ -20,12 +20,15 @@ Timed = tuple[float, Event]
 
 def events_of(scenario: Scenario, *, ecg_chunk: int = ECG_CHUNK) -> Iterator[Timed]:
     """Everything that was recorded live, in order of time; nothing of the truth."""
-    streams = (_landmarks(scenario), _ecg(scenario, ecg_chunk), _frames(scenario), _tool(tool_of(scenario)))
+    streams = (_landmarks(scenario), _beats(scenario, ecg_chunk), _frames(scenario), _tool(tool_of(scenario)))
     return merge(*streams, key=itemgetter(0))
 
 
-def _ecg(scenario: Scenario, chunk: int) -> Iterator[Timed]:
+def _beats(scenario: Scenario, chunk: int) -> Iterator[Timed]:
     ecg = scenario.ecg
+    if isinstance(ecg, TriggerTimes):
+        yield from ((t_s, Trigger(t_s)) for t_s in ecg.t_s.tolist())
+        return
     for first in range(0, len(ecg), chunk):
         start_s = ecg.start_s + first / ecg.rate_hz
         yield start_s, EcgSamples(start_s, ecg.samples[first : first + chunk])

@@ -4,7 +4,7 @@ from collections.abc import Sized
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Scenario
+from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Scenario, TriggerTimes
 from dvf_ig.session import recording_checks
 
 from .start import require_start
@@ -15,16 +15,19 @@ RATE_HZ = 1000.0
 def tick_times(scenario: Scenario) -> FloatArray:
     """Every millisecond from when ECG and tool are both recorded until the ECG, or tool and probe, end.
 
+    With a trigger in place of the ECG, from the tool's first pose on: a trigger that is silent is no end.
+
     Raises:
-        NoOverlapError: ECG and tool share less than a second.
+        NoOverlapError: ECG or trigger and tool share less than a second.
     """
-    ecg_s, tool_s = scenario.ecg.t_s, tool_of(scenario).t_s
-    recording_checks.require_common_time(ecg_s, tool_s, "tool")
-    begin = max(float(ecg_s[0]), float(tool_s[0]))
+    beats, tool_s = scenario.ecg, tool_of(scenario).t_s
+    recording_checks.require_common_time(beats, tool_s, "tool")
+    begin = max(float(beats.t_s[0]), float(tool_s[0]))
     tracked_until = max(float(tool_s[-1]), float(scenario.ultrasound.t_s[-1]))
-    end = min(float(ecg_s[-1]), tracked_until)
-    count = int((end - begin) * RATE_HZ)
-    return begin + np.arange(count) / RATE_HZ
+    end = min(float(beats.t_s[-1]), tracked_until)
+    if isinstance(beats, TriggerTimes):
+        begin, end = float(tool_s[0]), tracked_until
+    return begin + np.arange(int((end - begin) * RATE_HZ)) / RATE_HZ
 
 
 def require_replayable(scenario: Scenario) -> None:
@@ -37,6 +40,16 @@ def require_replayable(scenario: Scenario) -> None:
     require_start(scenario)
     require_tracked_poses(scenario)
     tick_times(scenario)
+
+
+def require_registrable(scenario: Scenario) -> None:
+    """Raise what keeps a recording from being registered, as far as it shows without a model or calibrations.
+
+    Raises:
+        InvalidInputError: no start, or the probe was never tracked.
+    """
+    require_start(scenario)
+    require_tracked_probe(scenario)
 
 
 def tool_of(scenario: Scenario) -> PoseStream:

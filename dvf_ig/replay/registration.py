@@ -7,10 +7,9 @@ import numpy as np
 
 from dvf_ig.cardiac import stream_recording
 from dvf_ig.core import DvfModel, Rigid, Scenario, Stop
-from dvf_ig.registration import RegistrationResult
+from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
 from dvf_ig.session import (
     GatedFrames,
-    Heart,
     UltrasoundRecording,
     build_heart,
     gate_recording,
@@ -25,20 +24,24 @@ from .start import landmark_pose, landmark_prior, require_start, start_pose, tou
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RecordingRegistration:
+class Registration:
     """A registration, and what it was made from.
 
     Attributes:
         result: mr_from_tracker with its evidence.
         start: the coarse pose that it started from.
-        recording: the ultrasound with R peaks, calibrations and heart.
-        frames: which of its frames were compared.
+        landmarks: mr_from_tracker from touched landmarks; None where none were touched.
+        touched: how far points touched on the surface lie from it; None where none were touched.
+        frames: which frames were compared with the model, and why others were not.
+        recording: they are part of, with R peaks, calibrations and heart.
     """
 
     result: RegistrationResult
     start: Rigid
-    recording: UltrasoundRecording
+    landmarks: Rigid | None
+    touched: SurfaceDisagreement | None
     frames: GatedFrames
+    recording: UltrasoundRecording
 
 
 def register_scenario(
@@ -49,7 +52,7 @@ def register_scenario(
     seed: int = 0,
     progress: Progress | None = None,
     clock: Clock = perf_counter,
-) -> RecordingRegistration:
+) -> Registration:
     """One registration on the whole recording, from the scenario's own start unless one is given.
 
     It ends in DISAGREEMENT where landmarks or points of the surface were touched and lie elsewhere.
@@ -82,17 +85,9 @@ def register_scenario(
         prior=landmark_prior(scenario),
         progress=lambda f: report_progress(0.6 + 0.4 * f),
     )
-    if _contradicted(scenario, result, heart):
+    landmarks = landmark_pose(scenario)
+    touched = touched_disagreement(scenario, result.target_from_source, heart.model)
+    off_mm = landmark_disagreement_mm(result.target_from_source, landmarks, heart.center_mm)
+    if result.stop.usable and (off_mm is not None or (touched is not None and not touched.agrees)):
         result = replace(result, stop=Stop.DISAGREEMENT)
-    return RecordingRegistration(result, pose, recording, frames)
-
-
-def _contradicted(scenario: Scenario, result: RegistrationResult, heart: Heart) -> bool:
-    """Whether landmarks, or points touched on the surface, lie elsewhere than a usable pose puts them."""
-    if not result.stop.usable:
-        return False
-    pose = result.target_from_source
-    if landmark_disagreement_mm(pose, landmark_pose(scenario), heart.center_mm) is not None:
-        return True
-    touched = touched_disagreement(scenario, pose, heart.model)
-    return touched is not None and not touched.agrees
+    return Registration(result, pose, landmarks, touched, frames, recording)

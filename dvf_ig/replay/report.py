@@ -1,19 +1,17 @@
-"""A replay handed to its page: arrays over time, and the model sampled in ultrasound planes."""
+"""A replay handed to its page: arrays over time, and ultrasound planes with the model in them."""
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import ndimage
 
 import dvf_ig
-from dvf_ig.core import FloatArray, PhaseState, Rigid
-from dvf_ig.guidance import Evaluator, Hazard, Sigmoid, SupervisorState
+from dvf_ig.core import FloatArray, PhaseState, Signal
+from dvf_ig.guidance import Hazard, SupervisorState
 from dvf_ig.registration import target_errors_mm
+from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.replay import (
     BeatTrace,
     EcgStrip,
-    PlaneOverlay,
     RegistrationMark,
     ReplayPage,
     SupervisorTrace,
@@ -21,11 +19,11 @@ from dvf_ig.report.replay import (
     replay_html,
 )
 from dvf_ig.report.style import ESTIMATE, FAINT, GUIDE, START, WRONG
-from dvf_ig.session import GatedFrames
 from dvf_ig.session.confirmation import MAX_AGE_S
 from dvf_ig.session.registration_monitor import SUSPEND_LOG_RATIO
 
 from .engine import Replay
+from .planes import anatomy_of_heart, frame_overlays
 from .pose_summary import suspensions
 from .result import true_contact, true_phases
 from .table import table
@@ -36,8 +34,6 @@ STATE_COLORS = (
     (SupervisorState.FADE, FAINT),
     (SupervisorState.LATCHED, WRONG),
 )
-PIXEL_STEP = 2
-"""Every second pixel of an ultrasound frame is looked up in the model."""
 STRIP_S = 12.0
 
 
@@ -69,48 +65,14 @@ def _overlays(replay: Replay) -> list[PlaneOverlay]:
     images = replay.scenario.ultrasound.images
     if attempt is None or attempt.result is None or attempt.frames is None or images is None:
         return []
-    used, first, pose = attempt.frames.used, attempt.frames.first_number, attempt.result.target_from_source
-    chosen = used[np.linspace(0, len(used) - 1, 6).astype(int)[1:5]].tolist()
-    evaluator = Evaluator(replay.heart.model, Sigmoid(), blend="distance")
-    return [
-        _overlay(replay, evaluator, attempt.frames, pose, images[first + frame], frame) for frame in chosen
-    ]
-
-
-def _overlay(
-    replay: Replay,
-    evaluator: Evaluator,
-    frames: GatedFrames,
-    pose: Rigid,
-    image: NDArray[np.uint8],
-    frame: int,
-) -> PlaneOverlay:
-    rows, columns = image.shape
-    row, column = np.mgrid[:rows:PIXEL_STEP, :columns:PIXEL_STEP].astype(np.float64)
-    pixels = np.column_stack([column.ravel(), row.ravel()])
-    probe = replay.setup.calibrations.probe_from_image.apply_pixels(pixels).xyz_mm
-    tracker = probe @ frames.rotations[frame].T + frames.translations_mm[frame]
-    phase = float(frames.model_phase[frame])
-    return PlaneOverlay(
-        event_s=float(frames.event_s[frame]),
-        model_phase=phase,
-        image=image,
-        row_px=row,
-        column_px=column,
-        model_grey=_model_grey(replay, pose, tracker, phase).reshape(row.shape),
-        start_distance_mm=evaluator.force_through(replay.start, tracker, phase).distance_mm.reshape(
-            row.shape
-        ),
-        distance_mm=evaluator.force_through(pose, tracker, phase).distance_mm.reshape(row.shape),
+    return frame_overlays(
+        attempt.frames,
+        images,
+        replay.setup.calibrations.probe_from_image,
+        anatomy_of_heart(replay.heart, replay.scenario.preop.mr),
+        replay.start,
+        attempt.result.target_from_source,
     )
-
-
-def _model_grey(replay: Replay, pose: Rigid, tracker_mm: FloatArray, phase: float) -> FloatArray:
-    channels = replay.heart.fine
-    nearest = int(channels.nearest_phase(np.array([phase]))[0])
-    index = channels.grid.to_index(pose.apply_array(tracker_mm))
-    values = channels.values[nearest, ..., 0]
-    return np.asarray(ndimage.map_coordinates(values, index.T, order=1, cval=float(values.min())))
 
 
 def _beats(replay: Replay) -> BeatTrace | None:
@@ -173,16 +135,17 @@ def _supervisor(replay: Replay) -> SupervisorTrace:
 def _ecg_strip(replay: Replay, true_phase: FloatArray | None) -> EcgStrip:
     """STRIP_S seconds in the middle of the recording."""
     ecg, track = replay.scenario.ecg, replay.ticks.phase
+    wave = ecg if isinstance(ecg, Signal) else None
     middle = float(track.t_s[len(track.t_s) // 2])
     begin = max(float(track.t_s[0]), middle - STRIP_S / 2)
     end = begin + STRIP_S
     shown = (ecg.t_s >= begin) & (ecg.t_s < end)
+    t_s = ecg.t_s[shown]
     ticks = (track.t_s >= begin) & (track.t_s < end)
     return EcgStrip(
-        lead=ecg.leads[0],
-        unit=ecg.unit,
-        ecg_t_s=ecg.t_s[shown],
-        ecg=ecg.samples[shown, 0],
+        label="trigger" if wave is None else f"{wave.leads[0]}, {wave.unit}",
+        ecg_t_s=t_s,
+        ecg=None if wave is None else wave.samples[shown, 0],
         r_peaks_s=np.array([peak.t_s for peak in replay.history.peaks if begin <= peak.t_s < end]),
         t_s=track.t_s[ticks],
         phase=track.phi[ticks],

@@ -186,6 +186,7 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
         "part_disagreement_mm": _finite(result.evidence.half_volume_mm),
         "edge_disagreement_mm": _finite(result.evidence.boundary_mm),
         "phase_offset_s": None if offset is None else offset.offset_s,
+        "pair_statistic": _finite(result.evidence.pair_statistic),
         "moved_mm": result.moved_mm,
         "slices": result.slices,
         "seconds": round(result.seconds, 3),

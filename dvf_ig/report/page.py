@@ -7,6 +7,8 @@ import html
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from dvf_ig.io.sidecar import MARKUP_COMMENT
+
 from .style import png_bytes
 
 if TYPE_CHECKING:
@@ -37,7 +39,7 @@ def html_page(title: str, body: str, *, style: str = "") -> str:
     """
     name = html.escape(title)
     return (
-        f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}</title>"
+        f"<!doctype html><!--{MARKUP_COMMENT}--><html lang=en><meta charset=utf-8><title>{name}</title>"
         f"<style>{STYLE}{style}</style><h1>{name}</h1>{body}</html>\n"
     )
 
@@ -63,6 +65,15 @@ def image_tag(figure: Figure, title: str, *, width_px: int | None = None) -> str
 
 def png_tag(png: bytes, title: str, *, width_px: int | None = None) -> str:
     """A PNG file's bytes inside the page."""
-    data = base64.b64encode(png).decode("ascii")
+    return _tag(png, "png", title, width_px)
+
+
+def jpeg_tag(jpeg: bytes, title: str, *, width_px: int | None = None) -> str:
+    """A JPEG file's bytes inside the page."""
+    return _tag(jpeg, "jpeg", title, width_px)
+
+
+def _tag(image: bytes, kind: str, title: str, width_px: int | None) -> str:
+    data = base64.b64encode(image).decode("ascii")
     size = "" if width_px is None else f' width="{width_px}"'
-    return f'<img alt="{html.escape(title)}"{size} src="data:image/png;base64,{data}">'
+    return f'<img alt="{html.escape(title)}"{size} src="data:image/{kind};base64,{data}">'

@@ -9,6 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.scenario import Preop, Scenario
+from dvf_ig.core.trigger import TriggerTimes
 from dvf_ig.core.volume import Grid, VolumeSeries
 
 from .style import ON_GREY, TRUTH, png_bytes, without_ticks
@@ -130,6 +131,10 @@ def _draw_cut(axis: Axes, preop: Preop, phase: int, center: FloatArray, normal: 
 def _draw_ecg(axis: Axes, scenario: Scenario) -> None:
     ecg = scenario.ecg
     shown = ecg.t_s < ecg.start_s + ECG_S
-    axis.plot(ecg.t_s[shown], ecg.samples[shown, 0], color=TRUTH, lw=0.8)
-    axis.set(xlabel="time, s", ylabel=f"{ecg.leads[0]}, {ecg.unit}")
+    if isinstance(ecg, TriggerTimes):
+        axis.vlines(ecg.t_s[shown], 0.0, 1.0, color=TRUTH, lw=0.8)
+        axis.set(xlabel="time, s", ylabel="trigger", yticks=[])
+    else:
+        axis.plot(ecg.t_s[shown], ecg.samples[shown, 0], color=TRUTH, lw=0.8)
+        axis.set(xlabel="time, s", ylabel=f"{ecg.leads[0]}, {ecg.unit}")
     axis.margins(x=0)

@@ -9,6 +9,7 @@ from .events import Landmark as Landmark
 from .events import Rearm as Rearm
 from .events import ToolPose as ToolPose
 from .events import TrackedFrame as TrackedFrame
+from .events import Trigger as Trigger
 from .executor import Beside as Beside
 from .executor import Executor as Executor
 from .executor import InCaller as InCaller
@@ -20,6 +21,11 @@ from .gated_frames import gate_recording as gate_recording
 from .heart import Heart as Heart
 from .heart import build_heart as build_heart
 from .heart import label_map as label_map
+from .heart import label_map_of_model as label_map_of_model
+from .heart_clock import BeatSource as BeatSource
+from .heart_clock import EcgSource as EcgSource
+from .heart_clock import TriggerSource as TriggerSource
+from .heart_clock import beat_source_of as beat_source_of
 from .history import Attempt as Attempt
 from .history import PoseUpdate as PoseUpdate
 from .history import SessionHistory as SessionHistory
@@ -30,3 +36,5 @@ from .registration_monitor import landmark_disagreement_mm as landmark_disagreem
 from .session import Session as Session
 from .setup import SessionSetup as SessionSetup
 from .state import GuidanceState as GuidanceState
+from .volume_registration import model_phase_at as model_phase_at
+from .volume_registration import register_gated_volumes as register_gated_volumes

@@ -33,6 +33,16 @@ class EcgSamples:
         object.__setattr__(self, "samples", samples)
 
 
+@dataclass(frozen=True, slots=True)
+class Trigger:
+    """A pulse of a hardware trigger, where there is one in place of an ECG: it fired at `t_s`."""
+
+    t_s: float
+
+    def __post_init__(self) -> None:
+        _require_finite(self.t_s, "a trigger")
+
+
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedFrame:
@@ -109,7 +119,7 @@ class Rearm:
         _require_finite(self.t_s, "a re-arm")
 
 
-Event = EcgSamples | TrackedFrame | ToolPose | Landmark | Rearm
+Event = EcgSamples | Trigger | TrackedFrame | ToolPose | Landmark | Rearm
 
 
 def _require_finite(t_s: float, what: str) -> None:

@@ -1,5 +1,6 @@
 """What the pre-operative data give: the fixture model and the channels that ultrasound is compared with."""
 
+import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,9 +16,10 @@ from dvf_ig.core import (
     Preop,
     VolumeSeries,
     read_only_arrays,
+    require_same_frame,
 )
 from dvf_ig.kernels.compiled import thread_count
-from dvf_ig.preop import close_surface, model_from_preop, rasterise
+from dvf_ig.preop import CHAMBER_SURFACES, close_surface, model_from_preop, rasterise, rasterise_meshes
 from dvf_ig.registration import (
     BLOOD,
     WALL,
@@ -29,6 +31,8 @@ from dvf_ig.registration import (
     root_amplitude,
     target_from_labels,
 )
+
+log = logging.getLogger(__name__)
 
 COARSE_PITCH_MM = 3.0
 FINE_PITCH_MM = 2.0
@@ -43,6 +47,13 @@ MR_BOUNDARY_SHARE = 0.35
 LABEL_BOUNDARY_SHARE = 0.8
 """How far a registration goes from LC2's pose to that of the boundary. Real surfaces, tuning seeds 101 and
 102, windows of 8 to 30 s: boundary 1.4 to 2.1 mm off (3.7 once), LC2 on label maps 1.7 to 3.7 mm."""
+
+
+_WITHOUT_CHAMBERS = (
+    "the model of patient '%s' holds no chamber of blood, whose boundary ultrasound shows best: registration "
+    "goes by grey levels or the outer surface alone; build the model again with the label values of blood "
+    "(model build --cavity) or with the surface of a ventricle"
+)
 
 
 @read_only_arrays
@@ -73,24 +84,31 @@ class Heart:
 def build_heart(
     preop: Preop, model: DvfModel | None = None, progress: Callable[[float], None] | None = None
 ) -> Heart:
-    """Build model and channels from a 4-D image with labels, or from a surface-only data set.
+    """Build model and channels from what is known of a heart.
+
+    LC2 compares ultrasound with the MR where there is one, else with wall and blood. These, and the boundary
+    between them, come from labels of every phase or surfaces in the pre-operative data, else from the model's
+    own surfaces. A model without chambers leaves the boundary out, and says so as a warning.
 
     Args:
-        model: a model of this patient that was built before; saves building it.
+        model: a model of this patient that was built before; saves building it. With it, `preop` needs to
+            hold nothing but the patient's id.
     Raises:
-        InvalidInputError: neither labels nor surfaces, no such surface, or another patient's model.
+        InvalidInputError: nothing to build a model from, another patient's model, or MR that does not show
+            the model's heart.
     """
     if model is None:
         model = model_from_preop(preop, progress=progress)
-    elif model.patient_id != preop.patient_id:
-        raise InvalidInputError(
-            f"the model is of patient '{model.patient_id}', the scenario of '{preop.patient_id}'; "
-            "build a model from this patient's images"
-        )
+    model.require_patient(preop.patient_id)
     vertices = model.reference[model.ed_phase].vertices_mm
     center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    labels = label_map(preop)
+    if preop.mr is not None:
+        _require_within(preop.mr, model, center)
+    has_anatomy = preop.labels is not None or preop.surfaces
+    labels = label_map(preop) if has_anatomy else label_map_of_model(model)
     seen = bool((labels.values == BLOOD).any())
+    if not seen:
+        log.warning(_WITHOUT_CHAMBERS, model.patient_id)
     with ThreadPoolExecutor(thread_count()) as pool:
         target = pool.submit(target_from_labels, labels, labels.timing.fractions) if seen else None
         if preop.mr is not None:
@@ -103,17 +121,40 @@ def build_heart(
     return Heart(model, channels, channels, center, surface, LABEL_BOUNDARY_SHARE, False, normalised_grey)
 
 
+def _require_within(mr: VolumeSeries, model: DvfModel, center_mm: FloatArray) -> None:
+    """Raise InvalidInputError where MR and model are in different frames or places."""
+    require_same_frame(model.frame, mr.grid.frame, "the 4-D MR that goes with the model")
+    index = mr.grid.to_index(center_mm)
+    if (index < 0).any() or (index > np.array(mr.grid.shape) - 1).any():
+        raise InvalidInputError(
+            f"the centre of the model's heart, {center_mm.round(1).tolist()} mm, lies outside the 4-D MR; "
+            "give the MR of the examination that the model was built from"
+        )
+
+
 def label_map(preop: Preop) -> VolumeSeries:
     """Wall and blood (1, 2) of the heart, from its label image or by rasterising its surfaces."""
     if preop.labels is not None:
-        names = dict(preop.label_names)
         table = np.zeros(256, dtype=np.uint8)
-        for value in preop.organ_labels:
-            table[value] = BLOOD if "blood" in names.get(value, "") else WALL
+        table[list(preop.organ_labels)] = WALL
+        table[list(preop.blood_labels)] = BLOOD
         return VolumeSeries(preop.labels.grid, table[preop.labels.values], preop.labels.timing)
     closed = {s.name: close_surface(s) for s in preop.surfaces}
-    vertices = closed[preop.surface].vertices_mm.reshape(-1, 3)
-    low, high = vertices.min(axis=0) - LABEL_MARGIN_MM, vertices.max(axis=0) + LABEL_MARGIN_MM
+    guarded = closed[preop.surface]
+    return rasterise(closed, _label_grid(guarded.frame, guarded.vertices_mm.reshape(-1, 3)))
+
+
+def label_map_of_model(model: DvfModel) -> VolumeSeries:
+    """Wall and blood (1, 2) within the surfaces that a model holds; no blood where it has no chambers."""
+    vertices = np.concatenate([mesh.vertices_mm for mesh in model.reference])
+    chambers = [chamber.surfaces for chamber in model.chambers]
+    if model.surface_name in CHAMBER_SURFACES:
+        chambers.append(model.reference)
+    return rasterise_meshes(model.reference, chambers, _label_grid(model.frame, vertices), model.timing)
+
+
+def _label_grid(frame: str, vertices_mm: FloatArray) -> Grid:
+    """Voxels around a surface, with a margin."""
+    low, high = vertices_mm.min(axis=0) - LABEL_MARGIN_MM, vertices_mm.max(axis=0) + LABEL_MARGIN_MM
     nx, ny, nz = (int(n) for n in np.ceil((high - low) / LABEL_VOXEL_MM) + 1)
-    grid = Grid.axis_aligned(closed[preop.surface].frame, (nx, ny, nz), low, LABEL_VOXEL_MM)
-    return rasterise(closed, grid)
+    return Grid.axis_aligned(frame, (nx, ny, nz), low, LABEL_VOXEL_MM)

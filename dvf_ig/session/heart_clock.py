@@ -1,24 +1,50 @@
-"""The heart's clock from a live ECG: samples in, R peaks in order of detection, the phase from now on."""
+"""The heart's clock from a live ECG or trigger: R peaks in order of detection, the phase from now on."""
 
 from collections import deque
+from dataclasses import dataclass
 from math import inf
 
-from dvf_ig.cardiac import LeadChange, PhaseClock, RPeak, RPeakDetector
-from dvf_ig.core import PhaseForecast
+from dvf_ig.cardiac import LeadChange, PhaseClock, RPeak, RPeakDetector, TriggerDetector
+from dvf_ig.core import InvalidInputError, PhaseForecast, Signal, TriggerTimes
 
-from .events import EcgSamples
+from .events import EcgSamples, Trigger
+
+
+@dataclass(frozen=True, slots=True)
+class EcgSource:
+    """Beats come from an ECG sampled at `rate_hz`."""
+
+    rate_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class TriggerSource:
+    """Beats come from a hardware trigger that fires `delay_s` after the R peak."""
+
+    delay_s: float = 0.0
+
+
+BeatSource = EcgSource | TriggerSource
+
+
+def beat_source_of(recorded: Signal | TriggerTimes) -> BeatSource:
+    """What a session must know of a recording before it is pushed."""
+    if isinstance(recorded, TriggerTimes):
+        return TriggerSource(recorded.delay_s)
+    return EcgSource(recorded.rate_hz)
 
 
 class HeartClock:
-    """Detects R peaks as samples come, and lets each count from the moment of its detection on.
+    """Takes samples or pulses as they come, and lets each R peak count from the moment of its detection on.
 
     Args:
-        rate_hz: sampling rate of the ECG.
+        source: of the beats.
     """
 
-    def __init__(self, rate_hz: float) -> None:
-        self._rate_hz = rate_hz
-        self._detector: RPeakDetector | None = None
+    def __init__(self, source: BeatSource) -> None:
+        self._source = source
+        self._trigger = TriggerDetector(source.delay_s) if isinstance(source, TriggerSource) else None
+        self._ecg: RPeakDetector | None = None
         self._clock = PhaseClock()
         self._peaks: deque[RPeak] = deque()
         self._changes: deque[LeadChange] = deque()
@@ -29,16 +55,25 @@ class HeartClock:
         peak_s = self._peaks[0].detected_at_s if self._peaks else inf
         return min(peak_s, self._changes[0].t_s if self._changes else inf)
 
-    def push(self, event: EcgSamples) -> None:
-        """Take the next samples.
+    def push(self, event: EcgSamples | Trigger) -> None:
+        """Take the next samples, or the next pulse.
 
         Raises:
-            InvalidInputError: another number of leads than before, or samples that go back in time.
+            InvalidInputError: of another source; another number of leads than before; back in time.
         """
-        if self._detector is None:
-            self._detector = RPeakDetector(self._rate_hz, event.samples.shape[1])
-        self._peaks.extend(self._detector.push(event.samples, event.start_s))
-        self._changes.extend(self._detector.take_lead_changes())
+        if isinstance(event, Trigger) and self._trigger is not None:
+            self._peaks.extend(self._trigger.push(event.t_s))
+            self._changes.extend(self._trigger.take_lead_changes())
+        elif isinstance(event, EcgSamples) and isinstance(self._source, EcgSource):
+            if self._ecg is None:
+                self._ecg = RPeakDetector(self._source.rate_hz, event.samples.shape[1])
+            self._peaks.extend(self._ecg.push(event.samples, event.start_s))
+            self._changes.extend(self._ecg.take_lead_changes())
+        else:
+            raise InvalidInputError(
+                f"{type(event).__name__} came to a session whose beats come from {self._source}; "
+                "set it up with the source that there is"
+            )
 
     def step(self) -> RPeak | None:
         """What happens at `next_s`; the R peak if it is one."""

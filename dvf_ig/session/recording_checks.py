@@ -3,7 +3,7 @@
 from collections.abc import Sized
 
 from dvf_ig.cardiac import MIN_BEATS
-from dvf_ig.core import FloatArray, InvalidInputError, NoOverlapError, PoseStream, Signal
+from dvf_ig.core import FloatArray, InvalidInputError, NoOverlapError, PoseStream, Signal, TriggerTimes
 
 LEAST_COMMON_S = 1.0
 
@@ -27,24 +27,32 @@ def have_common_time(first_s: FloatArray, second_s: FloatArray) -> bool:
     return end - begin >= LEAST_COMMON_S
 
 
-def require_common_time(ecg_s: FloatArray, other_s: FloatArray, what: str) -> None:
-    """Raise NoOverlapError where the ECG and another recording share less than LEAST_COMMON_S.
+def require_common_time(beats: Signal | TriggerTimes, other_s: FloatArray, what: str) -> None:
+    """Raise NoOverlapError where the ECG, or a trigger, and another recording share less than LEAST_COMMON_S.
 
     Args:
-        ecg_s, other_s: (n,) and (m,) increasing times.
+        other_s: (n,) increasing times.
         what: the other is, for example "tool".
     """
+    ecg_s = beats.t_s
     if not have_common_time(ecg_s, other_s):
+        source = "trigger" if isinstance(beats, TriggerTimes) else "ECG"
         raise NoOverlapError(
-            f"ECG ({ecg_s[0]:.1f} to {ecg_s[-1]:.1f} s) and {what} ({other_s[0]:.1f} to "
+            f"{source} ({ecg_s[0]:.1f} to {ecg_s[-1]:.1f} s) and {what} ({other_s[0]:.1f} to "
             f"{other_s[-1]:.1f} s) share less than a second; they must be on one clock"
         )
 
 
-def require_heart_beats(peaks: Sized, ecg: Signal) -> None:
-    """Raise InvalidInputError where the ECG shows too few R peaks."""
-    if len(peaks) < MIN_BEATS:
+def require_heart_beats(peaks: Sized, ecg: Signal | TriggerTimes) -> None:
+    """Raise InvalidInputError where ECG or trigger shows too few R peaks."""
+    if len(peaks) >= MIN_BEATS:
+        return
+    if isinstance(ecg, TriggerTimes):
         raise InvalidInputError(
-            f"the ECG has {len(peaks)} R peaks in {len(ecg) / ecg.rate_hz:.0f} s on lead(s) "
-            f"{', '.join(ecg.leads)}, needed at least {MIN_BEATS}; check the electrodes and the lead"
+            f"the trigger gives {len(peaks)} beats of {len(ecg)} pulses, needed at least {MIN_BEATS}; "
+            "check its cable, and that each beat gives one pulse"
         )
+    raise InvalidInputError(
+        f"the ECG has {len(peaks)} R peaks in {len(ecg) / ecg.rate_hz:.0f} s on lead(s) "
+        f"{', '.join(ecg.leads)}, needed at least {MIN_BEATS}; check the electrodes and the lead"
+    )

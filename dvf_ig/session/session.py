@@ -27,7 +27,7 @@ from dvf_ig.guidance.fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, RATE, 
 from dvf_ig.kernels.place import MODEL_PHASE, PLACE_SIZE, TURN_RATE, place_tick
 from dvf_ig.registration import SliceThreads
 
-from .events import EcgSamples, Event, Landmark, Rearm, ToolPose, TrackedFrame
+from .events import EcgSamples, Event, Landmark, Rearm, ToolPose, TrackedFrame, Trigger
 from .executor import Executor, InCaller
 from .frame_buffer import FrameBuffer
 from .heart_clock import HeartClock
@@ -87,7 +87,7 @@ class Session:
         )
         monitor = RegistrationMonitor(setup.heart.center_mm, None)
         self._pose = PoseTracker(source, monitor, setup.start, self.history, setup.calibrations.lag_s)
-        self._clock = HeartClock(setup.ecg_rate_hz)
+        self._clock = HeartClock(setup.beat_source)
         self._tool = ToolTracker(setup.calibrations.tip)
         self._fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
         self._supervisor = Supervisor(setup.device)
@@ -114,10 +114,10 @@ class Session:
         """Take an event; those of one kind in the order in which they came.
 
         Raises:
-            InvalidInputError: it does not fit those before: another number of leads, another image size, or
-                ECG samples that go back in time.
+            InvalidInputError: it does not fit those before: another number of leads, another image size, ECG
+                samples or triggers that go back in time, or of an ECG where there is a trigger.
         """
-        if isinstance(event, EcgSamples):
+        if isinstance(event, EcgSamples | Trigger):
             self._clock.push(event)
         elif isinstance(event, ToolPose):
             self._tool.push(event)

@@ -9,6 +9,7 @@ from dvf_ig.guidance.device import COMMON_DEVICE
 
 from .calibrations import CalibrationsInUse
 from .heart import Heart
+from .heart_clock import BeatSource
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,7 +19,7 @@ class SessionSetup:
     Attributes:
         heart: the fixture model and what ultrasound is registered to.
         calibrations: tool tip, image and latency.
-        ecg_rate_hz: sampling rate of the ECG.
+        beat_source: ECG or trigger, and what is known of it.
         start: coarse mr_from_tracker; None takes that of touched landmarks.
         fan: the insonified sector, where the scanner's geometry is known.
         fixtures: that act on the tool.
@@ -29,7 +30,7 @@ class SessionSetup:
 
     heart: Heart
     calibrations: CalibrationsInUse
-    ecg_rate_hz: float
+    beat_source: BeatSource
     start: Rigid | None = None
     fan: Fan | None = None
     fixtures: FixtureSet = FORBIDDEN_SURFACE

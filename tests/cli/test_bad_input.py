@@ -11,7 +11,7 @@ from recorded import pivot_of, tool_of
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import Scenario
+from dvf_ig.core import Scenario, Signal
 from dvf_ig.io import write_ecg_csv, write_model, write_poses
 from dvf_ig.replay import Replay
 
@@ -47,6 +47,7 @@ def test_truncated_ultrasound(folder: Path) -> None:
 
 
 def test_ecg_without_beats(folder: Path, scenario: Scenario) -> None:
+    assert isinstance(scenario.ecg, Signal)
     noise = 0.01 * np.random.default_rng(0).normal(size=scenario.ecg.samples.shape)
     write_ecg_csv(dataclasses.replace(scenario.ecg, samples=noise), folder / "ecg.csv")
     replay_fails(folder, 3, "R peaks", "electrodes")

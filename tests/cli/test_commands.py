@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from html_outline import outline_of
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -75,6 +76,13 @@ def test_register_writes_a_transform_that_evaluate_reads(
     assert {"success_probability", "seconds", "threads", "seed"} <= set(payload)
     estimate = read_transform(out / "mr_from_tracker.tfm")
     np.testing.assert_allclose(estimate.matrix, payload["mr_from_tracker"], atol=1e-9)
+    page = outline_of((out / "report.html").read_text(encoding="utf-8"))
+    assert page.faults == []
+    assert len(page.images) == 16
+    assert len({image["src"] for image in page.images}) == 16
+    said = " ".join(page.texts)
+    assert "This registration may be used" in said
+    assert f"{payload['moved_mm']:.1f} mm" in said
     assert scenario.truth is not None
     truth = scenario.truth.mr_from_tracker_at(0.0)
     assert np.median(target_errors_mm(estimate, truth, scenario.truth.targets.points)) < 2.0

@@ -63,6 +63,15 @@ def test_a_trigger_is_an_equal_input(tmp_path: Path) -> None:
     assert (tmp_path / "out.png").is_file()
 
 
+def test_pulses_with_both_edges_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "trigger.csv"
+    path.write_text("\n".join(f"{0.8 * k + edge:.3f}" for k in range(40) for edge in (0.0, 0.05)) + "\n")
+    done = CliRunner().invoke(app, ["gate", f"trigger:{path}"])
+    assert done.exit_code == 0, done.output
+    assert "40 of 80 pulses come too soon after another" in done.output
+    assert "0.0 % of the time" in done.output
+
+
 def test_a_delay_without_a_trigger_exits_3(ecg: Path) -> None:
     done = CliRunner().invoke(app, ["gate", f"csv:{ecg}", "--delay-s", "0.02"])
     assert done.exit_code == 3

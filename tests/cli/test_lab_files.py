@@ -287,6 +287,8 @@ def test_force_at_points_of_slicer(ball: DvfModel, tmp_path: Path) -> None:
         found("force", tmp_path / "ball.npz", "--points", tmp_path / name, "--phase", 0.2)
         for name in ("p.csv", "ras.fcsv", "lps.mrk.json")
     ]
+    read = [[one["file"] for one in answer.pop("inputs")] for answer in answers]
+    assert read == [["ball.npz", name] for name in ("p.csv", "ras.fcsv", "lps.mrk.json")]
     assert answers[0] == answers[1] == answers[2]
     (tmp_path / "none.fcsv").write_text("# CoordinateSystem = LPS\n")
     text = refused("force", tmp_path / "ball.npz", "--points", tmp_path / "none.fcsv", "--phase", 0.2)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import SimpleITK
+from html_outline import outline_of
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
@@ -134,6 +135,61 @@ def test_a_pair_of_files_is_registered_and_its_error_evaluated(files: Path, tmp_
     moving = markups(tmp_path / "moving.fcsv", moving_of(POINTS), names)
     said = invoke("evaluate", "--transform", tmp_path, "--landmarks", fixed, moving, "--json")
     assert json.loads(said.stdout)["tre_mm"]["mean"] == pytest.approx(errors.mean(), abs=1e-6)
+
+
+def test_the_page_beside_the_transform_holds_the_same_numbers(files: Path, tmp_path: Path) -> None:
+    done = invoke(
+        *("register", "--fixed", files / "us.nii.gz", "--moving", files / "mr.nii.gz"),
+        *("-o", tmp_path / "found.tfm", "--json"),
+    )
+    assert done.exit_code == 0, done.output
+    assert f"wrote {tmp_path / 'found.html'}" in done.stderr
+    result = json.loads(done.stdout)
+    page = (tmp_path / "found.html").read_text(encoding="utf-8")
+    outline = outline_of(page)
+    assert outline.faults == []
+    assert all(entry.startswith("img data:") for entry in outline.loaded)
+    assert len(outline.images) == 12
+    assert len(page) < 3e6
+    assert "us.nii.gz" in page
+    assert "This registration may be used" in page
+    for value in np.array(result["moving_from_fixed"])[:3].ravel():
+        assert f"<td>{value + 0.0:.4f}</td>" in page
+    assert f"{result['start_similarity']:.3f} at the start, {result['similarity']:.3f} registered" in page
+    assert f"<td>{result['pair_statistic']:.2f}</td><td>at most 1.3</td>" in page
+    assert f"<td>{result['contrast']:.1f}</td><td>at least 3.8</td>" in page
+    assert f"<td>{result['disagreement_mm']:.2f} mm</td>" in page
+    assert page.count("– not checked") == 6
+    again = invoke(
+        *("register", "--fixed", files / "us.nii.gz", "--moving", files / "mr.nii.gz"),
+        *("-o", tmp_path / "found.tfm"),
+    )
+    assert again.exit_code == 0, "our own page is replaced"
+
+
+def test_a_page_of_the_users_own_is_kept(files: Path, tmp_path: Path) -> None:
+    own = tmp_path / "report.html"
+    own.write_text("<p>my notes</p>")
+    done = invoke("register", "--fixed", files / "us.nii.gz", "--moving", files / "mr.nii.gz", "-o", tmp_path)
+    assert done.exit_code == 4
+    assert "report.html" in done.output
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+    assert own.read_text() == "<p>my notes</p>"
+
+
+def test_a_refused_pair_has_its_page_marked(files: Path, tmp_path: Path) -> None:
+    """Mirrored anatomy fits nobody."""
+    mirrored = SimpleITK.ReadImage(str(files / "mr.nii.gz"))
+    values = SimpleITK.GetArrayFromImage(mirrored).T
+    SimpleITK.WriteImage(filled(mirrored, values[::-1]), str(tmp_path / "mirrored.nii.gz"))
+    done = invoke(
+        *("register", "--fixed", files / "us.nii.gz", "--moving", tmp_path / "mirrored.nii.gz"),
+        *("-o", tmp_path / "out"),
+    )
+    assert done.exit_code in (6, 7), done.output
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "✕ REFUSED: this registration must not be used" in page
+    assert (tmp_path / "out" / "moving_from_fixed.tfm").is_file()
 
 
 def test_images_that_do_not_meet_are_told_to_need_a_start(files: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import io
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dvf_ig.core import CycleTiming, DvfModel, InvalidInputError, Mesh, UnreadableFileError
+from dvf_ig.core import Chamber, CycleTiming, DvfModel, InvalidInputError, Mesh, UnreadableFileError
 from dvf_ig.io import model_digest, read_model, write_model
 
 Same = Callable[..., None]
@@ -36,7 +37,18 @@ def model(seed: int = 0, patient: str = "patient-1") -> DvfModel:
         reference=meshes,
         reference_caps=tuple(rng.random(len(m.triangles)) > 0.5 for m in meshes),
         sources=("surfaces", "Zürich"),
+        chambers=tuple(chamber(rng, name, n) for name in ("lv_blood", "label 3")[: int(rng.integers(0, 3))]),
     )
+
+
+def chamber(rng: np.random.Generator, name: str, phases: int) -> Chamber:
+    """The triangles of some phases are those of the phase before."""
+    triangles, surfaces = rng.integers(0, 5, (4, 3)), []
+    for _ in range(phases):
+        if rng.random() < 0.5:
+            triangles = rng.integers(0, 5, (int(rng.integers(1, 6)), 3))
+        surfaces.append(Mesh("mr", rng.normal(size=(5, 3)) * 40, triangles))
+    return Chamber(name, tuple(surfaces))
 
 
 @settings(max_examples=20)
@@ -49,9 +61,36 @@ def test_round_trip_is_exact(tmp_path_factory: pytest.TempPathFactory, assert_sa
     assert model_digest(back) == model_digest(model(seed))
 
 
+def test_a_file_without_chambers_is_that_of_versions_that_kept_none(tmp_path: Path) -> None:
+    write_model(replace(model(3), chambers=()), tmp_path / "m.npz")
+    with np.load(tmp_path / "m.npz", allow_pickle=False) as archive:
+        assert not [name for name in archive.files if "chamber" in name]
+        assert "chambers" not in json.loads(archive["header"].tobytes())
+    assert read_model(tmp_path / "m.npz").chambers == ()
+
+
+def test_chambers_that_move_with_their_vertices_take_12_bytes_a_vertex(tmp_path: Path) -> None:
+    vertices, triangles = (
+        np.random.default_rng(1).normal(size=(1000, 3)),
+        np.arange(3000).reshape(-1, 3) % 1000,
+    )
+    with_chamber = model(3)
+    n = with_chamber.phases
+    surfaces = tuple(Mesh("mr", vertices + i, triangles) for i in range(n))
+    bare = replace(with_chamber, chambers=())
+    write_model(bare, tmp_path / "a.npz")
+    write_model(replace(bare, chambers=(Chamber("lv_blood", surfaces),)), tmp_path / "b.npz")
+    added = (tmp_path / "b.npz").stat().st_size - (tmp_path / "a.npz").stat().st_size
+    assert n * 12_000 + 12_000 < added < n * 12_000 + 12_000 + 3000
+
+
 def test_digest_depends_on_content() -> None:
     assert model_digest(model(1)) != model_digest(model(2))
     assert model_digest(model(1)) != model_digest(model(1, "patient-2"))
+    empty = replace(model(1), chambers=())
+    surfaces = tuple(Mesh("mr", mesh.vertices_mm + 1.0, mesh.triangles) for mesh in empty.reference)
+    filled, renamed = (replace(empty, chambers=(Chamber(name, surfaces),)) for name in ("lv", "rv"))
+    assert len({model_digest(m) for m in (empty, filled, renamed)}) == 3
 
 
 def test_same_model_same_bytes(tmp_path: Path) -> None:
@@ -73,7 +112,8 @@ def test_plain_numpy_reads_header_and_arrays(tmp_path: Path) -> None:
 
 def test_another_patients_model(tmp_path: Path) -> None:
     write_model(model(), tmp_path / "m.npz")
-    with pytest.raises(InvalidInputError, match="patient 'patient-1', needed patient 'patient-2'"):
+    needed = "patient 'patient-1', needed patient 'patient-2'.*--patient 'patient-1'.*patient_id: 'patient-1'"
+    with pytest.raises(InvalidInputError, match=needed):
         read_model(tmp_path / "m.npz", "patient-2")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dvf_ig
-from dvf_ig.core import CycleTiming, Grid, Preop, SurfaceSeries, VolumeSeries
+from dvf_ig.core import CycleTiming, Grid, Preop, SurfaceSeries, Volume, VolumeSeries
 from dvf_ig.io import cached_model, model_cache, model_digest
 from dvf_ig.io.model_cache import CachedModel, cache_folder, model_key
 from dvf_ig.preop import ModelOptions
@@ -91,6 +91,28 @@ def test_other_labels_have_another_key() -> None:
         with_labels(preop, timing=CycleTiming(np.array([0.0, 0.4]), 0.8)),
         replace(preop, organ_labels=(1, 2)),
         replace(preop, label_names=((1, "lv_blood"),)),
+        replace(preop, cavity_labels=(1,)),
+    ]
+    keys = {model_key(p, COARSE) for p in (preop, *others)}
+    assert len(keys) == 1 + len(others)
+
+
+def test_another_cine_or_end_diastole_has_another_key() -> None:
+    series = labelled().labels
+    assert series is not None
+    preop = Preop("p", mr=series, ed_labels=series.phase(0))
+    values = series.values.copy()
+    values[0, 2, 2, 2] = 0
+    others = [
+        labelled(),
+        replace(preop, mr=replace(series, values=values)),
+        replace(preop, mr=replace(series, timing=CycleTiming(np.array([0.0, 0.4]), 0.8))),
+        replace(preop, ed_labels=Volume(series.grid, values[0])),
+        replace(preop, ed_phase=1),
+        replace(preop, organ_labels=(1,)),
+        replace(preop, cavity_labels=(1,)),
+        replace(preop, label_names=((1, "blood"),)),
+        replace(preop, surface="HEART"),
     ]
     keys = {model_key(p, COARSE) for p in (preop, *others)}
     assert len(keys) == 1 + len(others)

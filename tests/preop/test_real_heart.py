@@ -77,5 +77,5 @@ def test_end_systole_is_read_from_the_cavity(data_dir: Path) -> None:
     folder = data_dir / "bivme-cine"
     epicardium = read_surface_series(folder, "EPICARDIAL")
     cavity = read_surface_series(folder, "LV_ENDOCARDIAL")
-    model = model_from_surfaces(epicardium, cavity=cavity, options=ModelOptions(knot_spacing_mm=6.0))
+    model = model_from_surfaces(epicardium, others=[cavity], options=ModelOptions(knot_spacing_mm=6.0))
     assert model.es_fraction == pytest.approx(0.36)  # the recording's published end-systole

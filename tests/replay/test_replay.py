@@ -92,6 +92,7 @@ def _cut(scenario: Scenario, until_s: float) -> Scenario:
     """The recording as it was at `until_s`."""
     ecg, us, tool = scenario.ecg, scenario.ultrasound, tool_of(scenario)
     lag_s = scenario.truth.lag_s if scenario.truth else 0.0
+    assert isinstance(ecg, Signal)
     samples = int((until_s - ecg.start_s) * ecg.rate_hz)
     frames = int(np.searchsorted(us.t_s + lag_s, until_s))
     return dataclasses.replace(
@@ -134,6 +135,7 @@ def test_untracked_tool_or_probe_is_refused(scenario: Scenario) -> None:
 
 
 def test_ecg_without_beats_is_refused(scenario: Scenario, replay: Replay) -> None:
+    assert isinstance(scenario.ecg, Signal)
     noise = 0.01 * np.random.default_rng(0).normal(size=scenario.ecg.samples.shape)
     flat = dataclasses.replace(scenario.ecg, samples=noise)
     with pytest.raises(InvalidInputError, match=r"R peaks in .* check the electrodes"):

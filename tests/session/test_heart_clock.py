@@ -6,12 +6,12 @@ from toy_session import ECG_HZ, RR_S, ecg_events, ecg_of
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, InvalidInputError, PhaseState
-from dvf_ig.session import EcgSamples
+from dvf_ig.session import EcgSamples, EcgSource
 from dvf_ig.session.heart_clock import HeartClock
 
 
 def pushed(samples: FloatArray, *, chunk: int = 50) -> HeartClock:
-    clock = HeartClock(ECG_HZ)
+    clock = HeartClock(EcgSource(ECG_HZ))
     for event in ecg_events(samples, chunk=chunk):
         clock.push(event)
     return clock
@@ -48,7 +48,7 @@ def test_pieces_change_nothing(chunk: int) -> None:
 
 
 def test_nothing_waits_before_the_first_sample_and_after_the_last_peak() -> None:
-    clock = HeartClock(ECG_HZ)
+    clock = HeartClock(EcgSource(ECG_HZ))
     assert clock.next_s == np.inf
     assert clock.forecast(5.0).state is PhaseState.INIT
     clock = pushed(ecg_of(0.0, 5.0))
@@ -70,7 +70,7 @@ def test_an_ecg_that_is_flat_or_missing_for_a_fifth_of_a_second_is_lost(value: f
 def test_a_gap_is_known_when_samples_come_again() -> None:
     """Before, nobody could tell that any were missing: a state must not depend on what is pushed ahead."""
     samples = ecg_of(0.0, 12.0)
-    clock = HeartClock(ECG_HZ)
+    clock = HeartClock(EcgSource(ECG_HZ))
     for event in ecg_events(samples):
         if not 10.2 <= event.start_s < 10.59:
             clock.push(event)

@@ -6,7 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, Stop, mean_displacement_mm
-from dvf_ig.registration import BeatMeasurement, Evidence, PoseChart, RegistrationResult
+from dvf_ig.registration import (
+    BeatMeasurement,
+    Evidence,
+    PoseChart,
+    RegistrationOptions,
+    RegistrationResult,
+)
 from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, BeatEvaluation
 
 DETECTION_S, SIGMA_MM = 0.12, 0.8
@@ -69,4 +75,5 @@ def registration(pose: Rigid, center_mm: FloatArray) -> RegistrationResult:
         evaluations=1,
         seconds=1.0,
         slices=48,
+        options=RegistrationOptions(),
     )

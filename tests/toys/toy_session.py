@@ -20,6 +20,7 @@ from dvf_ig.registration import ModelChannels, PoseChart, RegistrationResult
 from dvf_ig.session import (
     CalibrationsInUse,
     EcgSamples,
+    EcgSource,
     Event,
     GatedFrames,
     GuidanceState,
@@ -56,7 +57,7 @@ def toy_setup(*, start: Rigid | None = HOME) -> SessionSetup:
     probe_from_image = ImageMap(Rigid.identity("probe", "image"), np.array([4.0, 4.0]))
     calibrations = CalibrationsInUse(probe_from_image, LAG_S, TIP)
     everything = Fan(np.array([12.0, -40.0]), 1.0, 500.0, 1.5)
-    return SessionSetup(toy_heart(), calibrations, ECG_HZ, start=start, fan=everything)
+    return SessionSetup(toy_heart(), calibrations, EcgSource(ECG_HZ), start=start, fan=everything)
 
 
 def pose_of(patient: Patient, t_s: float) -> Rigid:

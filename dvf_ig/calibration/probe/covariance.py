@@ -130,24 +130,31 @@ def block_jackknife(jacobian: FloatArray, residuals: FloatArray) -> tuple[FloatA
             f"{frames} frames for {unknowns} unknowns; needed at least {max(3, unknowns)}"
         )
     inverse = np.linalg.pinv(np.einsum("fki,fkj->ij", jacobian, jacobian), hermitian=True)
+    values, vectors = np.linalg.eigh(inverse)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
     influence = []
     for block in time_blocks(frames):
         rows, own = jacobian[block].reshape(-1, unknowns), residuals[block].ravel()
-        influence.append(inverse @ rows.T @ _held_out(inverse, rows, own))
+        influence.append(inverse @ rows.T @ _held_out(root, rows, own))
     spread = np.stack(influence) - np.mean(influence, axis=0)
-    held_out = [_held_out(inverse, rows, own) for rows, own in zip(jacobian, residuals, strict=True)]
+    held_out = [_held_out(root, rows, own) for rows, own in zip(jacobian, residuals, strict=True)]
     count = len(influence)
     return np.asarray((count - 1) / count * spread.T @ spread), np.stack(held_out)
 
 
-def _held_out(inverse: FloatArray, rows: FloatArray, residuals: FloatArray) -> FloatArray:
-    """(k,) residuals of some rows under the estimate without them: (I − H)⁻¹ r, H = J (JᵀJ)⁻¹ Jᵀ."""
-    remainder = np.eye(len(rows)) - rows @ inverse @ rows.T
+def _held_out(root: FloatArray, rows: FloatArray, residuals: FloatArray) -> FloatArray:
+    """(k,) residuals of some rows under the estimate without them: (I − H)⁻¹ r, H = J (JᵀJ)⁻¹ Jᵀ.
+
+    In p unknowns instead of k rows: with `root` R, (JᵀJ)⁻¹ = R Rᵀ, and G = J R, it is
+    r + G (I − GᵀG)⁻¹ Gᵀ r, and the least eigenvalue of I − GᵀG is that of I − H.
+    """
+    spread = rows @ root
+    remainder = np.eye(spread.shape[1]) - spread.T @ spread
     if np.linalg.eigvalsh(remainder).min() < 1e-9:
         raise InvalidInputError(
             "one block of the recording alone determines an unknown; repeat each movement several times"
         )
-    return np.asarray(np.linalg.solve(remainder, residuals))
+    return np.asarray(residuals + spread @ np.linalg.solve(remainder, spread.T @ residuals))
 
 
 def undetermined_refusals(

@@ -50,7 +50,7 @@ def hand_eye(
             f"{int(found.inliers.sum())} of {len(found.inliers)} pairs",
         )
         save(
-            output, result, fitted.name, fitted.matrix, found.rms_mm, [robot, camera],
+            output, result, fitted.name, fitted.matrix, found.rms_mm,
             lambda png: write_residual_picture(
                 png, found.residuals_mm, title=title, used=found.inliers, x_label="pair of poses"
             ),

@@ -47,7 +47,7 @@ def landmarks(
         errors = f"{found.rms_mm:.2f} mm RMS, {found.mean_mm:.2f} mm mean"
         title = marked(result, f"{fitted.name}: {errors} over {len(samples)} landmarks")
         save(
-            output, result, fitted.name, fitted.matrix, found.rms_mm, [stylus, device_set],
+            output, result, fitted.name, fitted.matrix, found.rms_mm,
             lambda png: write_residual_picture(
                 png, found.residuals_mm, title=title, names=[f"landmark {n}" for n in phantom.names],
                 second=found.leave_one_out_mm,

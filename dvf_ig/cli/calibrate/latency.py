@@ -37,10 +37,9 @@ def latency(
 
         found = estimate_latency(_recording(tracker, video, line_table, seed))
         result = _result(found)
-        inputs = [p for p in (tracker, video, line_table) if p is not None]
         title = marked(result, f"Tracker against video: {_lag_text(found)}, r = {found.correlation:.3f}")
         save(
-            output, result, None, None, None, inputs,
+            output, result, None, None, None,
             lambda png: write_latency_picture(png, found, title=title),
         )  # fmt: skip
         show(result, _rows(found), as_json=as_json)

@@ -1,6 +1,5 @@
 """How calibration results are printed and saved: JSON, and PLUS XML and a picture beside it."""
 
-import hashlib
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -37,10 +36,9 @@ def save(
     name: str | None,
     matrix: "FloatArray | None",
     error_mm: float | None,
-    inputs: Sequence[Path],
     picture: Callable[[Path], None] | None = None,
 ) -> None:
-    """Write a result as JSON with date and digests of its inputs; beside it its transform and a picture.
+    """Write a result as JSON with its date; beside it its transform and a picture.
 
     A refused result has no PLUS XML: that format cannot say that it must not be used.
 
@@ -49,7 +47,6 @@ def save(
         result: the JSON object, with its `kind` and its verdict.
         name, matrix: the transform for PLUS XML, or None where there is none.
         error_mm: its error as PLUS records it.
-        inputs: files whose digests are kept.
         picture: draws the evidence into the PNG file it is given.
     """
     if output is None:
@@ -57,11 +54,7 @@ def save(
     from dvf_ig.io import refuse_foreign, write_sidecar
 
     now = datetime.now(UTC)
-    record = {
-        **result,
-        "date": now.isoformat(timespec="seconds"),
-        "inputs": [{"file": path.name, "sha256": _digest(path)} for path in inputs],
-    }
+    record = {**result, "date": now.isoformat(timespec="seconds")}
     json_path = output.with_suffix(".json") if output.suffix == ".xml" else output
     xml_path, png_path = output.with_suffix(".xml"), output.with_suffix(".png")
     refuse_foreign(*([xml_path] if name else []), *([png_path] if picture else []), named=output)
@@ -154,12 +147,3 @@ def error_row(errors: "CalibrationErrors") -> str:
 
 def wire_rows(errors: "CalibrationErrors") -> list[tuple[str, str]]:
     return [(f"wire {name}", f"{length:.3f} mm in plane") for name, length in errors.in_plane_mm.items()]
-
-
-def _digest(path: Path) -> str | None:
-    """SHA-256 of a file, or of the files of a folder in order of their names."""
-    digest = hashlib.sha256()
-    files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
-    for file in files:
-        digest.update(file.read_bytes())
-    return digest.hexdigest()

@@ -46,7 +46,7 @@ def pivot(
             f"of {found.poses} poses that span {found.span_deg:.0f}°",
         )
         save(
-            output, result, name, matrix, found.rms_3d_mm, [poses],
+            output, result, name, matrix, found.rms_3d_mm,
             lambda png: write_residual_picture(png, found.residuals_mm, title=title, used=found.inliers),
         )  # fmt: skip
         show(result, _rows(found), as_json=as_json)

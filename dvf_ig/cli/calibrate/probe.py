@@ -94,9 +94,7 @@ def probe(
                 sequence, device_set, validate, tables, names, method, picture, max_residual_mm, rng
             )
         result, rows, error_mm = calibrated
-        files = (sequence, device_set, points, validate, validate_points)
-        inputs = [p for p in files if p is not None]
         matrix = np.array(result["sensor_from_image"])
-        save(output, result, f"{result['sensor_frame']}_from_image", matrix, error_mm, inputs)
+        save(output, result, f"{result['sensor_frame']}_from_image", matrix, error_mm)
         show(result, rows, as_json=as_json)
         judge(result)

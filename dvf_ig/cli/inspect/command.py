@@ -13,7 +13,9 @@ SHOWN_VALUES = 12
 
 
 def inspect(
-    file: Annotated[str, typer.Argument(help="A file or folder, or an ECG as wfdb:, edf: or csv:PATH.")],
+    file: Annotated[
+        str, typer.Argument(help="A file or folder, or an ECG as wfdb:, edf:, csv: or plus:PATH.")
+    ],
     rate: EcgRateOption = None,
     probe_name: ProbeNameOption = None,
     reference_name: ReferenceNameOption = None,

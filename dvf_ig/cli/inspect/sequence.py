@@ -8,7 +8,14 @@ Row = tuple[str, str]
 
 def sequence_rows(facts: Facts) -> list[Row]:
     """Rows (label, text) of the facts of one tracked sequence."""
-    return [("frames", str(facts["frames"])), _images(facts), *_clock(facts), *_tree(facts), *_probe(facts)]
+    return [
+        ("frames", str(facts["frames"])),
+        _images(facts),
+        *_clock(facts),
+        *_tree(facts),
+        *_probe(facts),
+        *_fields(facts),
+    ]
 
 
 def _images(facts: Facts) -> Row:
@@ -71,6 +78,24 @@ def _tree(facts: Facts) -> list[Row]:
 def _probe(facts: Facts) -> list[Row]:
     """The pose that the user named, joined from what is recorded."""
     return [("probe", f"{name}: {_moves(known)}") for name, known in facts.get("probe", {}).items()]
+
+
+def _fields(facts: Facts) -> list[Row]:
+    """The ECG that the frames carry, and other numbers."""
+    rows = [("ECG", f"field {name}: {_ecg(known)}") for name, known in facts["ecg"].items()]
+    others = [name for name in facts["numeric_fields"] if name not in facts["ecg"]]
+    return [*rows, ("other fields", ", ".join(others))] if others else rows
+
+
+def _ecg(known: Facts) -> str:
+    if "problem" in known:
+        return f"not usable: {known['problem']}"
+    leads, missing = ", ".join(known["leads"]), known["missing_share"]
+    lost = f", {missing:.1%} missing" if missing else ""
+    return (
+        f"{leads} in {known['unit']}, {known['rate_hz']:.5g} Hz for {known['duration_s']:.2f} s "
+        f"from {known['start_s']:.3f} s{lost}"
+    )
 
 
 def _transform(facts: Facts, parent: str, child: str) -> str:

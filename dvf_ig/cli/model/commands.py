@@ -21,6 +21,7 @@ from dvf_ig.core import DvfModel
 
 from . import options as given
 from .export import export
+from .labels import LABELS_HELP, check_with_labels, labels_at
 from .output import file_megabytes, model_payload, model_rows, phase_rows
 from .request import BuildRequest
 from .sources import model_of
@@ -78,15 +79,16 @@ def build(
             accuracy_mm=accuracy_mm,
             margin_mm=margin_mm,
             threads=cores_or(threads),
+            seed=seed,
         )
-        _build(request, seed, as_json=as_json)
+        _build(request, as_json=as_json)
 
 
 def _labels(text: str | None, option: str) -> tuple[int, ...]:
     return whole_numbers(text, option, "1,2,5") if text else ()
 
 
-def _build(request: BuildRequest, seed: int, *, as_json: bool) -> None:
+def _build(request: BuildRequest, *, as_json: bool) -> None:
     """Build, check, write and print the model."""
     from dvf_ig.io import write_model
 
@@ -94,11 +96,12 @@ def _build(request: BuildRequest, seed: int, *, as_json: bool) -> None:
     model, evidence = model_of(request, as_json=as_json)
     seconds = time.perf_counter() - start
     _warn_of_assumptions(model)
+    result = _errors(model, CHECK_POINTS, request.seed)
     write_model(model, request.output)
-    result = _errors(model, CHECK_POINTS, seed)
     size_mb = file_megabytes(request.output)
-    payload = {**model_payload(model, result, seed, seconds, size_mb), **evidence}
-    emit(payload, model_rows(model, result, seconds, size_mb), as_json=as_json)
+    payload = {**model_payload(model, result, request.seed, seconds, size_mb), **evidence}
+    rows = model_rows(model, result, seconds, size_mb, evidence.get("anatomical_error_mm"))
+    emit(payload, rows, as_json=as_json)
     wrote(request.output, model.frame)
 
 
@@ -108,14 +111,27 @@ def check(
     points: Annotated[
         int, typer.Option("--points", min=10, help="Random points on each phase.")
     ] = CHECK_POINTS,
+    labels: Annotated[str | None, typer.Option("--labels", help=LABELS_HELP, metavar="FILE@PHASE")] = None,
+    organ: Annotated[
+        str | None,
+        typer.Option(
+            "--organ",
+            help="With --labels: label values inside the surface, for example 1,2,5 (default: all but 0).",
+        ),
+    ] = None,
     threads: ThreadsOption = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
 ) -> None:
     """Measure a model's spline fit error, at random points of the surfaces kept in it.
 
-    It says how well the splines describe those surfaces, not how well these describe the patient's anatomy.
+    It says how well the splines describe those surfaces, not how well these describe the patient's anatomy:
+    that is what --labels tells, labels of a phase that the model was not built from.
     """
+    given_labels = labels_at(labels) if labels is not None else None
+    values = _labels(organ, "--organ")
+    if values and given_labels is None:
+        raise typer.BadParameter("--organ needs --labels, the label image that it belongs to")
     with command(threads):
         from dvf_ig.io import read_model
 
@@ -126,7 +142,11 @@ def check(
         seconds = time.perf_counter() - start
         size_mb = file_megabytes(model_file)
         rows = model_rows(model, result, seconds, size_mb) + phase_rows(model, result)
-        emit(model_payload(model, result, seed, seconds, size_mb), rows, as_json=as_json)
+        payload = model_payload(model, result, seed, seconds, size_mb)
+        if given_labels is not None:
+            payload["labels"], told = check_with_labels(model, given_labels, values, points, seed)
+            rows += told
+        emit(payload, rows, as_json=as_json)
 
 
 def _errors(model: DvfModel, points: int, seed: int) -> "ModelCheck":

@@ -1,41 +1,61 @@
-"""`dvf-ig model export`: the model's surface, one mesh a phase, for 3D Slicer and others."""
+"""`dvf-ig model export`: surface or signed distance, one file a phase, for 3D Slicer and others."""
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from dvf_ig.cli.shell import JsonFlag, command, emit, wrote
 
+if TYPE_CHECKING:
+    from dvf_ig.core import DvfModel
 
-class MeshFormat(StrEnum):
-    """Ending of the files."""
+
+class ExportFormat(StrEnum):
+    """Ending of the files: a mesh of the surface, or an image of the distance."""
 
     vtp = "vtp"
     stl = "stl"
+    nrrd = "nrrd"
+
+
+CONTENT = {
+    ExportFormat.vtp: "surface",
+    ExportFormat.stl: "surface",
+    ExportFormat.nrrd: "signed distance in mm, positive inside",
+}
 
 
 def export(
     model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into.")],
-    mesh_format: Annotated[
-        MeshFormat, typer.Option("--format", help="vtp keeps every digit; stl holds 32-bit floats.")
-    ] = MeshFormat.vtp,
+    form: Annotated[
+        ExportFormat,
+        typer.Option(
+            "--format",
+            help="Surface: vtp (every digit) or stl (32-bit floats). nrrd: image of the signed distance.",
+        ),
+    ] = ExportFormat.vtp,
     as_json: JsonFlag = False,
 ) -> None:
-    """Write the surface that the model was fitted to, one mesh a phase: mm, LPS (tagged so for 3D Slicer)."""
+    """Write the surface that the model was fitted to, or its distance: mm, LPS (tagged so for 3D Slicer).
+
+    One file a phase. The distance is that of the splines, on every half knot of the model's box.
+    """
     with command():
-        from dvf_ig.io import output_folder, read_model, write_mesh
+        from dvf_ig.io import output_folder, read_model
 
         model = read_model(model_file)
         with output_folder(out):
-            files = [out / f"{model.surface_name}_{i:03d}.{mesh_format}" for i in range(model.phases)]
-            for path, mesh in zip(files, model.reference, strict=True):
-                write_mesh(mesh, path)
+            kind = "_distance" if form is ExportFormat.nrrd else ""
+            files = [out / f"{model.surface_name}{kind}_{i:03d}.{form}" for i in range(model.phases)]
+            for phase, path in enumerate(files):
+                _write_phase(model, phase, path, form)
                 wrote(path, model.frame)
         result = {
             "files": [path.name for path in files],
+            "content": CONTENT[form],
             "phase_fractions": list(model.timing.fractions),
             "surface": model.surface_name,
             "patient_id": model.patient_id,
@@ -47,3 +67,13 @@ def export(
             for i, (path, fraction) in enumerate(zip(files, model.timing.fractions, strict=True))
         ]
         emit(result, rows, as_json=as_json)
+
+
+def _write_phase(model: "DvfModel", phase: int, path: Path, form: ExportFormat) -> None:
+    from dvf_ig.io import write_mesh, write_volume
+    from dvf_ig.preop import distance_volume
+
+    if form is ExportFormat.nrrd:
+        write_volume(distance_volume(model, phase), path)
+    else:
+        write_mesh(model.reference[phase], path)

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from dvf_ig.cli.shell import emit, progress, warn, wrote
-from dvf_ig.core import DvfModel, Volume, VolumeSeries
+from dvf_ig.core import DvfModel, Preop, Volume, VolumeSeries
 
+from .blood import labels_told, warn_of_no_blood
+from .labels import anatomical_error_mm
 from .request import BuildRequest
 
 if TYPE_CHECKING:
@@ -21,49 +23,52 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
         request: with an image, and labels or seeds.
         path: the image.
     Returns:
-        the model, and the evidence that is also written as JSON beside it.
+        the model, and the evidence ("motion" is also written as JSON beside it).
     """
-    from dvf_ig.io import read_volume_series
-    from dvf_ig.preop import CineOptions, model_from_cine
+    from dvf_ig.io import read_volume_series, refuse_foreign
+    from dvf_ig.preop import cine_options, model_from_cine
 
+    evidence, picture = _beside(request)
+    refuse_foreign(evidence, kind="model")
+    refuse_foreign(picture)
     image = read_volume_series(path, request.timing)
-    labels, truth, cavity = _labels(request, image)
-    options = CineOptions(
-        request.organ,
-        cavity,
-        request.ed_phase,
-        request.surface,
-        request.motion_options(),
-        request.model_options(),
-    )
+    preop, labels, truth = _preop(request, path, image)
+    options = cine_options(preop, request.motion_options(), request.model_options())
     with progress("motion, then fitting phases") as report:
         result = model_from_cine(
             image,
             labels,
-            patient_id=request.patient_id(path),
+            patient_id=preop.patient_id,
             options=options,
             truth=truth,
             progress=report,
             sources=(f"{path.name}: motion by {request.method}",),
         )
-    payload = _payload(result, request)
+    if not result.model.chambers:
+        warn_of_no_blood(f"give --cavity ({labels_told(image, labels, request.ed_phase)})")
+    error = None if truth is None else anatomical_error_mm(result.model, truth, request)
+    payload = {**_payload(result, request), "anatomical_error_mm": error}
     _write_evidence(result, image, payload, request)
     _warn_of_limits(result, request)
     if not as_json:
         emit({}, _phase_rows(result), as_json=False)
         emit({}, _summary_rows(result), as_json=False)
-    return result.model, payload
+    return result.model, {"motion": payload, "anatomical_error_mm": error}
+
+
+def _beside(request: BuildRequest) -> tuple[Path, Path]:
+    """JSON and picture that go beside the model."""
+    return request.output.with_suffix(".json"), request.output.with_suffix(".png")
 
 
 def _write_evidence(
     result: "CineModel", image: VolumeSeries, payload: dict[str, Any], request: BuildRequest
 ) -> None:
     """JSON and a picture beside the model."""
-    from dvf_ig.io import refuse_foreign, write_sidecar
+    from dvf_ig.io import write_sidecar
     from dvf_ig.report import write_motion_picture
 
-    evidence, picture = request.output.with_suffix(".json"), request.output.with_suffix(".png")
-    refuse_foreign(picture)
+    evidence, picture = _beside(request)
     write_sidecar(evidence, payload, "model")
     es_phase = int(result.volume_mm3.argmin())
     write_motion_picture(
@@ -73,17 +78,41 @@ def _write_evidence(
     wrote(picture, image.grid.frame)
 
 
-def _labels(
-    request: BuildRequest, image: VolumeSeries
-) -> tuple[Volume, VolumeSeries | None, tuple[int, ...]]:
-    """Labels of end-diastole, those of every phase where given, and the cavity's values."""
-    from dvf_ig.io import read_cine_labels, read_seeds, write_volume
+def _preop(
+    request: BuildRequest, path: Path, image: VolumeSeries
+) -> tuple[Preop, Volume, VolumeSeries | None]:
+    """The image with the labels of its end-diastole, and those of every phase where given."""
+    from dvf_ig.io import read_cine_labels, read_label_names
+
+    truth: VolumeSeries | None = None
+    names: tuple[tuple[int, str], ...] = ()
+    if request.labels is None:
+        labels, cavity = _grown(request, image)
+    else:
+        labels, truth = read_cine_labels(request.labels, image, request.ed_phase)
+        cavity, names = request.cavity, read_label_names(request.labels)
+    return (
+        Preop(
+            patient_id=request.patient_id(path),
+            mr=image,
+            ed_labels=labels,
+            ed_phase=request.ed_phase,
+            label_names=names,
+            organ_labels=request.organ,
+            cavity_labels=cavity,
+            surface=request.surface,
+        ),
+        labels,
+        truth,
+    )
+
+
+def _grown(request: BuildRequest, image: VolumeSeries) -> tuple[Volume, tuple[int, ...]]:
+    """Labels grown from seeds, also written beside the model, and the cavity's values."""
+    from dvf_ig.io import read_seeds, write_volume
     from dvf_ig.preop import segment_from_seeds
     from dvf_ig.preop.segment.seeded import CAVITY
 
-    if request.labels is not None:
-        labels, truth = read_cine_labels(request.labels, image, request.ed_phase)
-        return labels, truth, request.cavity
     if request.seeds is None:
         raise typer.BadParameter("--image needs either --labels or --seeds")
     seeds = read_seeds(request.seeds, image.grid.frame)
@@ -92,7 +121,7 @@ def _labels(
     write_volume(labels, path)
     wrote(path, labels.grid.frame)
     warn(f"labels grown from seeds are a first segmentation: correct {path.name} and give it as --labels")
-    return labels, None, (CAVITY,) if len(seeds.cavity) else ()
+    return labels, (CAVITY,) if len(seeds.cavity) else ()
 
 
 def _warn_of_limits(result: "CineModel", request: BuildRequest) -> None:

@@ -28,10 +28,19 @@ SeedsOption = Annotated[
     ),
 ]
 OrganOption = Annotated[
-    str | None, typer.Option("--organ", help="Label values inside the surface, for example 1,2,5.")
+    str | None,
+    typer.Option(
+        "--organ",
+        help="Label values inside the surface, for example 1,2,5 (default with --image: all but 0).",
+    ),
 ]
 CavityOption = Annotated[
-    str | None, typer.Option("--cavity", help="With --image: label values of the left ventricle's blood.")
+    str | None,
+    typer.Option(
+        "--cavity",
+        help="Label values of blood, the left ventricle's first, for example 3,1: end-systole is where the "
+        "first is smallest; ultrasound shows the boundaries of all (default: what .seg.nrrd names so).",
+    ),
 ]
 EdPhaseOption = Annotated[
     int, typer.Option("--ed-phase", min=0, help="With --image: the phase that is labelled.")

@@ -1,5 +1,6 @@
 """Output of `dvf-ig model build` and `check`: numbers with their definitions."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,8 @@ if TYPE_CHECKING:
 DEFINITIONS = {
     "surface_error_mm": "spline fit error, |d|/|grad d| at random points of the reference triangles, no caps "
     "nor rim; not the error of the anatomy",
+    "anatomical_error_mm": "distance between the model's surface and that of the labels, at random points of "
+    "both, without the border where the label image cuts the organ off",
     "normal_error_deg": "grad d against the smooth surface's normal at the nearest point, within 2 mm of it",
     "normal_error_deg.facet": "grad d against the exact distance to the flat facets, at the same points",
     "file_megabytes": "size of the model's file, 10^6 bytes",
@@ -47,6 +50,7 @@ def model_payload(
         "megabytes": model.megabytes,
         "file_megabytes": file_mb,
         "phases": model.phases,
+        "chambers": [chamber.name for chamber in model.chambers],
         "seconds": seconds,
         "patient_id": model.patient_id,
         "surface": model.surface_name,
@@ -67,8 +71,13 @@ def model_payload(
 
 
 def model_rows(
-    model: DvfModel, result: "ModelCheck", seconds: float | None, file_mb: float
+    model: DvfModel,
+    result: "ModelCheck",
+    seconds: float | None,
+    file_mb: float,
+    anatomical: Mapping[str, Any] | None = None,
 ) -> list[tuple[str, str]]:
+    """What is printed of a model, with its anatomical error where labels told it."""
     from dvf_ig.preop import border_distance_mm, potential_at_border
 
     border_mm = border_distance_mm(model)
@@ -82,12 +91,14 @@ def model_rows(
             f"{border_mm:.1f} mm off the surface at the nearest: a sigmoid of 1/mm has fallen to "
             f"{potential_at_border(border_mm, 1.0):.0e} of its cap",
         ),
+        ("chambers", ", ".join(chamber.name for chamber in model.chambers) or "none"),
         ("size", f"{file_mb:.1f} MB on disk; {model.megabytes:.1f} MB of {DEFINITIONS['megabytes']}"),
         (
             "spline fit error",
             f"{result.mean_mm:.3f} mm mean, {result.p99_mm:.3f} p99, {result.max_mm:.3f} max "
             f"({result.points} random points): {DEFINITIONS['surface_error_mm']}",
         ),
+        *anatomical_rows(anatomical),
         (
             "normal error",
             f"{result.normal_median_deg:.2f}° median, {result.normal_p95_deg:.2f}° p95: "
@@ -103,6 +114,19 @@ def model_rows(
             f"{result.excluded_area_share:.0%} of the area: caps and {result.rim_mm:g} mm around them",
         ),
         ("time", f"{seconds:.1f} s" if seconds is not None else "-"),
+    ]
+
+
+def anatomical_rows(error: Mapping[str, Any] | None) -> list[tuple[str, str]]:
+    """The error that labels tell; none without labels."""
+    if error is None:
+        return []
+    return [
+        (
+            "anatomical error",
+            f"{error['mean']:.3f} mm mean, {error['p95']:.3f} p95, over the {len(error['per_phase'])} phases "
+            f"whose labels were not used: {DEFINITIONS['anatomical_error_mm']}",
+        )
     ]
 
 

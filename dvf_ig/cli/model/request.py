@@ -23,11 +23,12 @@ class BuildRequest:
         surfaces, labels, image, seeds: the source: surfaces, a 4-D label image, or a 4-D image with the
             labels of one phase or with seeds.
         surface: name of the guarded surface.
-        organ, cavity: label values.
+        organ, cavity: label values; of cavity, that of the left ventricle first.
         ed_phase, method: of the motion: the labelled phase, and how motion is estimated.
         timing: JSON file of phase times and RR.
         patient: identifier; None takes it from the file's name.
         knot_mm, accuracy_mm, margin_mm, threads: of the fit; see ModelOptions.
+        seed: of the random points at which errors are measured.
     Raises:
         typer.BadParameter: options that do not go together.
         OutputError: the folder of the output does not exist.
@@ -49,12 +50,17 @@ class BuildRequest:
     accuracy_mm: float | None
     margin_mm: float
     threads: int
+    seed: int
 
     def __post_init__(self) -> None:
         if (self.surfaces is None) == (self.labels is None and self.image is None):
             raise typer.BadParameter("give --surfaces DIR, --labels SERIES, or --image and labels or seeds")
         if self.image is None and self.seeds is not None:
             raise typer.BadParameter("--seeds needs --image, the 4-D image that they are set in")
+        if self.surfaces is not None and (self.organ or self.cavity):
+            raise typer.BadParameter(
+                "--organ and --cavity belong to --labels; surfaces are told by their names"
+            )
         if not self.output.parent.is_dir():
             raise OutputError(
                 f"cannot write {self.output}: the folder {self.output.parent} does not exist; make it first"

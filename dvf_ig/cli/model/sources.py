@@ -9,6 +9,7 @@ import typer
 from dvf_ig.cli.shell import progress
 from dvf_ig.core import DvfModel, Preop
 
+from .blood import warn_of_no_blood
 from .from_image import model_from_image
 from .request import BuildRequest
 
@@ -16,29 +17,33 @@ from .request import BuildRequest
 def model_of(request: BuildRequest, *, as_json: bool) -> tuple[DvfModel, dict[str, Any]]:
     """The fitted model, and the evidence that is added to what is printed."""
     if request.image is not None:
-        model, motion = model_from_image(request, request.image, as_json=as_json)
-        return model, {"motion": motion}
+        return model_from_image(request, request.image, as_json=as_json)
     if request.surfaces is not None:
-        return _from_surfaces(request, request.surfaces), {}
+        model = _from_surfaces(request, request.surfaces)
+        if not model.chambers:
+            warn_of_no_blood("put LV_ENDOCARDIAL or RV_ENDOCARDIAL beside it")
+        return model, {}
     if request.labels is not None:
-        return _from_labels(request, request.labels), {}
+        model = _from_labels(request, request.labels)
+        if not model.chambers:
+            warn_of_no_blood("give --cavity")
+        return model, {}
     raise typer.BadParameter("give --surfaces DIR, --labels SERIES, or --image and labels or seeds")
 
 
 def _from_surfaces(request: BuildRequest, folder: Path) -> DvfModel:
-    from dvf_ig.core import LV_CAVITY
     from dvf_ig.io import read_surface_series, surface_names
-    from dvf_ig.preop import model_from_surfaces
+    from dvf_ig.preop import CHAMBER_SURFACES, model_from_surfaces
 
     series = read_surface_series(folder, request.surface, request.timing)
-    has_cavity = LV_CAVITY in surface_names(folder)
-    cavity = read_surface_series(folder, LV_CAVITY, request.timing) if has_cavity else None
+    chambers = [n for n in surface_names(folder) if n in CHAMBER_SURFACES and n != request.surface]
+    others = [read_surface_series(folder, name, request.timing) for name in chambers]
     if request.patient:
         series = replace(series, patient_id=request.patient)
     with progress("fitting phases") as report:
         return model_from_surfaces(
             series,
-            cavity=cavity,
+            others=others,
             options=request.model_options(),
             progress=report,
             sources=(f"{folder.name}: {request.surface}",),
@@ -59,6 +64,7 @@ def _from_labels(request: BuildRequest, image: Path) -> DvfModel:
         patient_id=request.patient_id(image),
         labels=read_volume_series(image, request.timing),
         organ_labels=request.organ,
+        cavity_labels=request.cavity,
         surface=request.surface,
     )
     source = f"{image.name}: labels {','.join(map(str, request.organ))}"

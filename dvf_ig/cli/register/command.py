@@ -1,20 +1,35 @@
 """`dvf-ig register`: where the patient is, from gated ultrasound or from a pair of images."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, wrote
+from dvf_ig.cli.shell import (
+    EcgRateOption,
+    JsonFlag,
+    ProbeNameOption,
+    ReferenceNameOption,
+    SeedOption,
+    ThreadsOption,
+    command,
+    emit,
+)
 
+from . import own
+from .kinds import Kind, kind_of
 from .output import files_of, payload_of, require_usable, rows_of
 from .pair import register_images
-from .scenario import register_recording
+from .scenario import register_folder, register_own
+from .volumes import UsVolumesOption, register_volume_files
+
+if TYPE_CHECKING:
+    from dvf_ig.io import SessionRecordings
 
 
 def register(
     scenario: Annotated[
-        Path | None, typer.Argument(help="Scenario folder; or give --fixed and --moving.")
+        Path | None, typer.Argument(help="Scenario folder; or give --config, --us, or --fixed and --moving.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder, or a .tfm file, for the transform.")
@@ -22,9 +37,27 @@ def register(
     model: Annotated[
         Path | None, typer.Option("--model", help="This patient's model, if `dvf-ig model build` made one.")
     ] = None,
+    config: own.ConfigOption = None,
+    us: own.UltrasoundOption = None,
+    ecg: own.EcgOption = None,
+    rate: EcgRateOption = None,
+    mr: own.MrOption = None,
+    labels: own.LabelsOption = None,
+    organ: own.OrganOption = None,
+    cavity: own.CavityOption = None,
+    patient: own.PatientOption = None,
+    probe: own.ProbeOption = None,
+    lag_s: own.LagOption = None,
+    latency: own.LatencyOption = None,
+    start: own.StartOption = None,
+    start_landmarks: own.StartLandmarksOption = None,
+    touched: own.TouchedOption = None,
+    fan: own.FanOption = None,
+    probe_name: ProbeNameOption = None,
+    reference_name: ReferenceNameOption = None,
+    us_volume: UsVolumesOption = None,
     fixed: Annotated[Path | None, typer.Option("--fixed", help="3-D ultrasound image.")] = None,
     moving: Annotated[Path | None, typer.Option("--moving", help="3-D MR or CT image.")] = None,
-    init: Annotated[Path | None, typer.Option("--init", help="Start pose, ITK .tfm.")] = None,
     mask: Annotated[Path | None, typer.Option("--mask", help="Mask on the fixed image's grid.")] = None,
     as_json: JsonFlag = False,
     seed: SeedOption = 0,
@@ -32,31 +65,56 @@ def register(
 ) -> None:
     """Register ultrasound to the pre-operative model, and say whether the result may be used.
 
-    A scenario gives mr_from_tracker from its gated, tracked frames; an image pair gives moving_from_fixed.
-    The evidence is written in any case; exits 5, 6 or 7 when the pose must not be used.
+    Tracked frames, of a scenario folder, a SESSION.yaml, or named by options, and gated 3-D volumes give
+    mr_from_tracker; an image pair gives moving_from_fixed. The evidence and a page are written in any case;
+    exits 5, 6 or 7 when the pose must not be used.
+
+        dvf-ig register --us SWEEP.igs.mha --ecg edf:ECG.edf --model heart.npz --mr CINE --probe probe.json
+          --latency lag.json --start-landmarks model.mrk.json patient.mrk.json -o OUT
     """
     with command(threads):
-        from dvf_ig.io import output_folder, refuse_foreign, write_sidecar, write_transforms
+        from dvf_ig.io import output_folder
 
         if out is None:
             raise typer.BadParameter("say where to write: -o OUT")
-        if (scenario is None) == (fixed is None and moving is None):
-            raise typer.BadParameter("give either a scenario folder, or --fixed US and --moving MR")
-        if scenario is None and model is not None:
-            raise typer.BadParameter("--model belongs to a scenario folder; an image pair has no model")
-        name = "mr_from_tracker" if scenario is not None else "moving_from_fixed"
-        transform, evidence = files_of(out, name)
-        with output_folder(transform.parent):
-            refuse_foreign(evidence, kind="registration")
-            refuse_foreign(transform.with_suffix(".json"), kind="transform")
+        own_options = {
+            "--model": model, "--mr": mr, "--labels": labels, "--organ": organ, "--cavity": cavity,
+            "--patient": patient, "--ecg": ecg, "--rate": rate, "--probe": probe, "--lag-s": lag_s,
+            "--latency": latency, "--fan": fan, "--probe-name": probe_name,
+            "--reference-name": reference_name, "--start": start, "--start-landmarks": start_landmarks,
+            "--touched": touched,
+        }  # fmt: skip
+        kind = kind_of(
+            {
+                Kind.scenario: scenario,
+                Kind.config: config,
+                Kind.recordings: us,
+                Kind.volumes: us_volume,
+                Kind.pair: fixed or moving,
+            },
+            own_options | {"--mask": mask},
+        )
+        name = "moving_from_fixed" if kind is Kind.pair else "mr_from_tracker"
+        files = files_of(out, name)
+        with output_folder(files.transform.parent):
+            files.refuse_foreign()
             if scenario is not None:
-                result, start = register_recording(scenario, model, init, seed)
+                registered = register_folder(scenario, model, start, seed)
+            elif kind is Kind.pair:
+                registered = register_images(fixed, moving, start, mask, seed)
+            elif us_volume is not None:
+                registered = register_volume_files(us_volume, own_options, seed)
             else:
-                result, start = register_images(fixed, moving, init, mask, seed)
-            payload = payload_of(result, start, name, seed)
-            for file in write_transforms(result.target_from_source, transform):
-                wrote(file, name)
-            write_sidecar(evidence, payload, "registration")
-        wrote(evidence)
-        emit(payload, rows_of(result, name), as_json=as_json)
-        require_usable(result)
+                registered = register_own(_recordings(config, us, own_options), seed)
+            payload = payload_of(registered.result, registered.start, name, seed)
+            files.write(registered, payload, name)
+        emit(payload, rows_of(registered.result, name), as_json=as_json)
+        require_usable(registered.result)
+
+
+def _recordings(config: Path | None, us: Path | None, options: dict[str, Any]) -> "SessionRecordings":
+    from dvf_ig.io import read_session
+
+    if config is not None:
+        return read_session(config)
+    return own.read_recordings(us, options)

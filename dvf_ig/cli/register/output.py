@@ -1,14 +1,63 @@
 """What `dvf-ig register` writes and prints, and the exit code of a pose that must not be used."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from dvf_ig.core import Rigid
     from dvf_ig.registration import RegistrationResult
+    from dvf_ig.replay.registration_page import RegisteredInput
 
-    Registered = tuple[RegistrationResult, Rigid]
-    """What was found, and the pose it started from."""
+
+class Registered(NamedTuple):
+    """What was found, the pose it started from, and what its page shows of the input."""
+
+    result: "RegistrationResult"
+    start: "Rigid"
+    shown: "RegisteredInput"
+
+
+class OutputFiles(NamedTuple):
+    """Where the transform, its evidence and its page go."""
+
+    transform: Path
+    evidence: Path
+    page: Path
+
+    @property
+    def plus_xml(self) -> Path:
+        """Where a usable mr_from_tracker goes for PLUS, whose format cannot say that one was refused."""
+        return self.transform.with_suffix(".xml")
+
+    def refuse_foreign(self) -> None:
+        """Refuse files of the user's own that stand there, before the work begins."""
+        from dvf_ig.io import refuse_foreign
+
+        refuse_foreign(self.evidence, kind="registration")
+        refuse_foreign(self.transform.with_suffix(".json"), kind="transform")
+        refuse_foreign(self.page, self.plus_xml)
+
+    def write(self, registered: Registered, payload: dict[str, Any], name: str) -> None:
+        """Write all of them or none, and tell the user."""
+        from dvf_ig.cli.shell import wrote
+        from dvf_ig.io import files_together, write_registration, write_sidecar, write_text, write_transforms
+        from dvf_ig.replay.registration_page import registration_page
+
+        result, start, shown = registered
+        pose = result.target_from_source
+        page = registration_page(result, start, shown, self.transform, payload["seed"])
+        transforms = [self.transform, *(self.transform.with_suffix(s) for s in (".h5", ".json"))]
+        every = (*transforms, self.plus_xml, self.evidence, self.page)
+        with files_together(self.transform.parent, tuple(path.name for path in every)) as new:
+            written = [*write_transforms(pose, new / self.transform.name)]
+            if name == "mr_from_tracker" and result.stop.usable:
+                written.append(write_registration(pose, new / self.plus_xml.name))
+            write_sidecar(new / self.evidence.name, payload, "registration")
+            write_text(new / self.page.name, page)
+        for file in written:
+            wrote(self.transform.with_name(file.name), name)
+        wrote(self.evidence)
+        wrote(self.page)
 
 
 def payload_of(result: "RegistrationResult", start: "Rigid", name: str, seed: int) -> dict[str, Any]:
@@ -26,11 +75,11 @@ def payload_of(result: "RegistrationResult", start: "Rigid", name: str, seed: in
     }
 
 
-def files_of(out: Path, name: str) -> tuple[Path, Path]:
-    """Where the transform and its evidence go."""
+def files_of(out: Path, name: str) -> OutputFiles:
+    """The files of a folder, or beside a transform file that the user named."""
     if out.suffix == ".tfm":
-        return out, out.with_name(f"{out.stem}.result.json")
-    return out / f"{name}.tfm", out / "result.json"
+        return OutputFiles(out, out.with_name(f"{out.stem}.result.json"), out.with_suffix(".html"))
+    return OutputFiles(out / f"{name}.tfm", out / "result.json", out / "report.html")
 
 
 def rows_of(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
@@ -59,7 +108,7 @@ def _checks(result: "RegistrationResult") -> list[tuple[str, str]]:
     evidence = result.evidence
     disagreements = (
         ("interleaved halves disagree by", evidence.split_half_mm),
-        ("parts of the cycle disagree by", evidence.phase_mm),
+        ("parts of the cycle disagree by", evidence.phase_mm or None),
         ("half-volumes disagree by", evidence.half_volume_mm),
         ("boundary and LC2 disagree by", evidence.boundary_mm),
     )

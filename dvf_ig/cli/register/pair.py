@@ -1,19 +1,17 @@
 """`dvf-ig register --fixed US --moving MR`: moving_from_fixed from a pair of images."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from dvf_ig.cli.shell import progress
 
-if TYPE_CHECKING:
-    from .output import Registered
+from .output import Registered
 
 
 def register_images(
     fixed: Path | None, moving: Path | None, init: Path | None, mask: Path | None, seed: int
-) -> "Registered":
+) -> Registered:
     from time import perf_counter
 
     import numpy as np
@@ -21,6 +19,7 @@ def register_images(
     from dvf_ig.core import Rigid
     from dvf_ig.io import read_transform, read_volume
     from dvf_ig.registration import register_pair
+    from dvf_ig.replay.registration_inputs import pair_shown
 
     if fixed is None or moving is None:
         raise typer.BadParameter("an image pair needs both --fixed US and --moving MR")
@@ -41,4 +40,5 @@ def register_images(
             mask=allowed,
             progress=report,
         )
-    return result, start
+    about = f"fixed {fixed.name}, moving {moving.name}"
+    return Registered(result, start, pair_shown(result, start, ultrasound, anatomy, about=about))

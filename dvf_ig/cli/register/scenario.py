@@ -1,4 +1,4 @@
-"""`dvf-ig register SCENARIO`: mr_from_tracker from a recording's gated, tracked frames."""
+"""`dvf-ig register` on tracked ultrasound: mr_from_tracker from a recording's gated frames."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,18 +8,38 @@ import typer
 from dvf_ig.cli.patient_model import patient_model
 from dvf_ig.cli.shell import progress
 
+from .output import Registered
+
 if TYPE_CHECKING:
-    from .output import Registered
+    from dvf_ig.core import DvfModel, Rigid, Scenario
+    from dvf_ig.io import SessionRecordings
 
 
-def register_recording(folder: Path, model: Path | None, init: Path | None, seed: int) -> "Registered":
+def register_folder(folder: Path, model: Path | None, start: Path | None, seed: int) -> Registered:
+    """A scenario folder, from its own start unless another is given."""
     from dvf_ig.io import read_scenario, read_transform
-    from dvf_ig.replay import register_scenario
 
-    given = read_transform(init, target="mr", source="tracker") if init is not None else None
+    given = None if start is None else read_transform(start, target="mr", source="tracker")
     recorded = read_scenario(folder)
-    built, origin = patient_model(recorded.preop, model)
+    return _register(recorded, given, *patient_model(recorded.preop, model), seed)
+
+
+def register_own(recordings: "SessionRecordings", seed: int) -> Registered:
+    """A lab's own recordings, from the start that they name."""
+    from dvf_ig.replay import require_registrable
+
+    scenario = recordings.scenario
+    require_registrable(scenario)
+    return _register(scenario, None, *patient_model(scenario.preop, recordings.model), seed)
+
+
+def _register(
+    recorded: "Scenario", start: "Rigid | None", model: "DvfModel", origin: str, seed: int
+) -> Registered:
+    from dvf_ig.replay import register_scenario
+    from dvf_ig.replay.registration_inputs import frames_shown
+
     with progress("register") as report:
-        found = register_scenario(recorded, given, model=built, seed=seed, progress=report)
+        done = register_scenario(recorded, start, model=model, seed=seed, progress=report)
     typer.echo(origin, err=True)
-    return found.result, found.start
+    return Registered(done.result, done.start, frames_shown(done, recorded.name, recorded.preop.mr))

@@ -25,7 +25,7 @@ def blending(
     as_json: JsonFlag = False,
 ) -> None:
     """Blends between phases, against the phantom's exact motion: 5 mm (the paper's) and physiological."""
-    with command(threads):
+    with command(threads, lists_inputs=False):
         from dataclasses import asdict
 
         from data_synth.heart.motion import MotionPreset

@@ -37,7 +37,7 @@ def calibration(
     as_json: JsonFlag = False,
 ) -> None:
     """Bias of a calibration, and how often its 95 % intervals hold the truth."""
-    with command():
+    with command(lists_inputs=False):
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.study.calibration.intervals import calibration_trial, interval_coverage
         from dvf_ig.study.trials import Study, run_trials

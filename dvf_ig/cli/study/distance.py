@@ -27,7 +27,7 @@ def distance_maps(
     as_json: JsonFlag = False,
 ) -> None:
     """Dilation, Euclidean maps, smoothed masks and exact distances, held against the exact one."""
-    with command():
+    with command(lists_inputs=False):
         import numpy as np
 
         from dvf_ig.io import output_folder, write_json

@@ -30,7 +30,7 @@ def gating(
     as_json: JsonFlag = False,
 ) -> None:
     """Se, PPV, timing and phase error on annotated ECGs; phase by rhythm, tuning records apart."""
-    with command():
+    with command(lists_inputs=False):
         from dvf_ig.io import output_folder, plain, write_json
         from dvf_ig.study.gating.summary import summarise_study
 

@@ -67,6 +67,10 @@ def _capture(
     baseline: Annotated[
         bool, typer.Option("--baseline", help="SimpleITK's Mattes MI from 3 and 8 mm as well.")
     ] = False,
+    keep: Annotated[
+        Path | None,
+        typer.Option("--keep-pairs", help="Also write each pair here, as files for `register --us-volume`."),
+    ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     seed: FirstSeedOption = 1,
@@ -75,6 +79,20 @@ def _capture(
     qualities = tuple(q.value for q in quality or [Quality.calm])
     options = CaptureOptions(qualities, per_bin, to_mm, baseline)
     _study(CAPTURE, options, out, seeds, workers, scheduler, seed, as_json)
+    if keep is not None:
+        _keep(options, keep, seeds, seed)
+
+
+def _keep(options: CaptureOptions, folder: Path, seeds: int, seed: int) -> None:
+    with command():
+        from dvf_ig.study.registration.experiments import settings_of, trial_numbers
+        from dvf_ig.study.registration.pair_files import keep_pairs
+
+        settings = settings_of(CAPTURE, options)
+        with progress("pairs") as report:
+            written = keep_pairs(settings, trial_numbers(settings, seed, seeds), folder, report)
+        for place in written:
+            wrote(place)
 
 
 def _study(
@@ -87,7 +105,7 @@ def _study(
     seed: int,
     as_json: bool,
 ) -> None:
-    with command():
+    with command(lists_inputs=False):
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.study.registration.experiments import settings_of, trial_numbers, trials_per_heart
         from dvf_ig.study.registration.page import NEAR_MM, write_capture_page

@@ -32,7 +32,7 @@ def replay(
     hazard_s is the time in which a force was given on a pose more than 5 mm off; the table shows the largest
     over the seeds.
     """
-    with command():
+    with command(lists_inputs=False):
         from dataclasses import asdict
 
         from data_synth.scenario.presets import PRESETS, ScenarioSpec, preset_name

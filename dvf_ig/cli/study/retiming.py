@@ -20,7 +20,7 @@ def retiming(
     as_json: JsonFlag = False,
 ) -> None:
     """Model phase error in mm at the moving surface, 45 to 120 beats/min, for each way of retiming."""
-    with command():
+    with command(lists_inputs=False):
         from dataclasses import asdict
 
         from data_synth.heart.anatomy import RR_S

@@ -38,7 +38,7 @@ def tracking(
     as_json: JsonFlag = False,
 ) -> None:
     """Distance of a held stylus to the true surface, by device and blend, with and without feed-forward."""
-    with command():
+    with command(lists_inputs=False):
         from dvf_ig.guidance import DEVICES
         from dvf_ig.guidance.blend import BLEND_CODES
         from dvf_ig.io import output_folder, write_json

@@ -21,7 +21,7 @@ def training(
     as_json: JsonFlag = False,
 ) -> None:
     """Convergence and time of three ways to fit a phantom heart's distances, by degree of the splines."""
-    with command():
+    with command(lists_inputs=False):
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
         from dvf_ig.report.study.training import training_png

@@ -173,7 +173,9 @@ def _present_surfaces(folder: Path) -> list[str]:
 
 def _facts(made: "Scenario", out: Path, path: "ReplayedPath | None") -> dict[str, Any]:
     """What was made, as JSON."""
-    truth = made.truth
+    from dvf_ig.core import Signal
+
+    truth, ecg = made.truth, made.ecg
     facts: dict[str, Any] = {
         "scenario": str(out),
         "name": made.name,
@@ -181,7 +183,7 @@ def _facts(made: "Scenario", out: Path, path: "ReplayedPath | None") -> dict[str
         "patient_id": made.preop.patient_id,
         "seed": made.seed,
         "us_frames": len(made.ultrasound),
-        "ecg_seconds": len(made.ecg) / made.ecg.rate_hz,
+        "ecg_seconds": len(ecg) / ecg.rate_hz if isinstance(ecg, Signal) else float(ecg.t_s[-1]),
         "preop_phases": len((made.preop.mr or made.preop.surfaces[0]).timing),
     }
     if truth is not None:
@@ -201,7 +203,7 @@ def _rows(made: "Scenario", path: "ReplayedPath | None") -> list[tuple[str, str]
         ("scenario", made.name),
         ("patient", made.preop.patient_id),
         ("pre-operative phases", str(facts["preop_phases"])),
-        ("ECG", f"{facts['ecg_seconds']:.1f} s at {made.ecg.rate_hz:g} Hz"),
+        ("ECG", f"{facts['ecg_seconds']:.1f} s"),
         ("ultrasound", f"{facts['us_frames']} frames"),
     ]
     if made.truth is not None:

@@ -8,6 +8,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.io.yaml_config import read_yaml
 
 if TYPE_CHECKING:
     from data_synth import Preset, ScenarioSpec
@@ -52,12 +53,7 @@ def read_spec(path: Path) -> SpecFile:
     Raises:
         UnreadableFileError: absent, not YAML, unknown keys, or a value of the wrong kind.
     """
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as exc:
-        raise UnreadableFileError(f"cannot read {path}: {exc}") from exc
-    except yaml.YAMLError as exc:
-        raise UnreadableFileError(f"{path} is not YAML: {' '.join(str(exc).split())}") from exc
+    document = read_yaml(path, "a scenario's specification")
     if not isinstance(document, dict):
         raise UnreadableFileError(f"{path} is not a scenario's specification; needed keys and values")
     try:

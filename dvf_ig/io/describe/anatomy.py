@@ -114,6 +114,7 @@ def model_facts(path: Path) -> Facts:
         "knot_spacing_mm": model.knot_spacing_mm,
         "lower_mm": model.origin_mm.tolist(),
         "upper_mm": model.upper_mm.tolist(),
+        "chambers": [chamber.name for chamber in model.chambers],
         "megabytes": model.megabytes,
         "capped_share": float(np.concatenate(model.reference_caps).mean()),
         "sources": list(model.sources),

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.image_map import ImageMap
 from dvf_ig.core.phantom import NWireRecording
 from dvf_ig.core.scenario import LatencyRecording, Scenario
+from dvf_ig.core.signal import Signal
 from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.trigger import TriggerTimes
 from dvf_ig.io.ecg.recording import names_ecg, read_ecg
 from dvf_ig.io.mesh.file import DECODERS
 from dvf_ig.io.mesh.series import surface_names
@@ -34,7 +33,7 @@ from .anatomy import (
     tag_facts,
     transform_facts,
 )
-from .sequence import clock_facts, sequence_facts, sequence_file_facts, stream_facts
+from .sequence import clock_facts, sequence_facts, sequence_file_facts, signal_facts, stream_facts
 
 Facts = dict[str, Any]
 Reader = Callable[[Path], Facts]
@@ -52,7 +51,7 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
     """Tell what a file is by its name and content, read it, and summarise it.
 
     Args:
-        spec: a path, or an ECG as `wfdb:PATH`, `edf:PATH`, `csv:PATH`.
+        spec: a path, or an ECG as `wfdb:PATH`, `edf:PATH`, `csv:PATH`, `plus:PATH`.
         rate_hz: sampling rate of an ECG table without times.
         names: of the probe and its reference in a tracked sequence, whose joined pose is then told, too.
     Raises:
@@ -64,7 +63,7 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
             raise InvalidInputError(
                 f"names of probe and reference belong to a tracked sequence; '{spec}' is an ECG"
             )
-        return Description("ECG", _ecg_facts(spec, rate_hz))
+        return Description("ECG", signal_facts(read_ecg(spec, rate_hz)))
     if rate_hz is not None:
         raise InvalidInputError(f"a sampling rate belongs to an ECG as a text table; '{spec}' is none")
     path = Path(spec)
@@ -112,33 +111,13 @@ def _file_kind(path: Path) -> tuple[str, Reader]:
     raise UnreadableFileError(
         f"{path} is of no kind known here; known are tracked sequences (.igs.mha, .igs.nrrd), images "
         "(.nii.gz, .nrrd, .mha), meshes (.obj, .stl, .ply, .vtp), models (.npz), transforms (.tfm), "
-        "landmarks (.mrk.json, .fcsv, .tag), PLUS .xml, ECG (wfdb:, edf:, csv:) and scenario folders"
+        "landmarks (.mrk.json, .fcsv, .tag), PLUS .xml, ECG (wfdb:, edf:, csv:, plus:) and scenario folders"
     )
 
 
 def _pose_facts(path: Path) -> Facts:
     stream = read_poses(path)
     return {"transform": stream.name, **stream_facts(stream)}
-
-
-def _ecg_facts(spec: str, rate_hz: float | None) -> Facts:
-    signal = read_ecg(spec, rate_hz)
-    return {
-        "leads": list(signal.leads),
-        "unit": signal.unit,
-        "rate_hz": signal.rate_hz,
-        "samples": len(signal),
-        "start_s": signal.start_s,
-        "duration_s": len(signal) / signal.rate_hz,
-        "missing_share": float(np.isnan(signal.samples).mean()),
-        "peak_to_peak": [_peak_to_peak(lead) for lead in signal.samples.T],
-    }
-
-
-def _peak_to_peak(lead: FloatArray) -> float | None:
-    """Range of the delivered samples, or None where there are none."""
-    delivered = lead[np.isfinite(lead)]
-    return float(np.ptp(delivered)) if len(delivered) else None
 
 
 def _xml_facts(path: Path) -> Facts:
@@ -171,6 +150,17 @@ def _image_map_facts(entry: CoordinateDefinition) -> Facts:
     return {"mm_per_px": placed.scale_mm_per_px.tolist(), "shear_deg": placed.shear_deg}
 
 
+def _beat_source_facts(source: Signal | TriggerTimes) -> Facts:
+    if isinstance(source, TriggerTimes):
+        return {"pulses": len(source), "start_s": source.start_s, "delay_s": source.delay_s}
+    return {
+        "leads": list(source.leads),
+        "rate_hz": source.rate_hz,
+        "start_s": source.start_s,
+        "duration_s": len(source) / source.rate_hz,
+    }
+
+
 def _scenario_facts(path: Path) -> Facts:
     scenario = read_scenario(path)
     preop = scenario.preop
@@ -182,12 +172,7 @@ def _scenario_facts(path: Path) -> Facts:
         "patient_id": preop.patient_id,
         "preop_images": [[*s.values.shape[1:], len(s.timing)] for s in series],
         "preop_surfaces": [s.name for s in preop.surfaces],
-        "ecg": {
-            "leads": list(scenario.ecg.leads),
-            "rate_hz": scenario.ecg.rate_hz,
-            "start_s": scenario.ecg.start_s,
-            "duration_s": len(scenario.ecg) / scenario.ecg.rate_hz,
-        },
+        "ecg": _beat_source_facts(scenario.ecg),
         "ultrasound": sequence_facts(scenario.ultrasound),
         **_calibration_facts(scenario),
         "start": scenario.start is not None,

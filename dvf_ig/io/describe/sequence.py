@@ -6,9 +6,13 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
+from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.sequence import TrackedSequence
+from dvf_ig.core.signal import Signal
 from dvf_ig.core.stream import MAX_GAP_S, PoseStream
+from dvf_ig.io.plus.ecg_field import ecg_fields, ecg_of_sequence
 from dvf_ig.io.plus.names import split_transform
+from dvf_ig.io.plus.numeric_fields import numeric_fields
 from dvf_ig.io.plus.raw_sequence import RawSequence, read_raw_sequence
 from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES, clock_restart, indexed_sequence, read_sequence
 
@@ -32,7 +36,38 @@ def sequence_file_facts(path: Path) -> Facts:
         **_stamp_facts(raw),
         "image_maps": [f"{target}_from_{source}" for target, source in _image_maps(raw)],
         "frame_tree": frame_tree([*_edges(sequence), *_image_maps(raw)]),
+        "numeric_fields": list(numeric_fields(raw)),
+        "ecg": {name: _ecg_facts(path, raw, name) for name in ecg_fields(raw)},
     }
+
+
+def _ecg_facts(path: Path, raw: RawSequence, field: str) -> Facts:
+    """The ECG in a field, or why it cannot be used."""
+    try:
+        signal = ecg_of_sequence(path, raw, field)
+    except UnreadableFileError as exc:
+        return {"problem": str(exc)}
+    return signal_facts(signal)
+
+
+def signal_facts(signal: Signal) -> Facts:
+    """Leads, rate, length and missing samples of an ECG."""
+    return {
+        "leads": list(signal.leads),
+        "unit": signal.unit,
+        "rate_hz": signal.rate_hz,
+        "samples": len(signal),
+        "start_s": signal.start_s,
+        "duration_s": len(signal) / signal.rate_hz,
+        "missing_share": float(np.isnan(signal.samples).mean()),
+        "peak_to_peak": [_peak_to_peak(lead) for lead in signal.samples.T],
+    }
+
+
+def _peak_to_peak(lead: FloatArray) -> float | None:
+    """Range of the delivered samples, or None where there are none."""
+    delivered = lead[np.isfinite(lead)]
+    return float(np.ptp(delivered)) if len(delivered) else None
 
 
 def sequence_facts(sequence: TrackedSequence) -> Facts:

@@ -53,7 +53,8 @@ def read_annotations(spec: str) -> BeatAnnotations:
         raise UnreadableFileError(f"'{spec}' has no beat annotations; give a WFDB record as wfdb:RECORD")
     wfdb = wfdb_package()
     record = existing_record(path)
-    read_bytes(Path(f"{record}.atr"), "beat annotations")
+    for ending in (".atr", ".hea"):
+        read_bytes(Path(f"{record}{ending}"), "beat annotations")
     try:
         with quiet():
             rate_hz = float(wfdb.rdheader(str(record.resolve())).fs)

@@ -16,6 +16,11 @@ def even_rate_hz(path: Path, t_s: FloatArray) -> float:
     """
     steps = np.diff(t_s)
     step = float(np.median(steps))
+    if step == 0:
+        raise UnreadableFileError(
+            f"{path}: most times repeat; they are written too coarsely, leave their column "
+            "out and give the sampling rate in Hz (--rate)"
+        )
     uneven = ~(np.abs(steps - step) <= 0.5 * step)
     drift = np.abs(t_s - np.linspace(t_s[0], t_s[-1], len(t_s)))
     if uneven.any() or not (drift <= 2 * step).all():

@@ -1,4 +1,4 @@
-"""Read and write ECG recordings, named by `wfdb:PATH`, `edf:PATH`, `csv:PATH`, or by the ending of a path."""
+"""Read and write ECG recordings, named by `wfdb:`, `edf:`, `csv:` or `plus:PATH`, or by a path's ending."""
 
 import re
 from pathlib import Path
@@ -8,12 +8,13 @@ import numpy as np
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.signal import Signal
 from dvf_ig.io.atomic import write_text
+from dvf_ig.io.plus.ecg_field import read_ecg_field
 from dvf_ig.io.reading import reading
 
 from .text_table import read_ecg_table
 from .wfdb_edf import read_edf, read_wfdb
 
-KINDS = ("wfdb", "edf", "csv")
+KINDS = ("wfdb", "edf", "csv", "plus")
 _KIND_OF_ENDING = {
     ".hea": "wfdb",
     ".dat": "wfdb",
@@ -22,17 +23,20 @@ _KIND_OF_ENDING = {
     ".csv": "csv",
     ".tsv": "csv",
 }
+_SEQUENCE_ENDINGS = (".mha", ".mhd", ".nrrd", ".nhdr")
 
 
 def read_ecg(spec: str, rate_hz: float | None = None) -> Signal:
     """Read a recording.
 
     Args:
-        spec: `wfdb:PATH` (record, with or without suffix), `edf:PATH`, `csv:PATH` (see `read_ecg_table`), or
-            the path alone where its ending (.hea, .dat, .edf, .csv, .tsv) says which.
+        spec: `wfdb:PATH` (record, with or without suffix), `edf:PATH`, `csv:PATH` (see `read_ecg_table`),
+            `plus:PATH` or `plus:PATH#FIELD` (a tracked sequence with an ECG in it: `read_ecg_field`), or the
+            path alone where its ending (.hea, .dat, .edf, .csv, .tsv, .mha, .nrrd) says which.
         rate_hz: sampling rate of a text table without times.
     Returns:
-        all leads; NaN where the recorder delivered no sample; WFDB and EDF start at 0 s.
+        all leads; NaN where the recorder delivered no sample; WFDB and EDF start at 0 s, a sequence's ECG
+        on the sequence's clock.
     Raises:
         InvalidInputError: `spec` names no known format, or a rate goes with a file that states its own.
         UnreadableFileError: absent, damaged, or unevenly sampled.
@@ -44,25 +48,42 @@ def read_ecg(spec: str, rate_hz: float | None = None) -> Signal:
     with reading(path, f"an ECG ({kind})"):
         if kind == "wfdb":
             return read_wfdb(path)
+        if kind == "plus":
+            return read_ecg_field(path, _field(spec))
         return read_edf(path) if kind == "edf" else read_ecg_table(path, rate_hz)
 
 
 def split_spec(spec: str) -> tuple[str, Path]:
-    """`wfdb:PATH` → ("wfdb", PATH); `100.dat` → ("wfdb", 100.dat).
+    """`wfdb:PATH` → ("wfdb", PATH); `100.dat` → ("wfdb", 100.dat); `plus:PATH#FIELD` → ("plus", PATH).
 
     Raises:
         InvalidInputError: an unknown prefix, or neither a prefix nor an ending that says the format.
     """
     kind, colon, path = str(spec).partition(":")
+    if kind == "plus" and path:
+        return kind, Path(_without_field(path))
     if colon and kind in KINDS and path:
         return kind, Path(path)
+    if _without_field(spec).lower().endswith(_SEQUENCE_ENDINGS):
+        return "plus", Path(_without_field(spec))
     by_ending = _kind_by_name(spec)
     if by_ending is None:
         raise InvalidInputError(
-            f"'{spec}' names no ECG; write wfdb:RECORD, edf:FILE or csv:FILE (an ending .hea, .dat, .edf or "
-            ".csv says it too)"
+            f"'{spec}' names no ECG; write wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE (an ending "
+            ".hea, .dat, .edf, .csv or .igs.mha says it too)"
         )
     return by_ending, Path(spec)
+
+
+def _without_field(path: str) -> str:
+    """ "sweep.igs.mha#EcgData" → "sweep.igs.mha"; a file's own name may hold a # as well."""
+    return path.rpartition("#")[0] if "#" in path and not Path(path).exists() else path
+
+
+def _field(spec: str) -> str | None:
+    """ "plus:sweep.igs.mha#EcgData" → "EcgData"; None where no field is named."""
+    path = spec.removeprefix("plus:")
+    return path[len(_without_field(path)) + 1 :] or None
 
 
 def _kind_by_name(path: str) -> str | None:
@@ -72,7 +93,7 @@ def _kind_by_name(path: str) -> str | None:
 
 
 def names_ecg(spec: str) -> bool:
-    """Whether a path is an ECG's by its prefix or its ending."""
+    """Whether a path is an ECG's by its prefix or its ending; a sequence, which may hold one, is not."""
     return spec.partition(":")[0] in KINDS or _kind_by_name(spec) is not None
 
 

@@ -1,4 +1,4 @@
-"""ECG as a text table: one row a sample; commas, semicolons or tabs; with or without a header and times."""
+"""ECG as a text table: one row a sample; commas, semicolons, tabs or blanks; perhaps a header and times."""
 
 import logging
 import re
@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.signal import Signal
 from dvf_ig.io.reading import read_text
 
+from .clock_times import clock_seconds, past_midnight
 from .even_rate import even_rate_hz
 
 log = logging.getLogger(__name__)
@@ -22,44 +23,52 @@ _COUNT_NAMES = {"sample", "samples", "sample #", "index", "sample index", "sampl
 _IN_ONE_SECOND = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "μs": 1e6, "ns": 1e9}
 _LONGEST_STEP_S = 0.05
 """Slower than 20 Hz is no ECG; with steps of 0.05 ms and more (20 kHz), no two time units fit one step."""
+_SHORTEST_STEP_S = 2e-5
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Table:
-    """Names of the columns (None without a header) and (n, columns) values; NaN where a cell is empty."""
+    """Names of the columns (None without a header) and (n, columns) values; NaN where a cell is empty.
+
+    `clock` is the column that held times of day or elapsed times, now in s.
+    """
 
     names: tuple[str, ...] | None
     values: FloatArray
+    clock: int | None
 
 
 def read_ecg_table(path: Path, rate_hz: float | None = None) -> Signal:
     """Read an ECG from a text table, one row a sample.
 
-    Cells are separated by commas, semicolons or tabs; with semicolons, tabs or one column alone a comma may
-    be the decimal mark. A header names the columns, `t_s,II,V1` or `Timestamp;ECG (mV)`. Times stand in a
-    column named t, time or timestamp, or in a first column that always increases; a unit in its name counts
-    (`t_ms`, `time [ms]`), else the unit is the one of s, ms, µs and ns that gives 20 Hz or more. Leads are in
-    mV unless their names say otherwise.
+    Cells are separated by commas, semicolons, tabs or blanks; with semicolons, tabs or one column alone a
+    comma may be the decimal mark. A header names the columns, `t_s,II,V1` or `Timestamp;ECG (mV)`; a second
+    row may hold their units, as rdsamp of PhysioNet writes them. Times stand in a column named t, time or
+    timestamp, or in a first column that always increases; a unit in its name counts (`t_ms`, `time [ms]`),
+    else the unit is the one of s, ms, µs and ns that gives 20 Hz or more. Times of day and elapsed times
+    (13:59:50.004, 0:02.778) are taken as seconds since midnight or the beginning. Leads are in mV unless
+    their names say otherwise.
 
     Args:
         path: the file.
         rate_hz: sampling rate of a table without times; sample 0 is then at 0 s.
     Raises:
-        UnreadableFileError: absent, no table of numbers, unevenly sampled, or times of another rate.
-        InvalidInputError: neither times nor a rate.
+        UnreadableFileError: absent, no table of numbers, neither times nor a rate, unevenly sampled, or times
+            of another rate or unit.
     """
     table = _parse(path, read_text(path, "an ECG table"))
     names = table.names or tuple(f"column {i + 1}" for i in range(table.values.shape[1]))
     at, counts = _time_column(table), _count_column(table)
-    leads = [i for i in range(len(names)) if i not in (at, counts)]
+    empty = [i for i, name in enumerate(names) if not name and np.isnan(table.values[:, i]).all()]
+    leads = [i for i in range(len(names)) if i not in (at, counts, *empty)]
     if not leads:
         raise UnreadableFileError(f"{path} has no column of an ECG, only {', '.join(names)[:60]}")
     labels, unit = _leads_and_unit(path, [names[i] for i in leads])
     samples = table.values[:, leads]
     if at is None:
         if rate_hz is None:
-            raise InvalidInputError(
+            raise UnreadableFileError(
                 f"{path} has no column of times (named t_s, time or timestamp) among "
                 f"{', '.join(names)[:60]}; give its sampling rate in Hz (--rate)"
             )
@@ -75,15 +84,20 @@ def read_ecg_table(path: Path, rate_hz: float | None = None) -> Signal:
 
 def _parse(path: Path, text: str) -> _Table:
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if lines and not any(mark in line for line in lines[:2] for mark in ";\t,") and " " in lines[-1].strip():
+        lines = [",".join(line.split()) for line in lines]
     separator = next((mark for mark in ";\t" if any(mark in line for line in lines[:2])), ",")
     header = _cells(lines[0], separator) if lines else []
     has_header = not all(_is_number(cell, separator) for cell in header)
     rows = lines[1:] if has_header else lines
+    if has_header and rows:
+        header, rows = _with_units(header, rows, separator)
     if separator == "," and _decimal_commas(header if has_header else None, rows):
         separator = ";"  # one column, whose commas are decimal marks
         header = _cells(lines[0], separator)
     if separator != ",":
         rows = [row.replace(",", ".") for row in rows]
+    rows, clock = _without_clock(rows, separator)
     empty = re.compile(rf"(?<={separator})[ ]*(?={separator}|$)|^[ ]*(?={separator})")
     rows = [empty.sub("nan", row).replace('"', "") for row in rows]
     if len(rows) < 2:
@@ -94,7 +108,30 @@ def _parse(path: Path, text: str) -> _Table:
         raise UnreadableFileError(f"{path}: {str(exc).split(';')[0]}; needed numbers only") from exc
     if values.shape[1] != len(header):
         raise UnreadableFileError(f"{path}: {values.shape[1]} columns under {len(header)} names")
-    return _Table(tuple(header) if has_header else None, values)
+    return _Table(tuple(header) if has_header else None, values, clock)
+
+
+def _with_units(header: list[str], rows: list[str], separator: str) -> tuple[list[str], list[str]]:
+    """The names with the units that a second row gives, and the rows after it."""
+    units = _cells(rows[0], separator)
+    if len(units) != len(header) or any(_is_number(cell, separator) for cell in units):
+        return header, rows
+    plain = [unit if unit.lower() in (*_IN_ONE_SECOND, "mv", "uv", "µv", "v") else "" for unit in units]
+    return [f"{name} [{unit}]" if unit else name for name, unit in zip(header, plain, strict=True)], rows[1:]
+
+
+def _without_clock(rows: list[str], separator: str) -> tuple[list[str], int | None]:
+    """The rows with times of day as seconds, and the column in which they stood."""
+    first = [clock_seconds(cell) for cell in _cells(rows[0], separator)] if rows else []
+    at = next((i for i, seconds in enumerate(first) if seconds is not None), None)
+    if at is None:
+        return rows, None
+    split = [_cells(row, separator) for row in rows]
+    for cells in split:
+        seconds = clock_seconds(cells[at]) if len(cells) > at else None
+        if seconds is not None:
+            cells[at] = repr(seconds)
+    return [separator.join(cells) for cells in split], at
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -105,7 +142,7 @@ def _is_number(cell: str, separator: str) -> bool:
     try:
         float(cell.replace(",", ".") if separator != "," else cell or "nan")
     except ValueError:
-        return cell == ""
+        return cell == "" or clock_seconds(cell) is not None
     return True
 
 
@@ -119,7 +156,10 @@ def _decimal_commas(header: list[str] | None, rows: list[str]) -> bool:
 
 
 def _time_column(table: _Table) -> int | None:
-    """The column named as a time; else the first of several, where it always increases and does not count."""
+    """The column of times of day or named as a time; else the first of several, where it always increases and
+    does not count."""
+    if table.clock is not None:
+        return table.clock
     for i, name in enumerate(table.names or ()):
         if _name_and_unit(name)[0].lower() in _TIME_NAMES or name.lower() in _IN_ONE_SECOND:
             return i
@@ -148,10 +188,18 @@ def _name_and_unit(name: str) -> tuple[str, str | None]:
 def _seconds(path: Path, table: _Table, at: int) -> FloatArray:
     """The times in s, by the unit that the column's name states, else by the one that its steps fit."""
     times, name = table.values[:, at], table.names[at] if table.names else ""
+    if at == table.clock:
+        return past_midnight(times)
     stated = (_name_and_unit(name)[1] or name).lower()
-    if stated in _IN_ONE_SECOND:
-        return times / _IN_ONE_SECOND[stated]
     step = float(np.median(np.diff(times)))
+    if stated in _IN_ONE_SECOND:
+        step_s = step / _IN_ONE_SECOND[stated]
+        if step_s > _LONGEST_STEP_S or 0 < step_s < _SHORTEST_STEP_S:
+            raise UnreadableFileError(
+                f"{path}: its times step by {step:g} {stated}, as '{name}' says; no ECG is sampled at "
+                f"{1 / step_s:.3g} Hz: name the unit that it is"
+            )
+        return times / _IN_ONE_SECOND[stated]
     for unit in ("s", "ms", "us", "ns"):
         if step / _IN_ONE_SECOND[unit] <= _LONGEST_STEP_S:
             if unit != "s":

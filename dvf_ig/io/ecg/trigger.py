@@ -1,35 +1,81 @@
-"""Read trigger pulses: one column of times in seconds, with or without a header."""
+"""Read and write trigger pulses: one column of times in seconds, with or without a header."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.io.reading import read_text
+from dvf_ig.core.signal import Signal
+from dvf_ig.core.trigger import TriggerTimes
+from dvf_ig.io.atomic import write_text
+from dvf_ig.io.reading import read_text, reading
+
+from .recording import read_ecg
+
+TRIGGER_PREFIX = "trigger:"
+_DELAY = re.compile(r"#\s*delay_s\s+(\S+)")
 
 
-def read_triggers(path: Path | str) -> FloatArray:
+def read_beat_source(
+    spec: str, *, rate_hz: float | None = None, delay_s: float | None = None
+) -> Signal | TriggerTimes:
+    """An ECG (`read_ecg`), or with `trigger:PATH` the pulses of a trigger (`read_triggers`).
+
+    Args:
+        spec: names it.
+        rate_hz: sampling rate of an ECG table without times.
+        delay_s: of a trigger.
+    Raises:
+        UnreadableFileError, InvalidInputError, MissingDependencyError: as these, or an argument of the other.
+    """
+    if spec.startswith(TRIGGER_PREFIX):
+        if rate_hz is not None:
+            raise UnreadableFileError(f"a rate belongs to an ECG table; '{spec}' holds the times of pulses")
+        return read_triggers(spec.removeprefix(TRIGGER_PREFIX), delay_s)
+    if delay_s is not None:
+        raise UnreadableFileError(
+            f"a delay belongs to trigger:FILE; '{spec}' is an ECG, whose R peaks are found"
+        )
+    return read_ecg(spec, rate_hz)
+
+
+def read_triggers(path: Path | str, delay_s: float | None = None) -> TriggerTimes:
     """Times of trigger pulses.
 
     Args:
-        path: text file, one time (s) a line; the first line may be a header.
-    Returns:
-        (n,) s, in the file's order.
+        path: text file, one time (s) a line; the first line may be a header, and a line `# delay_s 0.03` says
+            how long after the R peak the device fires.
+        delay_s: the same, in place of what the file says.
     Raises:
-        UnreadableFileError: absent, empty, or a line that is not one number.
+        UnreadableFileError: absent, empty, a line that is not one number, or times out of order.
     """
     path = Path(path)
     lines = [line.strip().rstrip(",") for line in read_text(path, "a list of trigger times").splitlines()]
-    rows = [(number, line) for number, line in enumerate(lines, 1) if line]
+    stated = [match[1] for line in lines if (match := _DELAY.fullmatch(line))]
+    rows = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
     if rows and not _is_number(rows[0][1]):
         rows = rows[1:]
     if not rows:
         raise UnreadableFileError(f"{path} holds no trigger time; needed one time in seconds a line")
-    for number, line in rows:
-        if not _is_number(line):
-            raise UnreadableFileError(f"{path}, line {number}: '{line[:40]}' is not one time in seconds")
-    return np.array([float(line) for _, line in rows])
+    bad = [row for row in rows if not _is_number(row[1])]
+    if bad or not all(_is_number(text) for text in stated):
+        number, line = bad[0] if bad else (1 + lines.index(f"# delay_s {stated[0]}"), stated[0])
+        raise UnreadableFileError(f"{path}, line {number}: '{line[:40]}' is not one time in seconds")
+    if delay_s is None:
+        delay_s = float(stated[0]) if stated else 0.0
+    with reading(path, "a list of trigger times"):
+        return TriggerTimes(np.array([float(line) for _, line in rows]), delay_s)
+
+
+def write_triggers(trigger: TriggerTimes, path: Path | str) -> None:
+    """Write a trigger as `read_triggers` reads it, every digit kept.
+
+    Raises:
+        OutputError: not writable.
+    """
+    lines = [f"# delay_s {trigger.delay_s!r}", "t_s", *map(repr, trigger.t_s.tolist())]
+    write_text(Path(path), "\n".join(lines) + "\n")
 
 
 def _is_number(text: str) -> bool:

@@ -4,19 +4,26 @@ import importlib
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from decimal import Decimal
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError
 from dvf_ig.core.signal import Signal
+from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import refuse_lfs_pointer
+
+from .record_files import record_files
 
 DAMAGE = (ValueError, LookupError, TypeError, ArithmeticError, OSError)
 """What these packages raise on damaged files."""
 
+MOST_DECIMALS = 8
+"""A step of an EDF lead with more than these is no round number."""
 _TO_MV = {"mv": 1.0, "uv": 1e-3, "µv": 1e-3, "μv": 1e-3, "v": 1e3}
 
 
@@ -32,6 +39,8 @@ def read_wfdb(record: Path) -> Signal:
     try:
         with quiet():
             data = wfdb.rdrecord(str(record.resolve()))
+        for file in record_files(record):
+            record_file(file)
     except DAMAGE as exc:
         raise UnreadableFileError(f"{record}: not a readable WFDB record ({exc}); copy it again") from exc
     if data.p_signal is None:
@@ -54,7 +63,7 @@ def read_edf(path: Path) -> Signal:
         labelled = [s for s in edf.signals if "ecg" in s.label.lower()]
         chosen = labelled or list(edf.signals)
         rates = {float(s.sampling_frequency) for s in chosen}
-        columns = [np.asarray(s.data, dtype=np.float64) for s in chosen]
+        columns = [_physical(s) for s in chosen]
     except FileNotFoundError:
         raise
     except DAMAGE as exc:
@@ -64,6 +73,29 @@ def read_edf(path: Path) -> Signal:
         raise UnreadableFileError(f"{path}: leads do not share one rate ({listed}); export the ECG alone")
     units = [s.physical_dimension for s in chosen]
     return _signal(path, np.column_stack(columns), units, [s.label for s in chosen], rates.pop())
+
+
+def _physical(lead: Any) -> FloatArray:
+    """(n,) values in the lead's unit: whole numbers of the step that its header's ranges give.
+
+    A step of few decimals, such as 0.0025 mV, is taken as these, not as the quotient of the ranges, and its
+    multiples are the decimals that they are: what was digitised in such steps comes back bit for bit.
+    """
+    low, high = lead.physical_min, lead.physical_max
+    if low == high:
+        raise ValueError(f"{lead.label} has the same physical minimum and maximum")
+    step = (high - low) / (lead.digital_max - lead.digital_min)
+    counts = lead.digital.astype(np.float64) - lead.digital_max
+    plain = f"{step:.12g}"
+    decimals = max(_decimals(plain), _decimals(repr(high)))
+    if decimals > MOST_DECIMALS or abs(float(plain) - step) > 1e-13 * abs(step):
+        return np.asarray(high + counts * step)
+    return np.asarray(np.round(high + counts * float(plain), decimals))
+
+
+def _decimals(number: str) -> int:
+    """Digits after the decimal point."""
+    return -int(Decimal(number).as_tuple().exponent)
 
 
 def existing_record(record: Path) -> Path:

@@ -8,7 +8,7 @@ from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.volume import Grid, Volume, VolumeSeries
 
-from .segments import merged_segments, read_segments
+from .segments import merged_segments, read_segments, segment_values
 from .volume import image_dimension, read_array
 
 PLACE_TOLERANCE_MM = 0.05
@@ -34,12 +34,7 @@ def read_cine_labels(
     phases = len(image.timing)
     if not 0 <= ed_phase < phases:
         raise InvalidInputError(f"end-diastole is phase {ed_phase}; the image has phases 0 to {phases - 1}")
-    dimension = image_dimension(path)
-    grid, values = read_array(path, image.grid.frame, dimension)
-    layers = values[None] if dimension == 3 else values
-    segments = read_segments(path)
-    if segments:
-        layers = merged_segments(path, layers, segments)[None]
+    grid, layers = _read(path, image.grid.frame)
     if len(layers) not in (1, phases):
         raise InvalidInputError(
             f"{path} has labels of {len(layers)} phases, the image has {phases}; needed those of "
@@ -49,6 +44,34 @@ def read_cine_labels(
     if len(placed) == 1:
         return Volume(image.grid, placed[0]), None
     return Volume(image.grid, placed[ed_phase]), VolumeSeries(image.grid, placed, image.timing)
+
+
+def read_labels(path: Path | str, frame: str = "mr") -> tuple[Volume, ...]:
+    """A label image: one volume of a 3-D image or a segmentation of 3D Slicer, one a phase of a 4-D image.
+
+    Raises:
+        UnreadableFileError: not a readable image.
+        InvalidInputError: segments that overlap.
+    """
+    grid, layers = _read(Path(path), frame)
+    return tuple(Volume(grid, values) for values in layers)
+
+
+def read_label_names(path: Path | str) -> tuple[tuple[int, str], ...]:
+    """Label and name of each segment of a segmentation of 3D Slicer; none of any other readable image."""
+    path = Path(path)
+    image_dimension(path)
+    segments = read_segments(path)
+    return tuple(zip(segment_values(segments), (s.name for s in segments), strict=True))
+
+
+def _read(path: Path, frame: str) -> tuple[Grid, AnyArray]:
+    """Grid and (phases, x, y, z) labels."""
+    dimension = image_dimension(path)
+    grid, values = read_array(path, frame, dimension)
+    layers = values[None] if dimension == 3 else values
+    segments = read_segments(path)
+    return grid, merged_segments(path, layers, segments)[None] if segments else layers
 
 
 def _on_grid(path: Path, labels: Grid, values: AnyArray, image: Grid) -> AnyArray:

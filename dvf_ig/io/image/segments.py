@@ -51,6 +51,12 @@ def read_segments(path: Path) -> tuple[Segment, ...]:
     return tuple(found)
 
 
+def segment_values(segments: tuple[Segment, ...]) -> tuple[int, ...]:
+    """The label of each segment in one image of all: its own value, or n + 1 where two have the same."""
+    values = tuple(segment.value for segment in segments)
+    return values if len(set(values)) == len(values) else tuple(range(1, len(segments) + 1))
+
+
 def merged_segments(path: Path, layers: AnyArray, segments: tuple[Segment, ...]) -> AnyArray:
     """(x, y, z) one label image of all segments, with their own values where these differ.
 
@@ -61,10 +67,9 @@ def merged_segments(path: Path, layers: AnyArray, segments: tuple[Segment, ...])
     Raises:
         InvalidInputError: segments that overlap, or a layer that is not in the file.
     """
-    values = [segment.value for segment in segments]
-    renumbered = len(set(values)) < len(values)
+    values = segment_values(segments)
     out = np.zeros(layers.shape[1:], np.uint16)
-    for n, segment in enumerate(segments):
+    for value, segment in zip(values, segments, strict=True):
         if not 0 <= segment.layer < len(layers):
             raise InvalidInputError(
                 f"{path}: segment '{segment.name}' is in layer {segment.layer}, not stored"
@@ -75,8 +80,8 @@ def merged_segments(path: Path, layers: AnyArray, segments: tuple[Segment, ...])
                 f"{path}: segment '{segment.name}' overlaps another; save them without overlap (Segment "
                 "Editor, Modify other segments: overwrite all)"
             )
-        out[inside] = n + 1 if renumbered else segment.value
-    numbers = ", ".join(f"{n + 1 if renumbered else s.value} {s.name}" for n, s in enumerate(segments))
-    if renumbered:
+        out[inside] = value
+    if values != tuple(segment.value for segment in segments):
+        numbers = ", ".join(f"{v} {s.name}" for v, s in zip(values, segments, strict=True))
         log.warning("%s: segments share a value, so they are numbered: %s", path, numbers)
     return out

@@ -1,6 +1,5 @@
 """3-D and cyclic 4-D images: NIfTI, NRRD, MetaImage through SimpleITK; LPS, mm."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +11,16 @@ from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileErr
 from dvf_ig.core.rigid import rigidity_defect
 from dvf_ig.core.volume import Grid, Volume, VolumeSeries
 from dvf_ig.io.atomic import atomic_file
+from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import reading, refuse_lfs_pointer
 
 from .nifti_check import check_nifti
 from .timing import read_timing
+from .voxel_files import voxel_files
 
 DIRECTION_TOLERANCE = 1e-3
 _EXACT_KEY = "dvf_ig_origin_spacing_direction"
 _NRRD_KIND = "NRRD_kinds[pixel]"
-_VOXEL_FILE = re.compile(rb"^(?:ElementDataFile[ \t]*=|data ?file:)[ \t]*([^\r\n]+?)[ \t]*$", re.MULTILINE)
 SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 
@@ -129,8 +129,11 @@ def read_array(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
         try:
             image = SimpleITK.ReadImage(str(path))
         except RuntimeError as exc:
-            _refuse_pointer_to_voxels(path)
+            for file in voxel_files(path):
+                refuse_lfs_pointer(file)
             raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
+        for file in voxel_files(path):
+            record_file(file)
         listed = dimension == 4 and _is_list(image)
         if not listed and (image.GetDimension() != dimension or image.GetNumberOfComponentsPerPixel() != 1):
             raise UnreadableFileError(
@@ -144,13 +147,6 @@ def read_array(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
             values = np.moveaxis(values, -1, 0)
         origin, spacing = np.array(image.GetOrigin()[:3]), np.array(image.GetSpacing()[:3])
         return _right_handed(path, frame, *_exact(image, origin, spacing, direction), values)
-
-
-def _refuse_pointer_to_voxels(path: Path) -> None:
-    """Refuse a Git-LFS pointer in the separate voxel file that a `.mhd` or `.nhdr` header names."""
-    if path.suffix.lower() in (".mhd", ".nhdr"):
-        for name in _VOXEL_FILE.findall(path.read_bytes()):
-            refuse_lfs_pointer(path.parent / name.decode("utf-8", "replace"))
 
 
 def _exact(

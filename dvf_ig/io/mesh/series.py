@@ -13,6 +13,7 @@ from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.mesh import SurfaceSeries
 from dvf_ig.io.atomic import make_folder, write_bytes
 from dvf_ig.io.image.timing import read_timing, write_timing
+from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import read_bytes, reading
 
 from .file import DECODERS, decode_mesh
@@ -137,6 +138,7 @@ def _in_archive(archive: Path) -> list[_PhaseFile]:
             }
     except (tarfile.TarError, EOFError, OSError) as exc:
         raise UnreadableFileError(f"{archive} is not a readable archive ({exc}); copy it again") from exc
+    record_file(archive)
     files = []
     for member, data in sorted(contents.items()):
         match = _PHASE_FILE.fullmatch(Path(member).name)

@@ -1,4 +1,4 @@
-"""Write tracked sequences as PLUS / 3D Slicer `.igs.mha`."""
+"""Write tracked sequences as PLUS / 3D Slicer `.igs.mha`, and registrations over time as `.seq.mha`."""
 
 import zlib
 from collections.abc import Sequence
@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.errors import OutputError
+from dvf_ig.core.errors import InvalidInputError, OutputError
+from dvf_ig.core.rigid import Rigid
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
 from dvf_ig.io.atomic import write_bytes
+from dvf_ig.io.sidecar import SEQUENCE_COMMENT
 
 from .names import join_transform
 
@@ -51,6 +53,60 @@ def write_poses(stream: PoseStream, path: Path | str, after_restart: PoseStream 
     ]
     frames = sum(len(part) for part in parts)
     _write(Path(path), _header_lines(parts[0], frames, compressed=False, payload=0), parts, b"")
+
+
+def write_pose_sequence(poses: Sequence[tuple[float, Rigid]], path: Path | str) -> None:
+    """Write a registration over time as a linear transform sequence of 3D Slicer (`.seq.mha`).
+
+    Slicer takes the matrix of `Seq_FrameNNNN_TrackerToRasTransform` as it stands, for *transform to parent*.
+    It maps a point as the tracker reports it to the MR in RAS, p_ras = diag(−1, −1, 1)·p_mr: what is under
+    the node, for example a PLUS sequence with its ProbeToTracker, appears on the MR. (A `.tfm` is the other
+    way round, and Slicer counts both of its frames as LPS.)
+
+    Args:
+        poses: (time s from which it held, mr_from_tracker) in order of time; at least one.
+        path: a name ending in `.seq.mha`.
+    Raises:
+        InvalidInputError: no poses, or of several frames.
+        OutputError: another ending, or not writable.
+    Source: Slicer, vtkMRMLLinearTransformSequenceStorageNode: field names, SetMatrixTransformToParent; index
+    "time" in s, which it rounds to 1 ms.
+    """
+    path = Path(path)
+    if not path.name.endswith(".seq.mha"):
+        raise OutputError(
+            f"cannot write {path}: transform sequences are written as .seq.mha; change the name"
+        )
+    frames = {(pose.target, pose.source) for _, pose in poses}
+    if len(frames) != 1:
+        raise InvalidInputError(f"a transform sequence needs poses of one pair of frames; got {len(frames)}")
+    target, source = frames.pop()
+    name = join_transform("ras", source)
+    lines = [
+        "ObjectType = Image",
+        "NDims = 3",
+        f"Comment = {SEQUENCE_COMMENT}; {name}: p_ras = M p_{source}, mm, row-major 4x4, to parent; "
+        f"p_ras = diag(-1, -1, 1) p_{target}; {source} as its device reports it; Timestamp in s: when the "
+        "pose came into use",
+        "AnatomicalOrientation = RAI",
+        "BinaryData = True",
+        "CompressedData = False",
+        f"DimSize = 0 0 {len(poses)}",
+        "ElementSpacing = 1 1 1",
+        "Offset = 0 0 0",
+        "TransformMatrix = 1 0 0 0 1 0 0 0 1",
+        "ElementType = MET_UCHAR",
+        "Kinds = domain domain list",
+    ]
+    width = max(4, len(str(len(poses) - 1)))
+    for i, (from_s, pose) in enumerate(poses):
+        matrix = np.diag([-1.0, -1.0, 1.0, 1.0]) @ pose.matrix + 0.0  # no negative zeros
+        text = " ".join(map(repr, matrix[:3].ravel().tolist()))
+        prefix = f"Seq_Frame{i:0{width}d}_"
+        lines.append(f"{prefix}{name}Transform = {text} {_LAST_ROW}")
+        lines.append(f"{prefix}{name}TransformStatus = OK")
+        lines.append(f"{prefix}Timestamp = {float(from_s)!r}")
+    write_bytes(path, ["\n".join([*lines, "ElementDataFile = LOCAL\n"]).encode()])
 
 
 def _write(path: Path, header: list[str], parts: Sequence[TrackedSequence], payload: bytes) -> None:

@@ -10,9 +10,10 @@ import numpy as np
 from dvf_ig.core import read_only_arrays
 from dvf_ig.core.arrays import FloatArray, frozen_floats
 from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.rigid import Rigid
 from dvf_ig.io.atomic import write_bytes
 from dvf_ig.io.reading import read_bytes, reading
-from dvf_ig.io.sidecar import XML_COMMENT
+from dvf_ig.io.sidecar import MARKUP_COMMENT, refuse_foreign
 
 from .names import frame_from_plus, frame_to_plus
 
@@ -114,6 +115,25 @@ def write_coordinate_definitions(
     write_xml(Path(path), root)
 
 
+def write_registration(rigid: Rigid, path: Path | str, error_mm: float | None = None) -> Path:
+    """Write mr_from_tracker for a PLUS configuration: TrackerToMr, and MrToRas.
+
+    `Mr` is LPS, as everywhere here. PLUS and 3D Slicer speak RAS with one another: MrToRas lets PLUS answer
+    with TrackerToRas, and tells the reader that Mr is not it.
+
+    Returns:
+        the file.
+    Raises:
+        OutputError: a file of the user's own is there, or not writable.
+    """
+    path = Path(path)
+    refuse_foreign(path)
+    pose = CoordinateDefinition(rigid.target, rigid.source, rigid.matrix, error_mm)
+    flip = CoordinateDefinition("ras", rigid.target, np.diag([-1.0, -1.0, 1.0, 1.0]))
+    write_coordinate_definitions(path, [pose, flip])
+    return path
+
+
 def definitions_element(definitions: list[CoordinateDefinition]) -> ElementTree.Element:
     """The `<CoordinateDefinitions>` element."""
     section = ElementTree.Element("CoordinateDefinitions")
@@ -135,7 +155,7 @@ def definitions_element(definitions: list[CoordinateDefinition]) -> ElementTree.
 
 def write_xml(path: Path, root: ElementTree.Element) -> None:
     """Write an element as an indented XML file, atomically; a comment says who wrote it."""
-    root.insert(0, ElementTree.Comment(XML_COMMENT))
+    root.insert(0, ElementTree.Comment(MARKUP_COMMENT))
     ElementTree.indent(root)
     write_bytes(path, [ElementTree.tostring(root, encoding="utf-8", xml_declaration=True), b"\n"])
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from dvf_ig.io.ecg.recording import KINDS
+from dvf_ig.io.session_file.named_files import split_ecg
 from dvf_ig.io.session_file.schema import (
     CalibrationConfig,
     EcgConfig,
@@ -28,7 +28,6 @@ def session_of_scenario(config: ScenarioConfig, folder: Path, *, truth: bool = T
         truth: name its truth where it has one.
     """
     files, preop = config.files, config.preop
-    kind, colon, _ = files.ecg.partition(":")
     return SessionConfig(
         name=config.name,
         preset=config.preset,
@@ -48,7 +47,7 @@ def session_of_scenario(config: ScenarioConfig, folder: Path, *, truth: bool = T
             file=files.ultrasound,
             fan=None if config.fan is None else FanConfig(**config.fan.model_dump()),
         ),
-        ecg=EcgConfig(file=files.ecg if colon and kind in KINDS else f"csv:{files.ecg}"),
+        ecg=EcgConfig(file=files.ecg if split_ecg(files.ecg).prefix else f"csv:{files.ecg}"),
         tool=ToolConfig(file=files.tool),
         calibration=CalibrationConfig(
             probe=NWireConfig(

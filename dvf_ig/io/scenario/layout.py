@@ -15,11 +15,14 @@ CONFIG = "scenario.yaml"
 TRUTH = "truth"
 README = "README.md"
 PREVIEW = "preview.png"
+TRIGGER = "trigger.csv"
+"""In place of `ecg.csv`, where beats come from a trigger."""
 SPEC = "spec.yaml"
 """Beside the truth, because it tells the ground truth."""
 
 _OURS = re.compile(
-    r"scenario\.yaml|README\.md|preview\.png|ecg\.csv|ultrasound\.igs\.mha|tool\.igs\.mha|landmarks_(mr|tracker)\.mrk\.json"
+    r"scenario\.yaml|README\.md|preview\.png|ecg\.csv|trigger\.csv|ultrasound\.igs\.mha|tool\.igs\.mha"
+    r"|landmarks_(mr|tracker)\.mrk\.json"
     r"|start\.(tfm|json)|preop/((mr|labels)\.nrrd|timing\.json|[^/]+_\d+\.vtp)"
     r"|calibration/(pivot|nwire|latency_tracker|latency_video)\.igs\.mha"
     r"|calibration/(nwire|nwire_points|latency_lines)\.xml"
@@ -51,7 +54,7 @@ class PreopConfig(Section):
 
 
 class FilesConfig(Section):
-    """Paths relative to the scenario folder; `ecg` may also be `wfdb:…` or `edf:…`."""
+    """Paths relative to the scenario folder; `ecg` may also be `wfdb:…`, `edf:…`, `plus:…` or `trigger:…`."""
 
     ecg: str = "ecg.csv"
     ultrasound: str = "ultrasound.igs.mha"

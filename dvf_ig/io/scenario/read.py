@@ -4,6 +4,7 @@ from pathlib import Path
 
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.scenario import Scenario
+from dvf_ig.io.provenance import record_folder
 from dvf_ig.io.session_file.read import read_recordings
 from dvf_ig.io.session_file.schema import SessionConfig
 
@@ -21,6 +22,7 @@ def read_scenario(folder: Path | str, *, truth: bool = True) -> Scenario:
         UnreadableFileError: no scenario folder, files missing (all are named), or a file that cannot be read.
     """
     folder = Path(folder)
+    record_folder(folder)
     session = read_scenario_session(folder, truth=truth)
     return read_recordings(session, folder, f"its {CONFIG}").scenario
 

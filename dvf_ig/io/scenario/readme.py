@@ -3,6 +3,10 @@
 from dataclasses import dataclass
 
 from dvf_ig.core.scenario import Preop, Scenario
+from dvf_ig.core.signal import Signal
+from dvf_ig.core.trigger import TriggerTimes
+
+from .layout import TRIGGER
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,13 @@ def readme_text(scenario: Scenario, notes: ScenarioNotes) -> str:
     )
 
 
+def _beat_source_row(source: Signal | TriggerTimes) -> tuple[str, str, str, str]:
+    if isinstance(source, TriggerTimes):
+        return (f"`{TRIGGER}`", f"{len(source)} pulses of a trigger in place of an ECG", "", "tracker")
+    told = f"{len(source) / source.rate_hz:.1f} s, {', '.join(source.leads)}, {source.unit}"
+    return ("`ecg.csv`", told, "", "tracker")
+
+
 def _rows(scenario: Scenario) -> list[tuple[str, str, str, str]]:
     ecg, images = scenario.ecg, scenario.ultrasound
     tool_poses = len(scenario.tool or ()) + len(scenario.tool_after_restart or ())
@@ -56,7 +67,7 @@ def _rows(scenario: Scenario) -> list[tuple[str, str, str, str]]:
     rows = [
         ("`scenario.yaml`", "which file is what; the ultrasound fan in pixels", "", ""),
         *_preop_rows(scenario.preop),
-        ("`ecg.csv`", f"{len(ecg) / ecg.rate_hz:.1f} s, {', '.join(ecg.leads)}, {ecg.unit}", "", "tracker"),
+        _beat_source_row(ecg),
         (
             "`ultrasound.igs.mha`",
             f"{len(images)} images{size}, with the pose looked up at each video stamp",

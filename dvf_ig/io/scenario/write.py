@@ -12,8 +12,10 @@ from dvf_ig.core.rigid import Rigid
 from dvf_ig.core.scenario import LatencyRecording, Preop, Scenario
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.trigger import TriggerTimes
 from dvf_ig.io.atomic import atomic_folder, make_folder, write_bytes, write_text
 from dvf_ig.io.ecg.recording import write_ecg_csv
+from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX, write_triggers
 from dvf_ig.io.image.timing import timing_document
 from dvf_ig.io.image.volume import write_volume_series
 from dvf_ig.io.json_file import write_json
@@ -30,6 +32,7 @@ from .layout import (
     PREVIEW,
     README,
     SPEC,
+    TRIGGER,
     TRUTH,
     FanConfig,
     FilesConfig,
@@ -64,7 +67,10 @@ def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes 
             make_folder(new / part)
         _write_preop(scenario.preop, new, config.preop)
         files = config.files
-        write_ecg_csv(scenario.ecg, new / files.ecg)
+        if isinstance(scenario.ecg, TriggerTimes):
+            write_triggers(scenario.ecg, new / TRIGGER)
+        else:
+            write_ecg_csv(scenario.ecg, new / files.ecg)
         write_sequence(scenario.ultrasound, new / files.ultrasound)
         write_poses(tool, new / files.tool, scenario.tool_after_restart)
         write_poses(tip, new / files.pivot)
@@ -116,6 +122,7 @@ def _config(scenario: Scenario) -> ScenarioConfig:
             half_angle_rad=float(fan.half_angle_rad),
         ),
         files=FilesConfig(
+            ecg=f"{TRIGGER_PREFIX}{TRIGGER}" if isinstance(scenario.ecg, TriggerTimes) else "ecg.csv",
             start="start.tfm" if scenario.start is not None else None,
             landmarks_mr="landmarks_mr.mrk.json" if scenario.landmarks_mr is not None else None,
             landmarks_tracker="landmarks_tracker.mrk.json"

@@ -98,10 +98,10 @@ def _clock_misfits(parts: SessionParts) -> list[Problem]:
     sweep_s = None if parts.sweep is None else parts.sweep.recorded.t_s
     if sweep_s is not None:
         with problems.about("ultrasound" if tool_fits else "ecg"):
-            require_common_time(ecg_s, sweep_s, "ultrasound")
+            require_common_time(parts.ecg, sweep_s, "ultrasound")
     if parts.tool is not None and not problems.found:
         with problems.about("tool", "replay"):
-            require_common_time(ecg_s, parts.tool.t_s, "tool")
+            require_common_time(parts.ecg, parts.tool.t_s, "tool")
     return problems.found
 
 

@@ -11,6 +11,7 @@ from dvf_ig.core.phantom import NWireRecording
 from dvf_ig.core.points import Points
 from dvf_ig.core.signal import Signal
 from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.trigger import TriggerTimes
 from dvf_ig.core.volume import VolumeSeries
 from dvf_ig.registration import start_from_landmarks
 from dvf_ig.registration.lc2.slices import fan_mask_from_images
@@ -92,7 +93,9 @@ def _span(t_s: FloatArray) -> str:
     return f"{t_s[0]:.1f} to {t_s[-1]:.1f} s".replace("-0.0 to", "0.0 to")
 
 
-def _ecg(ecg: Signal) -> str:
+def _ecg(ecg: Signal | TriggerTimes) -> str:
+    if isinstance(ecg, TriggerTimes):
+        return f"trigger, {len(ecg)} pulses, {_span(ecg.t_s)}"
     peaks, _ = stream_recording(ecg)
     rate = ""
     if len(peaks) > 1:

@@ -1,12 +1,14 @@
 """The files that a session's configuration names, and whether they are there."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import BaseModel
 
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io.ecg.recording import KINDS
+from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX
 from dvf_ig.io.truth import FILES as TRUTH_FILES
 
 from .draft import SessionDraft
@@ -34,8 +36,7 @@ def named_files(config: SessionConfig | SessionDraft) -> Iterator[tuple[str, str
         yield from _of(config.preop, "preop", "model", "mr", "labels", "surfaces_folder", "timing")
     yield from _of(config.ultrasound, "ultrasound", "file")
     if config.ecg is not None:
-        kind, colon, name = config.ecg.file.partition(":")
-        yield "ecg.file", name.partition("#")[0] if colon and kind in KINDS else config.ecg.file
+        yield "ecg.file", split_ecg(config.ecg.file).name
     if config.tool is not None:
         yield from _of(config.tool, "tool", "file")
     for key in ("probe", "latency", "tip"):
@@ -50,6 +51,24 @@ def named_files(config: SessionConfig | SessionDraft) -> Iterator[tuple[str, str
         yield "fixtures", config.fixtures
     if config.truth is not None:
         yield from (("truth", f"{config.truth}/{name}") for name in TRUTH_FILES)
+
+
+@dataclass(frozen=True, slots=True)
+class EcgName:
+    """`plus:sweep.igs.mha#EcgData` as its format, its file, and the field in it."""
+
+    prefix: str
+    name: str
+    field: str
+
+
+def split_ecg(spec: str) -> EcgName:
+    """What names an ECG or a trigger, in parts; prefix and field are empty where they are not given."""
+    kind, colon, rest = spec.partition(":")
+    if not colon or f"{kind}:" not in (*(f"{k}:" for k in KINDS), TRIGGER_PREFIX):
+        kind, colon, rest = "", "", spec
+    name, at, field = rest.partition("#")
+    return EcgName(kind + colon, name, at + field)
 
 
 def _of(section: BaseModel, key: str, *fields: str) -> Iterator[tuple[str, str]]:

@@ -12,7 +12,9 @@ from dvf_ig.core.scenario import LatencyRecording
 from dvf_ig.core.sequence import Fan, TrackedSequence
 from dvf_ig.core.signal import Signal
 from dvf_ig.core.stream import PoseStream
-from dvf_ig.io.ecg.recording import KINDS, read_ecg
+from dvf_ig.core.trigger import TriggerTimes
+from dvf_ig.io.ecg.recording import read_ecg
+from dvf_ig.io.ecg.trigger import read_beat_source
 from dvf_ig.io.landmarks import read_landmarks
 from dvf_ig.io.plus.feature_points import tracked_probe
 from dvf_ig.io.plus.names import ProbeNames, frame_from_plus
@@ -22,6 +24,7 @@ from dvf_ig.io.points_file import read_points
 from dvf_ig.io.reading import reading
 from dvf_ig.io.transform import read_transform
 
+from .named_files import split_ecg
 from .preop import PreopFiles
 from .schema import EcgConfig, StartConfig, ToolConfig
 
@@ -60,7 +63,7 @@ class SessionParts:
     preop: PreopFiles | None = None
     sweep: Sweep | None = None
     fan: Fan | None = None
-    ecg: Signal | None = None
+    ecg: Signal | TriggerTimes | None = None
     tool: PoseStream | None = None
     probe: ImageMap | NWireRecording | TargetRecording | None = None
     latency: float | LatencyRecording | None = None
@@ -104,7 +107,7 @@ def read_tool(config: ToolConfig | None, folder: Path, sweep: Sweep | None) -> P
         raise
 
 
-def read_session_ecg(config: EcgConfig | None, folder: Path, sweep: Path) -> Signal:
+def read_session_ecg(config: EcgConfig | None, folder: Path, sweep: Path) -> Signal | TriggerTimes:
     """From its own file, else from the field data of the ultrasound.
 
     Raises:
@@ -117,9 +120,9 @@ def read_session_ecg(config: EcgConfig | None, folder: Path, sweep: Path) -> Sig
             raise UnreadableFileError(
                 f"no file of an ECG is named, and the ultrasound gives none: {exc}"
             ) from exc
-    kind, colon, name = config.file.partition(":")
-    spec = f"{kind}:{folder / name}" if colon and kind in KINDS else str(folder / config.file)
-    return read_ecg(spec, config.rate_hz)
+    spec = split_ecg(config.file)
+    named = f"{spec.prefix}{folder / spec.name}{spec.field}"
+    return read_beat_source(named, rate_hz=config.rate_hz, delay_s=config.delay_s)
 
 
 def read_start(config: StartConfig, folder: Path) -> StartFiles:

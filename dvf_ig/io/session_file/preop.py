@@ -1,8 +1,11 @@
 """The pre-operative heart of a session: a model, labels of one or every phase, or surfaces."""
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import UnreadableFileError
@@ -17,8 +20,11 @@ from dvf_ig.io.json_file import read_json
 from dvf_ig.io.mesh.series import read_surface_series, surface_names
 from dvf_ig.io.model import read_model
 from dvf_ig.io.reading import reading
+from dvf_ig.io.yaml_config import validated
 
 from .schema import PreopConfig
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +49,8 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
     patient = patient_id or (model.patient_id if model is not None else _name(config, folder))
     timing = _Timing(None if config.timing is None else folder / config.timing)
     mr = None if config.mr is None else timing.series(folder / config.mr, "mr")
+    if mr is not None and model is not None:
+        mr = _with_times(mr, model, config.mr or "")
     labels, ed_labels = None, None
     if config.labels is not None:
         path = folder / config.labels
@@ -60,24 +68,48 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
         labels=labels,
         ed_labels=ed_labels,
         ed_phase=config.ed_phase,
-        label_names=_label_names(config),
-        organ_labels=config.organ_labels,
+        label_names=tuple(config.label_names.items()),
+        organ_labels=config.organ_labels or _all_labels(labels),
+        cavity_labels=config.cavity_labels,
         surfaces=_surfaces(config, folder, patient, timing),
         surface=config.surface,
     )
     return PreopFiles(preop, model)
 
 
+def read_heart_options(document: dict[str, Any], patient_id: str | None) -> PreopFiles:
+    """As `read_preop`, of a section `preop` whose files are named from the working directory."""
+    return read_preop(validated(PreopConfig, document, Path("options")), Path(), patient_id)
+
+
+def _with_times(mr: VolumeSeries, model: DvfModel, name: str) -> VolumeSeries:
+    """The series a model was made from has the times of the model's phases where it brings none itself."""
+    if not mr.timing.timing_assumed:
+        return mr
+    if len(mr.timing) == model.phases:
+        return replace(mr, timing=model.timing)
+    log.warning(
+        "%s has %d phases, the model %d: its phase i is taken to be at i/%d of the cycle; put a timing.json "
+        "beside it",
+        name,
+        len(mr.timing),
+        model.phases,
+        len(mr.timing),
+    )
+    return mr
+
+
+def _all_labels(labels: VolumeSeries | None) -> tuple[int, ...]:
+    """Every value but the background's; empty without labels of every phase."""
+    if labels is None:
+        return ()
+    return tuple(int(value) for value in np.unique(labels.values) if value != 0)
+
+
 def _name(config: PreopConfig, folder: Path) -> str:
     """Of the first file that images the heart, without its endings."""
     named = config.mr or config.labels or config.surfaces_folder or ""
     return Path(folder / named).name.partition(".")[0]
-
-
-def _label_names(config: PreopConfig) -> tuple[tuple[int, str], ...]:
-    if config.label_names:
-        return tuple(config.label_names.items())
-    return tuple((value, "blood") for value in config.cavity_labels)
 
 
 def _surfaces(

@@ -83,6 +83,15 @@ def read_session(path: Path | str) -> SessionRecordings:
     return read_recordings(read_session_config(path), path.parent, str(path))
 
 
+def read_options(document: dict[str, Any]) -> SessionRecordings:
+    """Read what the options of a command name: the content of a SESSION.yaml in the working directory.
+
+    Raises:
+        as `read_session`.
+    """
+    return read_recordings(validated(SessionConfig, document, Path("options")), Path(), "the command")
+
+
 def read_recordings(config: SessionConfig, folder: Path, named_by: str) -> SessionRecordings:
     """Read every file of a configuration.
 

@@ -69,8 +69,6 @@ class PreopConfig(Section):
             )
         if self.surfaces and self.surfaces_folder is None:
             raise ValueError("surfaces names surfaces; give surfaces_folder, too")
-        if self.label_names and self.cavity_labels:
-            raise ValueError("cavity_labels says which labels are blood, and so does label_names; give one")
         return self
 
 
@@ -94,9 +92,13 @@ class UltrasoundConfig(FileSection):
 
 
 class EcgConfig(FileSection):
-    """An ECG as `gate` takes it, for example `edf:FILE`; and the rate of a table without times."""
+    """An ECG or a trigger as `gate` takes it, for example `edf:FILE`.
+
+    `rate_hz` is of a table without times; `delay_s` says how long after the R peak a trigger fires.
+    """
 
     rate_hz: Annotated[float, Field(ge=1.0, le=100_000.0)] | None = None
+    delay_s: Number | None = None
 
 
 class ToolConfig(FileSection):

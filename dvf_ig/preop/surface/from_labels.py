@@ -58,14 +58,16 @@ def surfaces_from_labels(
 
 
 def surface_of_mask(mask: BoolArray, grid: Grid, *, smoothing_voxels: float = SMOOTHING_VOXELS) -> Mesh:
-    """Outer surface of one mask, smoothed as `surfaces_from_labels` smooths.
+    """Surface of all components of one mask, smoothed as `surfaces_from_labels` smooths.
 
     Raises:
-        InvalidInputError: an empty mask.
+        InvalidInputError: an empty mask, or one of a few voxels, which the smoothing removes.
     """
-    if not mask.any():
+    box = ndimage.find_objects(mask.view(np.int8))
+    if not box:
         raise InvalidInputError("the mask has no voxel inside; there is no surface to extract")
-    return _surface(_Crop(mask, np.zeros(3, dtype=np.int64)), grid, smoothing_voxels)
+    start = np.array([part.start for part in box[0]])
+    return _surface(_Crop(mask[box[0]], start), grid, smoothing_voxels)
 
 
 def border_caps(mesh: Mesh, grid: Grid) -> BoolArray:
@@ -106,6 +108,10 @@ def _surface(organ: _Crop, grid: Grid, smoothing_voxels: float) -> Mesh:
     spacing_mm = grid.spacing_mm * block
     mean_mm = float(np.prod(spacing_mm)) ** (1.0 / 3.0)
     field = _shrinkage_compensated(_block_means(solid, block), smoothing_voxels * mean_mm / spacing_mm)
+    if field.max() <= 0.5:
+        raise InvalidInputError(
+            f"the labelled region has {np.count_nonzero(organ.mask)} voxels, too few for a surface"
+        )
     vertices, triangles, _, _ = marching_cubes(field, 0.5, allow_degenerate=False)
     center_of_block = 0.5 * (block - 1)
     index = organ.start - padding + vertices.astype(np.float64) * block + center_of_block

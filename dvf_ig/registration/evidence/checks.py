@@ -47,6 +47,7 @@ class Evidence:
         boundary_mm: mean distance over the heart between the poses of LC2 and of the boundary; None where the
             model's surface was not given, inf where the slices show no boundary.
         phase_offset: how much later in the cycle the slices fit than the ECG says; None where nothing beats.
+        pair_statistic: of two images that may be of different patients, see `pair_check`; None of a heart.
     """
 
     z_score: float
@@ -55,6 +56,7 @@ class Evidence:
     half_volume_mm: float | None = None
     boundary_mm: float | None = None
     phase_offset: PhaseOffset | None = None
+    pair_statistic: float | None = None
 
     def worst_test_ratio(self, limits: Limits) -> float:
         """The worst test as a share of its limit: above 1 the pose must not guide."""

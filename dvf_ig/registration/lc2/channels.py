@@ -80,13 +80,18 @@ def channels_from_labels(labels: VolumeSeries, *, smoothing_mm: float) -> ModelC
     """Soft blood map and outline of the heart, from a label series (0 outside, 1 wall, 2 blood).
 
     Ultrasound shows blood dark and the heart's outline bright, where wall and what lies beyond it are alike.
+    Where no blood is labelled, the heart itself takes its place.
+
+    Raises:
+        InvalidInputError: nothing is labelled.
     """
-    if not (labels.values == BLOOD).any() or not (labels.values == WALL).any():
-        raise InvalidInputError("the label map has no wall or no blood; needed labels 1 (wall) and 2 (blood)")
+    if not labels.values.any():
+        raise InvalidInputError("the label map is empty; needed labels 1 (wall) and 2 (blood)")
     sigma = [0.0, *(smoothing_mm / labels.grid.spacing_mm)]
+    seen = BLOOD if (labels.values == BLOOD).any() else WALL
     blood, heart = (
         ndimage.gaussian_filter(part.astype(np.float32), sigma, mode="nearest")
-        for part in (labels.values == BLOOD, labels.values != 0)
+        for part in (labels.values == seen, labels.values != 0)
     )
     return ModelChannels(
         labels.grid, _stacked(blood, _gradient_magnitude(heart, labels.grid)), labels.timing.fractions

@@ -3,7 +3,6 @@
 from .page import replay_html as replay_html
 from .values import BeatTrace as BeatTrace
 from .values import EcgStrip as EcgStrip
-from .values import PlaneOverlay as PlaneOverlay
 from .values import RegistrationMark as RegistrationMark
 from .values import ReplayPage as ReplayPage
 from .values import SupervisorTrace as SupervisorTrace

@@ -10,9 +10,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
+from dvf_ig.report.plane_contour import draw_contour, image_extent
+from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.style import ESTIMATE, ON_GREY, REFUSED, START, SUSPENDED, TRUTH, without_ticks
 
-from .values import BeatTrace, EcgStrip, PlaneOverlay, RegistrationMark, SupervisorTrace, TickTrace
+from .values import BeatTrace, EcgStrip, RegistrationMark, SupervisorTrace, TickTrace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,17 +48,13 @@ def overlay_figure(overlays: Sequence[PlaneOverlay]) -> Figure | None:
 
 
 def _draw_overlay(axes: NDArray[np.object_], overlay: PlaneOverlay) -> None:
-    rows, columns = overlay.image.shape
-    extent = (0, columns, rows, 0)
+    extent = image_extent(overlay.size_mm)
     axes[0].imshow(overlay.image, cmap="gray", extent=extent, vmin=0, vmax=255)
-    axes[1].imshow(overlay.model_grey, cmap="gray", extent=extent)
-    for distance, color in ((overlay.start_distance_mm, START), (overlay.distance_mm, ON_GREY)):
-        if np.nanmin(distance) < 0 < np.nanmax(distance):
-            for axis in axes:
-                axis.contour(
-                    overlay.column_px, overlay.row_px, distance, levels=[0.0], colors=[color], linewidths=1.2
-                )
-    axes[0].set_title(f"{overlay.event_s:.1f} s, {100 * overlay.model_phase:.0f} % of the cycle", fontsize=9)
+    axes[1].imshow(np.nan_to_num(overlay.registered.grey), cmap="gray", extent=extent, vmin=0, vmax=1)
+    for plane, color in ((overlay.start, START), (overlay.registered, ON_GREY)):
+        for axis in axes:
+            draw_contour(axis, plane.distance_mm, overlay.size_mm, color)
+    axes[0].set_title(overlay.moment, fontsize=9)
     without_ticks(*axes)
 
 
@@ -175,13 +173,18 @@ def distance_histogram(ticks: TickTrace) -> Figure:
 
 
 def ecg_figure(strip: EcgStrip) -> Figure:
-    """The ECG with detected R peaks, and the phase kept from them."""
+    """The ECG or trigger with detected R peaks, and the phase kept from them."""
     figure = Figure(figsize=(WIDE[0], 3.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
-    upper.plot(strip.ecg_t_s, strip.ecg, color=TRUTH, lw=0.8)
-    height = np.interp(strip.r_peaks_s, strip.ecg_t_s, strip.ecg)
+    if strip.ecg is None:
+        upper.vlines(strip.ecg_t_s, 0.0, 1.0, color=TRUTH, lw=0.8)
+        upper.set_yticks([])
+        height = np.zeros(len(strip.r_peaks_s))
+    else:
+        upper.plot(strip.ecg_t_s, strip.ecg, color=TRUTH, lw=0.8)
+        height = np.interp(strip.r_peaks_s, strip.ecg_t_s, strip.ecg)
     upper.plot(strip.r_peaks_s, height, "o", ms=5, mfc="none", color=ESTIMATE, label="R peak, as detected")
-    upper.set_ylabel(f"{strip.lead}, {strip.unit}")
+    upper.set_ylabel(strip.label)
     lower.plot(strip.t_s, strip.phase, ".", ms=1, color=ESTIMATE)
     if strip.true_phase is not None:
         lower.plot(strip.t_s, strip.true_phase, ".", ms=0.6, color=TRUTH)

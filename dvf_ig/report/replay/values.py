@@ -1,14 +1,12 @@
-"""What the page of a replay is made from: arrays over time, and ultrasound frames with the model's plane."""
+"""What the page of a replay is made from: arrays over time, and ultrasound frames with the model in them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvf_ig.core.arrays import BoolArray, FloatArray, read_only_arrays
+from dvf_ig.report.plane_overlay import PlaneOverlay
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,31 +16,6 @@ class RegistrationMark:
     ready_s: float
     usable: bool
     reason: str
-
-
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class PlaneOverlay:
-    """An ultrasound frame and the model's plane at the same place.
-
-    Attributes:
-        event_s: when it was seen, tracker clock.
-        model_phase: place in the model's cycle, 0 to 1.
-        image: (rows, columns) grey levels, 0 to 255.
-        row_px, column_px: (r, c) pixels of the image at which the model was sampled.
-        model_grey: (r, c) grey level of the pre-operative image through the registered pose.
-        start_distance_mm, distance_mm: (r, c) distance to the model's surface through the start pose and
-            through the registered one, positive inside; NaN outside the model's box.
-    """
-
-    event_s: float
-    model_phase: float
-    image: NDArray[np.uint8]
-    row_px: FloatArray
-    column_px: FloatArray
-    model_grey: FloatArray
-    start_distance_mm: FloatArray
-    distance_mm: FloatArray
 
 
 @read_only_arrays
@@ -114,21 +87,20 @@ class SupervisorTrace:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class EcgStrip:
-    """A few seconds of the ECG, and the phase kept from it.
+    """A few seconds of the ECG or trigger, and the phase kept from it.
 
     Attributes:
-        lead, unit: of the samples.
-        ecg_t_s, ecg: (m,) samples of one lead.
+        label: lead and unit of the samples, or what else is shown.
+        ecg_t_s, ecg: (m,) samples of one lead; of a trigger the times of its pulses, and None.
         r_peaks_s: (k,) detected R peaks.
         t_s, phase: (n,) ticks and the phase known at each.
         phase_valid: (n,) LOCKED.
         true_phase: (n,); None without ground truth.
     """
 
-    lead: str
-    unit: str
+    label: str
     ecg_t_s: FloatArray
-    ecg: FloatArray
+    ecg: FloatArray | None
     r_peaks_s: FloatArray
     t_s: FloatArray
     phase: FloatArray

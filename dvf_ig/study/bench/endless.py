@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import count
 
 from dvf_ig.cardiac import stream_recording
-from dvf_ig.core import FloatArray, InvalidInputError, Scenario, read_only_arrays
+from dvf_ig.core import FloatArray, InvalidInputError, Scenario, TriggerTimes, read_only_arrays
 from dvf_ig.replay.events import ECG_CHUNK, Timed, events_of
 from dvf_ig.session import EcgSamples, ToolPose, TrackedFrame
 
@@ -59,6 +59,8 @@ def round_of(scenario: Scenario) -> Round:
         InvalidInputError: too few heart beats.
     """
     ecg = scenario.ecg
+    if isinstance(ecg, TriggerTimes):
+        raise InvalidInputError("the scenario has a trigger in place of an ECG; take one with an ECG")
     peaks, _ = stream_recording(ecg)
     if len(peaks) < MIN_BEATS:
         raise InvalidInputError(f"the ECG has {len(peaks)} R peaks; needed at least {MIN_BEATS} to repeat it")

@@ -12,7 +12,7 @@ from data_synth import ScenarioSpec, phantom_scenario
 from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, Scenario
 from dvf_ig.replay.calibrations import calibrate
 from dvf_ig.replay.operator import SimulatedOperator
-from dvf_ig.session import InCaller, Session, SessionSetup, build_heart
+from dvf_ig.session import InCaller, Session, SessionSetup, beat_source_of, build_heart
 
 from .endless import Round
 from .timing import Row, row
@@ -79,7 +79,7 @@ def bench_setup(
     return SessionSetup(
         build_heart(scenario.preop, model, progress),
         calibrate(scenario, seed).in_use,
-        scenario.ecg.rate_hz,
+        beat_source_of(scenario.ecg),
         start=scenario.start,
         fan=scenario.fan,
         seed=seed,

@@ -35,6 +35,7 @@ from dvf_ig.registration import (
     RegistrationData,
     RegistrationResult,
     TrackedImages,
+    VolumeTarget,
     boundary_points,
     channels_from_mr,
     prepare_slices,
@@ -119,20 +120,22 @@ def _volumes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
     error: float | list[float] = condition.get("phase_error", 0.0)
     if "rr_s" in condition:
         error = _retiming_error(pair, condition["rr_s"]).tolist()
-    volumes = pair.volumes(GATED, phase_error=error)
+    return volume_problem(pair, pair.volumes(GATED, phase_error=error))
+
+
+def volume_problem(pair: ImagePair, volumes: tuple[TrackedVolume, ...]) -> RegistrationProblem:
+    """Registration of gated 3-D images of a pair, at GATED."""
     preop = _preoperative(pair.spec.seed, pair.spec.motion)
-    return _volume_problem(pair, volumes, preop, preop.surface)
+    return _problem_with(pair, volumes, preop, preop.surface)
 
 
-def _volume_problem(
+def _problem_with(
     pair: ImagePair, volumes: tuple[TrackedVolume, ...], preop: _PreOperative, surface: BoundaryTarget | None
 ) -> RegistrationProblem:
-    model, mr = preop.gated, preop.mr
+    target, mr = VolumeTarget(preop.gated, pair.center_mm, surface), preop.mr
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-        return register_volumes(
-            volumes, model, start, pair.center_mm, rng=rng, clock=perf_counter, surface=surface
-        )
+        return register_volumes(volumes, target, start, rng=rng, clock=perf_counter)
 
     first = volumes[0]
     return RegistrationProblem(
@@ -140,8 +143,8 @@ def _volume_problem(
         pair.targets.points,
         pair.center_mm,
         register,
-        _in_tracker(first.image, first.tracker_from_image),
-        _in_tracker(first.mask, first.tracker_from_image),
+        in_tracker(first.image, first.tracker_from_image),
+        in_tracker(first.mask, first.tracker_from_image),
         mr.phase(_nearest(mr, first.model_phase)),
     )
 
@@ -173,7 +176,7 @@ def _same_image(pair: ImagePair) -> RegistrationProblem:
         mask = Volume(grid, np.ones(grid.shape, dtype=np.uint8))
         volumes.append(TrackedVolume(Volume(grid, grey), mask, pose, phase))
     # blood is bright in MR: the boundaries that ultrasound shows do not exist here
-    return _volume_problem(pair, tuple(volumes), preop, surface=None)
+    return _problem_with(pair, tuple(volumes), preop, surface=None)
 
 
 def _planes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
@@ -227,7 +230,8 @@ def _nearest(mr: VolumeSeries, phase: float) -> int:
     return int(np.minimum(away, 1.0 - away).argmin())
 
 
-def _in_tracker(volume: Volume, tracker_from_image: Rigid) -> Volume:
+def in_tracker(volume: Volume, tracker_from_image: Rigid) -> Volume:
+    """The same voxels on a grid in the frame "tracker"."""
     grid = volume.grid
     return Volume(
         Grid(

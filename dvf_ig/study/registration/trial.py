@@ -29,9 +29,7 @@ def registration_trial(settings: Settings, number: int) -> Line:
     group, k = divmod(number, trials_per_condition(settings))
     pair, which = divmod(group, len(settings["conditions"]))
     condition = settings["conditions"][which]
-    starts = settings["starts_mm"]
-    ours = k < len(starts)
-    low, high = starts[k] if ours else settings["baseline_starts_mm"][k - len(starts)]
+    ours = k < len(settings["starts_mm"])
     line = {
         "pair": pair,
         "arm": settings["arm"],
@@ -39,8 +37,7 @@ def registration_trial(settings: Settings, number: int) -> Line:
         **{name: condition[name] for name in ("motion", "quality", "condition")},
     }
     problem = _problem(pair, json.dumps(condition))
-    rng = child_rng(number, "registration start")
-    start = start_with_error(problem, float(rng.uniform(low, high)), rng)
+    start = trial_start(settings, number, problem)
     line["start_mm"] = _mean_error_mm(problem, start)
     try:
         found = _ours(problem, start, number) if ours else _baseline(problem, start)
@@ -55,6 +52,14 @@ def registration_trial(settings: Settings, number: int) -> Line:
         "translation_mm": shift_mm.tolist(),
         **found,
     }
+
+
+def trial_start(settings: Settings, number: int, problem: RegistrationProblem) -> Rigid:
+    """The pose from which a trial begins."""
+    starts = [*settings["starts_mm"], *settings["baseline_starts_mm"]]
+    low, high = starts[number % trials_per_condition(settings)]
+    rng = child_rng(number, "registration start")
+    return start_with_error(problem, float(rng.uniform(low, high)), rng)
 
 
 def start_with_error(problem: RegistrationProblem, start_mm: float, rng: np.random.Generator) -> Rigid:

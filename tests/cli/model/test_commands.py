@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import SimpleITK
 import typer
 from scipy.spatial import KDTree
 from typer.testing import CliRunner
@@ -74,6 +75,18 @@ def test_export_puts_every_phase_at_its_place(built, beating_sphere, tmp_path, e
             assert np.abs(found - known[-1]).min() < within_mm
         distances, _ = KDTree(vertices).query(places)
         assert np.max(distances) < within_mm
+
+
+def test_the_exported_distance_is_zero_on_the_exported_surface(built, tmp_path):
+    """Sampled by SimpleITK: within the fit's error and that of linear interpolation, h²/4R."""
+    for form in ("vtp", "nrrd"):
+        assert run("model", "export", built[0], "-o", tmp_path, "--format", form).exit_code == 0
+    for phase in range(3):
+        image = SimpleITK.ReadImage(str(tmp_path / f"EPICARDIAL_distance_{phase:03d}.nrrd"))
+        places = vtp_points((tmp_path / f"EPICARDIAL_{phase:03d}.vtp").read_bytes())[::7]
+        found = [image.EvaluateAtPhysicalPoint(place, SimpleITK.sitkLinear) for place in places.tolist()]
+        radius_mm = np.linalg.norm(places - places.mean(axis=0), axis=1).mean()
+        assert np.abs(found).max() < image.GetSpacing()[0] ** 2 / (4 * radius_mm) + 0.03
 
 
 def vtp_points(data):

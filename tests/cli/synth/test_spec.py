@@ -83,7 +83,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, error: type[Exception
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UnreadableFileError, match="cannot read"):
+    with pytest.raises(UnreadableFileError, match="does not exist"):
         read_spec(tmp_path / "none.yaml")
 
 

@@ -12,7 +12,7 @@ from data_synth.scenario.displacement import STEP_S
 from data_synth.scenario.world import image_middle_mm
 from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.core import FloatArray, ImageMap, Scenario, ScenarioTruth
+from dvf_ig.core import FloatArray, ImageMap, Scenario, ScenarioTruth, Signal
 
 SECONDS = 16.0
 HALF_S = 0.5 * SECONDS
@@ -42,6 +42,7 @@ def streams(scenario: Scenario) -> dict[str, list[FloatArray]]:
     out = {name: [s.t_s, s.rotations, s.translations_mm] for name, s in poses.items()}
     out["nwire"].append(nwire_of(scenario).points_px)
     out["latency"].append(latency_of(scenario).wall_row_px.values)
+    assert isinstance(scenario.ecg, Signal)
     out["ecg"] = [scenario.ecg.samples]
     out["ecg clock"] = [scenario.ecg.t_s]
     out["images"] = [scenario.ultrasound.images[::10].astype(np.float64)]

@@ -21,6 +21,7 @@ def arrays(made: Scenario) -> list[FloatArray]:
     nwire, latency = nwire_of(made), latency_of(made)
     streams = [tool_of(made), pivot_of(made), nwire.phantom_from_probe, latency.tracker_from_probe]
     streams.append(made.ultrasound.poses["tracker_from_probe"])
+    assert isinstance(made.ecg, Signal)
     out = [made.ecg.samples, nwire.points_px, latency.wall_row_px.values, made.start.matrix]
     out += [made.landmarks_tracker.points.xyz_mm, truth.r_peaks_s, truth.tool.distance_mm]
     out += [truth.mr_from_tracker[0][1].matrix, truth.probe_from_image.matrix, truth.tip.xyz_mm]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from drawn_lines import x_of, y_of
 
+from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.report.replay import (
     BeatTrace,
     EcgStrip,
-    PlaneOverlay,
     RegistrationMark,
     ReplayPage,
     SupervisorTrace,
@@ -44,16 +44,21 @@ def ticks() -> TickTrace:
 
 
 def overlay() -> PlaneOverlay:
-    row, column = np.mgrid[:40:2, :60:2].astype(np.float64)
+    """The surface at 10 mm below the top at the start, at 20 mm registered; pixels of 1 mm by 0.5 mm."""
+    y_mm = np.mgrid[:80, :60][0] * 0.5 + 0.25
+
+    def anatomy(surface_mm: float) -> AnatomyPlane:
+        return AnatomyPlane(y_mm / 40.0, surface_mm - y_mm, None, ("R", "L", "A", "P"))
+
     return PlaneOverlay(
+        name="frame 3",
+        plane="axial",
         event_s=2.5,
         model_phase=0.4,
-        image=np.zeros((40, 60), np.uint8),
-        row_px=row,
-        column_px=column,
-        model_grey=row,
-        start_distance_mm=10.0 - row,
-        distance_mm=20.0 - row,
+        image=np.zeros((80, 60), np.uint8),
+        pixel_mm=(1.0, 0.5),
+        start=anatomy(10.0),
+        registered=anatomy(20.0),
     )
 
 
@@ -81,8 +86,7 @@ def page() -> ReplayPage:
             (("ok", "#1f6fb4", VALID), ("no pose", "#888888", ~VALID)),
         ),
         ecg=EcgStrip(
-            lead="II",
-            unit="mV",
+            label="II, mV",
             ecg_t_s=T_S,
             ecg=np.cos(T_S),
             r_peaks_s=np.array([1.0, 2.0]),
@@ -174,3 +178,11 @@ def test_r_peaks_lie_on_the_ecg() -> None:
     x, y = upper.lines[1].get_data()
     assert y == pytest.approx(np.cos(x), abs=1e-6)
     np.testing.assert_array_equal(y_of(lower.lines[0]), T_S % 1.0)
+
+
+def test_a_trigger_is_drawn_as_pulses() -> None:
+    pulses = np.array([0.5, 1.3])
+    upper, _ = ecg_figure(replace(page().ecg, label="trigger", ecg_t_s=pulses, ecg=None)).axes
+    (lines,) = upper.collections
+    assert [np.asarray(path.vertices)[0, 0] for path in lines.get_paths()] == pulses.tolist()
+    assert upper.get_ylabel() == "trigger"

@@ -1,0 +1,154 @@
+"""Labels that a model is checked with, and how well its surface agrees with them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import typer
+
+from dvf_ig.cli.shell import warn
+from dvf_ig.core import DvfModel, InvalidInputError, Volume, VolumeSeries
+
+from .output import DEFINITIONS
+from .request import BuildRequest
+
+if TYPE_CHECKING:
+    from dvf_ig.preop import LabelCheck
+
+PHASE_POINTS = 1000
+"""Random points on each of the two surfaces of a phase, where labels of every phase are given."""
+LABELS_HELP = (
+    "A label image and its place in the model's cycle. PHASE with a decimal point is a fraction of the cycle "
+    "in [0, 1), a whole number one of the model's phases, counted from 0: es.nii.gz@0.35, es.seg.nrrd@11. Of "
+    "a 4-D image it picks the frame."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LabelsAt:
+    """A label image and its place in the cycle: a phase of the model, or a fraction of the cycle."""
+
+    path: Path
+    phase: int | None
+    fraction: float
+
+
+def labels_at(text: str) -> LabelsAt:
+    """Parse FILE@PHASE.
+
+    Raises:
+        typer.BadParameter: another form.
+    """
+    name, at, place = text.rpartition("@")
+    try:
+        phase = int(place) if "." not in place else None
+        fraction = 0.0 if phase is not None else float(place)
+    except ValueError:
+        phase, fraction = None, -1.0
+    if not (at and name) or not 0.0 <= fraction < 1.0 or (phase is not None and phase < 0):
+        raise typer.BadParameter(
+            f"--labels is '{text}'; needed FILE@PHASE, where PHASE is a fraction of the cycle in [0, 1) with "
+            "a decimal point (es.nii.gz@0.35) or the number of a phase (es.nii.gz@11)"
+        )
+    return LabelsAt(Path(name), phase, fraction)
+
+
+def check_with_labels(
+    model: DvfModel, given: LabelsAt, organ: tuple[int, ...], points: int, seed: int
+) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    """What is printed of the agreement with labels: JSON and rows."""
+    from dvf_ig.io import read_labels
+    from dvf_ig.preop import check_labels
+
+    labels, fraction = _labels_of(model, given, read_labels(given.path, model.frame))
+
+    def agreement(at: float) -> "LabelCheck":
+        rng = np.random.default_rng(seed)
+        return check_labels(model, labels, at, organ_labels=organ, points=points, rng=rng)
+
+    found = agreement(fraction)
+    still = agreement(float(model.timing.fractions[model.ed_phase]))
+    if still.both_mm.mean() < found.both_mm.mean():
+        warn(
+            f"the end-diastolic surface agrees better with these labels ({still.both_mm.mean():.2f} mm mean) "
+            f"than the surface at their place in the cycle ({found.both_mm.mean():.2f} mm): check PHASE and "
+            "the motion"
+        )
+    payload = {
+        **_numbers(found),
+        "phase": found.fraction,
+        "model_to_labels_mm": _spread(found.model_to_labels_mm),
+        "labels_to_model_mm": _spread(found.labels_to_model_mm),
+        "end_diastole": _numbers(still),
+    }
+    rows = [
+        ("labels", f"{given.path.name} at {found.fraction:.3f} of the cycle"),
+        ("Dice", f"{found.dice:.3f}; of the end-diastolic surface, without motion, {still.dice:.3f}"),
+        ("anatomical error", f"{_told(found.both_mm)}: {DEFINITIONS['anatomical_error_mm']}"),
+        ("  model to labels", _told(found.model_to_labels_mm)),
+        ("  labels to model", _told(found.labels_to_model_mm)),
+        ("  without motion", _told(still.both_mm)),
+    ]
+    return payload, rows
+
+
+def anatomical_error_mm(model: DvfModel, truth: VolumeSeries, request: BuildRequest) -> dict[str, Any]:
+    """Distance between the model's surfaces and labels that were not used to build it, both directions."""
+    from dvf_ig.preop import check_labels
+
+    rng = np.random.default_rng(request.seed)
+    others = [i for i in range(model.phases) if i != request.ed_phase]
+    found = [
+        check_labels(
+            model,
+            truth.phase(i),
+            float(model.timing.fractions[i]),
+            organ_labels=request.organ,
+            points=PHASE_POINTS,
+            rng=rng,
+        )
+        for i in others
+    ]
+    every = np.concatenate([check.both_mm for check in found])
+    return {
+        "mean": float(every.mean()),
+        "p95": float(np.percentile(every, 95)),
+        "phases": others,
+        "per_phase": [float(check.both_mm.mean()) for check in found],
+        "dice": [check.dice for check in found],
+    }
+
+
+def _labels_of(model: DvfModel, given: LabelsAt, frames: Sequence[Volume]) -> tuple[Volume, float]:
+    """The frame that is meant, and its place in the cycle."""
+    fractions = model.timing.fractions
+    if given.phase is not None and given.phase >= model.phases:
+        raise InvalidInputError(
+            f"--labels {given.path}@{given.phase}: the model has phases 0 to {model.phases - 1}"
+        )
+    if len(frames) == 1:
+        return frames[0], given.fraction if given.phase is None else float(fractions[given.phase])
+    if len(frames) != model.phases:
+        raise InvalidInputError(
+            f"{given.path} has labels of {len(frames)} phases, the model {model.phases}; give labels of one "
+            "phase, or of each of the model's"
+        )
+    away = np.abs(fractions - given.fraction)
+    phase = int(np.minimum(away, 1.0 - away).argmin()) if given.phase is None else given.phase
+    return frames[phase], float(fractions[phase])
+
+
+def _numbers(check: "LabelCheck") -> dict[str, float]:
+    spread = _spread(check.both_mm)
+    return {"dice": check.dice, "mean_mm": spread["mean"], "p95_mm": spread["p95"]}
+
+
+def _spread(distance_mm: np.ndarray[Any, Any]) -> dict[str, float]:
+    return {"mean": float(distance_mm.mean()), "p95": float(np.percentile(distance_mm, 95))}
+
+
+def _told(distance_mm: np.ndarray[Any, Any]) -> str:
+    spread = _spread(distance_mm)
+    return f"{spread['mean']:.2f} mm mean, {spread['p95']:.2f} p95"

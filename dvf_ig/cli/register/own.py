@@ -1,0 +1,192 @@
+"""A lab's own recordings as options of `dvf-ig register`: one option for each entry of a SESSION.yaml."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from dvf_ig.io import PreopFiles, SessionRecordings
+
+ConfigOption = Annotated[
+    Path | None,
+    typer.Option("--config", help="SESSION.yaml that names the recordings (see `dvf-ig config init`)."),
+]
+UltrasoundOption = Annotated[
+    Path | None, typer.Option("--us", help="Tracked ultrasound, PLUS sequence (.igs.mha, .igs.nrrd).")
+]
+EcgOption = Annotated[
+    str | None,
+    typer.Option("--ecg", help="ECG as `gate` takes it (default: the one recorded with the ultrasound)."),
+]
+MrOption = Annotated[Path | None, typer.Option("--mr", "--cine", help="Cine series the model was made from.")]
+LabelsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--labels", help="In place of --model: labels of the cine's end-diastole, or of all phases."
+    ),
+]
+OrganOption = Annotated[
+    str | None, typer.Option("--organ", help="Label values inside the surface, for example 1,2,5.")
+]
+CavityOption = Annotated[str | None, typer.Option("--cavity", help="Label values of blood.")]
+PatientOption = Annotated[
+    str | None, typer.Option("--patient", help="Patient id (default: the model's, else the cine's name).")
+]
+ProbeOption = Annotated[
+    Path | None,
+    typer.Option("--probe", help="Probe calibration: JSON of `calibrate probe`, or PLUS XML."),
+]
+LagOption = Annotated[float | None, typer.Option("--lag-s", help="Latency in s: t_tracker = t_video + lag.")]
+LatencyOption = Annotated[
+    Path | None, typer.Option("--latency", help="In place of --lag-s: JSON of `calibrate latency`.")
+]
+StartOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--start", "--init", help="Coarse mr_from_tracker (a pair: moving_from_fixed), ITK .tfm or .h5."
+    ),
+]
+StartLandmarksOption = Annotated[
+    tuple[Path, Path] | None,
+    typer.Option(
+        "--start-landmarks",
+        metavar="MR TRACKER",
+        help="The same points marked on the model and touched on the patient (.mrk.json, .fcsv).",
+    ),
+]
+TouchedOption = Annotated[
+    str | None,
+    typer.Option(
+        "--touched",
+        metavar="POINTS[@PHASE]",
+        help="Points touched all over the heart, frame tracker, at a place of the cycle (default: "
+        "end-diastole). They start a registration, and check one that starts elsewhere.",
+    ),
+]
+FanOption = Annotated[
+    str | None,
+    typer.Option(
+        "--fan",
+        metavar="COLUMN,ROW,START,STOP,ANGLE",
+        help="Insonified sector: apex and radii in px, half angle in rad (default: found in the images).",
+    ),
+]
+
+
+def read_recordings(us: Path | None, options: Mapping[str, Any]) -> "SessionRecordings":
+    """Everything that the options name.
+
+    Args:
+        us: the ultrasound.
+        options: by their names on the command line; None where they were not given.
+    Raises:
+        typer.BadParameter: an option is missing, or two exclude each other.
+        DvfIgError: a file is absent, cannot be read, or does not fit.
+    """
+    from dvf_ig.io import read_options
+
+    _require_enough(options)
+    return read_options(document_of(us, options))
+
+
+def read_heart(options: Mapping[str, Any]) -> "PreopFiles":
+    """The pre-operative heart that the options name."""
+    from dvf_ig.io import read_heart_options
+
+    return read_heart_options(_heart(options) or {}, options["--patient"])
+
+
+def _heart(options: Mapping[str, Any]) -> dict[str, Any] | None:
+    return _given(
+        model=options["--model"],
+        mr=options["--mr"],
+        labels=options["--labels"],
+        organ_labels=_values(options["--organ"], "--organ"),
+        cavity_labels=_values(options["--cavity"], "--cavity"),
+    )
+
+
+def document_of(us: Path | None, options: Mapping[str, Any]) -> dict[str, Any]:
+    """The same as the content of a SESSION.yaml."""
+    landmarks = options["--start-landmarks"] or (None, None)
+    latency = options["--latency"] if options["--lag-s"] is None else options["--lag-s"]
+    return (
+        _given(
+            patient_id=options["--patient"],
+            preop=_heart(options),
+            ultrasound=_given(
+                file=us,
+                probe_name=options["--probe-name"],
+                reference_name=options["--reference-name"],
+                fan=_fan(options["--fan"]),
+            ),
+            ecg=_given(file=options["--ecg"], rate_hz=options["--rate"]),
+            calibration=_given(probe=options["--probe"], latency=latency),
+            start=_given(
+                transform=options["--start"],
+                landmarks_mr=landmarks[0],
+                landmarks_tracker=landmarks[1],
+                **_touched(options["--touched"]),
+            ),
+        )
+        or {}
+    )
+
+
+def require_heart(options: Mapping[str, Any]) -> None:
+    """Raise typer.BadParameter unless the options name one heart."""
+    if options["--model"] is not None and options["--labels"] is not None:
+        raise typer.BadParameter("give --model, or --labels from which one is built, not both")
+    if options["--model"] is None and options["--labels"] is None:
+        raise typer.BadParameter("whose heart? give --model MODEL, or --cine CINE with --labels LABELS")
+
+
+def _require_enough(options: Mapping[str, Any]) -> None:
+    require_heart(options)
+    if options["--probe"] is None:
+        raise typer.BadParameter(
+            "--us needs --probe FILE, the probe's calibration (dvf-ig calibrate probe … -o FILE)"
+        )
+    if (options["--lag-s"] is None) == (options["--latency"] is None):
+        raise typer.BadParameter("give the latency of the video once: --lag-s SECONDS, or --latency JSON")
+    if options["--ecg"] is None and options["--rate"] is not None:
+        raise typer.BadParameter("--rate is of the table that --ecg names; give --ecg, too")
+
+
+def _touched(text: str | None) -> dict[str, Any]:
+    file, at, phase = (text or "").rpartition("@")
+    if not at:
+        return {"touched": text}
+    try:
+        return {"touched": file, "touched_phase": float(phase)}
+    except ValueError as exc:
+        raise typer.BadParameter(
+            f"--touched: '{phase}' is no place in the cycle; needed a fraction such as 0.0"
+        ) from exc
+
+
+def _fan(text: str | None) -> dict[str, Any] | None:
+    if text is None:
+        return None
+    try:
+        column, row, start, stop, angle = (float(part) for part in text.split(","))
+    except ValueError as exc:
+        raise typer.BadParameter(
+            f"--fan is '{text}'; needed five numbers: column and row of the apex, first and last radius in "
+            "px, half angle in rad"
+        ) from exc
+    return {"apex_px": [column, row], "start_px": start, "stop_px": stop, "half_angle_rad": angle}
+
+
+def _given(**entries: Any) -> dict[str, Any] | None:
+    """The entries that were given; None where none was."""
+    plain = {k: str(v) if isinstance(v, Path) else v for k, v in entries.items()}
+    return {k: v for k, v in plain.items() if v is not None} or None
+
+
+def _values(text: str | None, option: str) -> tuple[int, ...] | None:
+    from dvf_ig.cli.shell import whole_numbers
+
+    return None if text is None else whole_numbers(text, option, "1,2,5")

@@ -1,0 +1,178 @@
+"""Gated 3-D ultrasound from image files: when in the cycle it was taken, its grey levels, what it shows.
+
+The header of a file places it: its LPS coordinates, in mm, are those of the tracker.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core.arrays import AnyArray, BoolArray
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.rigid import Rigid
+from dvf_ig.core.tracked_volume import TrackedVolume
+from dvf_ig.core.volume import Grid, Volume
+from dvf_ig.io.reading import reading
+
+from .volume import image_dimension, read_volume
+
+FRAME = "tracker"
+SAME_SECTOR = 0.95
+"""Dice coefficient of what two images show from which they show one sector. In calm and poor synthetic images
+of one transducer it is 0.998 or more."""
+_PLACE = re.compile(r"(.+)([@=])([^@=]*)")
+_SEQUENCE_MARK = b"Seq_Frame"
+
+
+@dataclass(frozen=True, slots=True)
+class GatedVolumeFile:
+    """A file and when its image was taken: either its place in the cycle or its time is known.
+
+    Attributes:
+        phase: fraction of the RR interval since the R peak, [0, 1).
+        t_s: seconds on the clock of the ECG.
+    """
+
+    path: Path
+    phase: float | None = None
+    t_s: float | None = None
+
+
+def gated_volume_files(texts: Sequence[str]) -> tuple[GatedVolumeFile, ...]:
+    """Files named FILE@PHASE or FILE=SECONDS, in their order.
+
+    Raises:
+        InvalidInputError: neither of the two, a phase outside [0, 1), no number, or a file named twice.
+    """
+    files = tuple(_gated_volume_file(text) for text in texts)
+    seen: set[Path] = set()
+    for file in files:
+        resolved = file.path.resolve()
+        if resolved in seen:
+            raise InvalidInputError(f"{file.path} is named twice; one volume has one place in the cycle")
+        seen.add(resolved)
+    return files
+
+
+def _gated_volume_file(text: str) -> GatedVolumeFile:
+    found = _PLACE.fullmatch(text)
+    try:
+        if found is None:
+            raise ValueError
+        path, number = Path(found[1]), float(found[3])
+    except ValueError as exc:
+        raise InvalidInputError(
+            f"'{text}' does not say when in the cycle it was taken; write FILE@PHASE, a fraction of the RR "
+            "interval such as us.nrrd@0.35, or FILE=SECONDS with an ECG"
+        ) from exc
+    if found[2] == "=":
+        if not np.isfinite(number):
+            raise InvalidInputError(f"'{text}': the time is {number} s; needed a finite one")
+        return GatedVolumeFile(path, t_s=number)
+    if not 0.0 <= number < 1.0:
+        raise InvalidInputError(
+            f"'{text}': the place in the cycle is {number:g}; needed a fraction of the RR interval, 0 to "
+            "below 1"
+        )
+    return GatedVolumeFile(path, phase=number)
+
+
+def read_gated_volumes(paths: Sequence[Path], model_phases: Sequence[float]) -> tuple[TrackedVolume, ...]:
+    """Read gated 3-D ultrasound images in the frame "tracker".
+
+    Grey levels are log-compressed, 0 to 255 in any pixel type, or 0 to 1 in a floating-point image; NaN is
+    black. What was insonified is found in the images (`insonified_voxels`). Images of one size whose sectors
+    agree to SAME_SECTOR come from one transducer: what one of them shows was insonified in all.
+
+    Args:
+        paths: NIfTI, NRRD or MetaImage whose LPS coordinates are the tracker's; voxels of any edges.
+        model_phases: where in the model's cycle each was taken, [0, 1).
+    Raises:
+        UnreadableFileError: absent, damaged, a sequence, 4-D, other grey levels, or black throughout.
+    """
+    images = [_read_image(Path(path)) for path in paths]
+    masks = _common_sectors([image.grid for image in images], [insonified_voxels(i.values) for i in images])
+    pose = Rigid.identity(FRAME, FRAME)
+    return tuple(
+        TrackedVolume(image, Volume(image.grid, mask.astype(np.uint8)), pose, phase)
+        for image, mask, phase in zip(images, masks, model_phases, strict=True)
+    )
+
+
+def insonified_voxels(grey: AnyArray) -> BoolArray:
+    """(nx, ny, nz) voxels that lie between non-zero ones along an axis, repeatedly: dark blood among them.
+
+    Of the sector of a phased or matrix array, which is convex, it finds all but corners that show nothing;
+    the black around the sector is left out on a grid of any direction.
+    """
+    seen = np.asarray(grey != 0)
+    count = -1
+    while count != (count := int(np.count_nonzero(seen))):
+        for axis in range(3):
+            after = np.maximum.accumulate(seen, axis=axis)
+            before = np.flip(np.maximum.accumulate(np.flip(seen, axis), axis=axis), axis)
+            seen = after & before
+    return seen
+
+
+def _common_sectors(grids: Sequence[Grid], found: Sequence[BoolArray]) -> list[BoolArray]:
+    """The insonified voxels of each image, with those of the images that share its sector."""
+    counts = [int(np.count_nonzero(mask)) for mask in found]
+
+    def share_sector(i: int, j: int) -> bool:
+        alike = grids[i].shape == grids[j].shape and np.allclose(
+            grids[i].spacing_mm, grids[j].spacing_mm, rtol=1e-3
+        )
+        both = int(np.count_nonzero(found[i] & found[j])) if alike else 0
+        return 2 * both >= SAME_SECTOR * (counts[i] + counts[j])
+
+    unions: dict[tuple[int, ...], BoolArray] = {}
+    out = []
+    for i, mask in enumerate(found):
+        sharing = tuple(j for j in range(len(found)) if j == i or share_sector(i, j))
+        if len(sharing) > 1 and sharing not in unions:
+            unions[sharing] = insonified_voxels(np.logical_or.reduce([found[j] for j in sharing]))
+        out.append(unions.get(sharing, mask))
+    return out
+
+
+def _read_image(path: Path) -> Volume:
+    with reading(path, "a 3-D ultrasound image (NIfTI, NRRD or MetaImage)"):
+        _require_one_volume(path)
+        image = read_volume(path, frame=FRAME)
+        grey = _grey_levels(path, image.values)
+        if not grey.any():
+            raise UnreadableFileError(f"{path} is black throughout; needed an ultrasound image")
+        return Volume(image.grid, grey)
+
+
+def _require_one_volume(path: Path) -> None:
+    with path.open("rb") as file:
+        head = file.read(65536)
+    if ".igs." in path.name.lower() or _SEQUENCE_MARK in head:
+        raise UnreadableFileError(
+            f"{path} is a tracked sequence of planes, not a 3-D image; needed one gated volume a file"
+        )
+    if image_dimension(path) == 4:
+        raise UnreadableFileError(
+            f"{path} holds several volumes; split it into one file a volume, and say of each when in the "
+            "cycle it was taken"
+        )
+
+
+def _grey_levels(path: Path, values: AnyArray) -> NDArray[np.uint8]:
+    real = values.dtype.kind == "f"
+    known = np.nan_to_num(values, nan=0.0, posinf=np.inf, neginf=-np.inf) if real else values
+    low, high = float(known.min()), float(known.max())
+    if low < 0 or high > 255:
+        raise UnreadableFileError(
+            f"{path} holds values from {low:g} to {high:g}; needed log-compressed grey levels of 0 to 255, "
+            "or 0 to 1 in a floating-point image: rescale it"
+        )
+    if not real:
+        return np.asarray(known, dtype=np.uint8)
+    return np.asarray(np.rint(known * 255.0 if high <= 1.0 else known), dtype=np.uint8)

@@ -1,0 +1,253 @@
+"""An ECG inside a PLUS sequence: a per-frame field that holds what the ECG delivered since the last frame.
+
+PLUS stores each line that a GenericSerialDevice sends as one item, under the Id of its data source, stamped
+when it arrived; a recorded frame gets the item nearest in time, and that item's time as its Timestamp
+(vtkPlusGenericSerialDevice::ReceiveResponse, vtkPlusChannel::GetTrackedFrame). So of lines that come faster
+than frames most are lost, and a line that comes slower may stand in two frames; no time of a single sample is
+recorded. What is read here beside the field `<Name>`, all optional:
+
+    Seq_FrameNNNN_<Name>Timestamp   time of the frame's first sample (s)
+    Seq_FrameNNNN_<Name>Status      anything but OK: the frame's samples are missing
+    <Name>Rate                      samples a second
+    <Name>Leads                     names of leads, blank between; samples then alternate between leads
+    <Name>Unit                      for example mV
+
+With times and rate the samples are where these say, exactly; else where `batch_times` finds them.
+"""
+
+import logging
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, read_only_arrays
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.signal import Signal
+from dvf_ig.io.reading import reading
+
+from .batch_times import fit_batch_times
+from .numeric_fields import numbers_of, numeric_fields
+from .raw_sequence import RawSequence, read_raw_sequence
+from .sequence_read import clock_restart
+
+log = logging.getLogger(__name__)
+
+SLOWEST_HZ = 100.0
+"""R peaks are not found in less."""
+UNKNOWN_UNIT = "unknown"
+OFF_RASTER = 0.25
+"""Recorded times lie within this many samples of an even raster, else the clock that gave them drifts."""
+_LONGEST_GAP = 20
+"""A raster with more than this many times the samples that there are holds a wrong time."""
+
+
+def read_ecg_field(path: Path | str, name: str | None = None) -> Signal:
+    """The ECG in a tracked sequence, on the clock of its time stamps.
+
+    Args:
+        path: the sequence, with or without images.
+        name: of the field; None takes the one whose name contains "ecg".
+    Returns:
+        the samples; NaN where frames or values are missing. Lines that PLUS repeated count once.
+    Raises:
+        UnreadableFileError: not a sequence; no such field, or several; values that are not numbers; times
+            that contradict each other; slower than SLOWEST_HZ.
+    """
+    path = Path(path)
+    with reading(path, "a tracked sequence with an ECG"):
+        return ecg_of_sequence(path, read_raw_sequence(path, pixels=False), name)
+
+
+def ecg_of_sequence(path: Path, raw: RawSequence, name: str | None = None) -> Signal:
+    """The same of a sequence that was taken apart already."""
+    field = name if name is not None else _only_ecg_field(path, raw)
+    if field not in raw.frame_fields:
+        raise UnreadableFileError(f"{path} has no field '{field}'; {_listed(raw)}")
+    leads = tuple((_companion(raw, field, "Leads") or field).split())
+    batches = _batches(path, raw, field, len(leads))
+    stated = _companion(raw, field, "Rate")
+    try:
+        rate_hz = None if stated is None else float(stated)
+    except ValueError as exc:
+        raise UnreadableFileError(f"{path}: {field}Rate is '{stated}'; needed samples a second") from exc
+    times = _raster(path, field, batches, rate_hz)
+    if times.rate_hz < SLOWEST_HZ:
+        raise UnreadableFileError(
+            f"{path}: field {field} has {times.rate_hz:.3g} samples a second, needed {SLOWEST_HZ:g}: "
+            "of single values PLUS keeps the one nearest each frame; send several in a line, or record the "
+            "ECG by itself"
+        )
+    samples = _on_raster(path, field, batches, times)
+    unit = _companion(raw, field, "Unit") or UNKNOWN_UNIT
+    return Signal(samples, times.rate_hz, times.start_s, leads, unit)
+
+
+def ecg_fields(raw: RawSequence) -> tuple[str, ...]:
+    """Numeric fields whose names contain "ecg"."""
+    return tuple(name for name in numeric_fields(raw) if "ecg" in name.lower())
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class _Batches:
+    """The samples of each frame, one after the other in order of time.
+
+    Attributes:
+        counts: (b,) samples of each, at least 1.
+        stamps_s: (b,) time stamps of the frames; NaN where the file has none.
+        first_s: (b,) times of the first samples, where they were recorded, else None.
+        values: (n, leads).
+    """
+
+    counts: IntArray
+    stamps_s: FloatArray
+    first_s: FloatArray | None
+    values: FloatArray
+
+
+class _Raster(NamedTuple):
+    """Even sampling: its rate, the time of sample 0, and (b,) the index of each batch's first sample."""
+
+    rate_hz: float
+    start_s: float
+    first: IntArray
+
+
+def _only_ecg_field(path: Path, raw: RawSequence) -> str:
+    found = ecg_fields(raw)
+    if len(found) == 1:
+        return found[0]
+    number = f"{len(found)} fields of an ECG" if found else "no field whose name contains 'ecg'"
+    raise UnreadableFileError(f"{path} has {number}; {_listed(raw)}")
+
+
+def _listed(raw: RawSequence) -> str:
+    names = numeric_fields(raw)
+    if not names:
+        return "it has no numeric fields at all: give the ECG as a file (--ecg)"
+    return f"give the ECG as a file, or name a numeric field as plus:FILE#FIELD: {', '.join(names)}"
+
+
+def _companion(raw: RawSequence, field: str, what: str) -> str | None:
+    """A field that belongs to another, of the sequence or of its first frame that has it."""
+    name = f"{field}{what}"
+    return raw.fields.get(name) or next(iter(raw.frame_fields.get(name, {}).values()), None)
+
+
+def _batches(path: Path, raw: RawSequence, field: str, leads: int) -> _Batches:
+    numbers = numbers_of(path, raw, field)
+    texts = raw.frame_fields[field]
+    stamps = raw.numbers("Timestamp")
+    stamps = np.full(raw.frames, np.nan) if stamps is None else stamps
+    first_s = _first_times(path, raw, field)
+    frames = np.array(sorted(numbers), dtype=np.int64)
+    if not len(frames):
+        raise UnreadableFileError(f"{path}: field {field} holds no numbers")
+    times = stamps if first_s is None else first_s
+    if not np.isfinite(times[frames]).all():
+        raise UnreadableFileError(
+            f"{path}: frames with {field} have no time stamp; needed Timestamp or {field}Timestamp with each"
+        )
+    restart = clock_restart(times[frames])
+    if restart is not None:
+        log.warning("%s: the ECG is used up to frame %d, where its clock restarts", path, frames[restart])
+        frames = frames[:restart]
+    frames = frames[np.argsort(times[frames], kind="stable")]
+    frames = frames[~_repeated(times[frames], [texts[i] for i in frames.tolist()], by_text=first_s is None)]
+    uneven = [i for i in frames.tolist() if len(numbers[i]) % leads]
+    if uneven:
+        raise UnreadableFileError(
+            f"{path}: {field} of frame {uneven[0]} has {len(numbers[uneven[0]])} values of {leads} leads"
+        )
+    values = np.concatenate([numbers[i] for i in frames.tolist()]).reshape(-1, leads)
+    counts = np.array([len(numbers[i]) // leads for i in frames.tolist()], dtype=np.int64)
+    return _Batches(counts, stamps[frames], None if first_s is None else first_s[frames], values)
+
+
+def _first_times(path: Path, raw: RawSequence, field: str) -> FloatArray | None:
+    """(frames,) recorded times of first samples, NaN where there is none; None without that field."""
+    texts = raw.frame_fields.get(f"{field}Timestamp")
+    if not texts:
+        return None
+    try:
+        return np.array([float(texts.get(i) or "nan") for i in range(raw.frames)])
+    except ValueError as exc:
+        raise UnreadableFileError(f"{path}: a {field}Timestamp is no number ({exc})") from exc
+
+
+def _repeated(times_s: FloatArray, texts: list[str], *, by_text: bool) -> BoolArray:
+    """(b,) True where PLUS gave a frame the line that the frame before has already.
+
+    Its time says so; or, `by_text`, that several values come again: one value, or a flat line, may well.
+    """
+    again = [False]
+    for i in range(1, len(texts)):
+        values = re.split(r"[\s,;]+", texts[i].strip())
+        same_line = texts[i] == texts[i - 1] and len(values) >= 3 and len(set(values)) > 1
+        again.append(bool(times_s[i] == times_s[i - 1]) or (by_text and same_line))
+    return np.array(again)
+
+
+def _raster(path: Path, field: str, batches: _Batches, stated_hz: float | None) -> _Raster:
+    """Where the batches lie, as recorded or as their time stamps suggest."""
+    if batches.first_s is not None and stated_hz is not None:
+        exact = _recorded(batches.counts, batches.first_s, stated_hz)
+        if exact is not None:
+            return exact
+    counts, first_s = batches.counts, batches.first_s
+    try:
+        if first_s is None:
+            times = fit_batch_times(counts, batches.stamps_s)
+            first = times.last + 1 - counts
+        else:
+            times = fit_batch_times(
+                np.append(1, counts[:-1]), first_s
+            )  # as if each held its first sample last
+            first = times.last
+    except InvalidInputError as exc:
+        raise UnreadableFileError(f"{path}, field {field}: {exc}") from exc
+    if stated_hz is not None and abs(stated_hz - times.rate_hz) > 0.02 * times.rate_hz:
+        raise UnreadableFileError(
+            f"{path}: {field}Rate is {stated_hz:g} Hz, but {times.rate_hz:.4g} samples a second were recorded"
+        )
+    log.warning(
+        "%s: the times of the ECG in field %s follow from the time stamps of %d frames: %.5g Hz from %.3f s, "
+        "good to about %.0f ms",
+        path,
+        field,
+        len(counts),
+        times.rate_hz,
+        times.start_s,
+        max(1.0, 1000 * times.spread_s),
+    )
+    return _Raster(times.rate_hz, times.start_s, first)
+
+
+def _recorded(counts: IntArray, first_s: FloatArray, rate_hz: float) -> _Raster | None:
+    """As times and rate say; None where batches would overlap or lie between samples."""
+    position = (first_s - first_s[0]) * rate_hz
+    first = np.rint(position).astype(np.int64)
+    fits = np.abs(position - first).max() < OFF_RASTER and (np.diff(first) >= counts[:-1]).all()
+    return _Raster(rate_hz, float(first_s[0]), first) if fits else None
+
+
+def _on_raster(path: Path, field: str, batches: _Batches, times: _Raster) -> FloatArray:
+    """(n, leads) samples on the even raster, NaN between batches that do not meet."""
+    length = int(times.first[-1] + batches.counts[-1])
+    if length > _LONGEST_GAP * len(batches.values):
+        raise UnreadableFileError(
+            f"{path}: the times of field {field} span {length / times.rate_hz:.0f} s, but its "
+            f"{len(batches.values)} samples fill {len(batches.values) / times.rate_hz:.0f} s"
+        )
+    begins = np.cumsum(batches.counts) - batches.counts
+    at = np.repeat(times.first - begins, batches.counts) + np.arange(len(batches.values))
+    samples = np.full((length, batches.values.shape[1]), np.nan)
+    samples[at] = batches.values
+    missing = length - len(batches.values)
+    if missing:
+        gaps = int(np.count_nonzero(np.diff(times.first) > batches.counts[:-1]))
+        log.warning("%s: field %s lacks %d samples at %d places", path, field, missing, gaps)
+    return samples

@@ -1,0 +1,153 @@
+"""Where a result comes from: the versions it was computed with, and the files that were read for it.
+
+A command opens a record; `reading` adds every file to it, with the SHA-256 of what was read. Outside a
+command nothing is recorded. Names are those that the user gave: an absolute path is shortened to the place
+within the folder that was given, or to the file's own name.
+"""
+
+import hashlib
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import dvf_ig
+from dvf_ig.core.errors import UnreadableFileError
+
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "SimpleITK",
+    "scikit-image",
+    "opencv-contrib-python-headless",
+    "open3d",
+)
+"""Whose versions decide what is computed."""
+
+
+_Stamp = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class _InputFile:
+    path: Path
+    sha256: str
+    bytes: int
+
+
+class _Record:
+    """What one command has read, in the order in which it was read.
+
+    Attributes:
+        files: by their stamps, so that none is hashed twice; a pipe by its name.
+        folders: that were given as one thing, for example a scenario.
+    """
+
+    def __init__(self) -> None:
+        self.files: dict[_Stamp | Path, _InputFile] = {}
+        self.folders: list[Path] = []
+
+
+_RECORD: ContextVar[_Record | None] = ContextVar("files that were read", default=None)
+
+
+@contextmanager
+def recorded_inputs() -> Iterator[None]:
+    """Record the files that are read within the block."""
+    token = _RECORD.set(_Record())
+    try:
+        yield
+    finally:
+        _RECORD.reset(token)
+
+
+@contextmanager
+def not_recorded() -> Iterator[None]:
+    """Read without recording: what the program keeps for itself is nobody's input."""
+    token = _RECORD.set(None)
+    try:
+        yield
+    finally:
+        _RECORD.reset(token)
+
+
+def file_stamp(path: Path) -> _Stamp | None:
+    """What changes when a file does: device, node, size, time of change; None where it is no regular file."""
+    now = path.stat() if path.is_file() else None
+    return None if now is None else (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns)
+
+
+def record_file(path: Path, content: bytes | None = None, before: _Stamp | None = None) -> None:
+    """Add a file that was read; nothing where no record is open.
+
+    Args:
+        path: as it was opened.
+        content: all that was read of it; None reads it here, for files that a library opens itself.
+        before: its stamp before the library read it.
+    Raises:
+        UnreadableFileError: it has changed since, has gone, or cannot be read again.
+    """
+    record = _RECORD.get()
+    if record is None:
+        return
+    try:
+        key = file_stamp(path) or path
+        if before not in (None, key):
+            raise UnreadableFileError(f"{path} changed while it was read; try again when it is complete")
+        if key in record.files:
+            return
+        if content is not None:
+            digest, size = hashlib.sha256(content), len(content)
+        else:
+            with path.open("rb") as stream:
+                digest = hashlib.file_digest(stream, "sha256")
+                size = stream.tell()
+    except OSError as exc:
+        raise UnreadableFileError(f"cannot read {path} again: {exc.strerror or exc}") from exc
+    record.files[key] = _InputFile(path, digest.hexdigest(), size)
+
+
+def record_folder(folder: Path) -> None:
+    """Say that a folder was given as one thing: its files are named by their place within it."""
+    record = _RECORD.get()
+    if record is not None and folder not in record.folders:
+        record.folders.append(folder)
+
+
+def provenance_fields() -> dict[str, Any]:
+    """`versions`, and `inputs` with `file`, `sha256` and `bytes` of each; empty where no record is open."""
+    record = _RECORD.get()
+    if record is None:
+        return {}
+    files = (
+        {"file": _name(one.path, record.folders), "sha256": one.sha256, "bytes": one.bytes}
+        for one in record.files.values()
+    )
+    return {"versions": versions(), "inputs": list(files)}
+
+
+@cache
+def versions() -> dict[str, str | None]:
+    """Of this program, Python and the libraries that compute; None for one that is not installed."""
+    python = ".".join(map(str, sys.version_info[:3]))
+    return {"dvf_ig": dvf_ig.__version__, "python": python, **{name: _version(name) for name in LIBRARIES}}
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return None
+
+
+def _name(path: Path, folders: list[Path]) -> str:
+    if not path.is_absolute():
+        return path.as_posix()
+    within = [path.relative_to(folder) for folder in folders if path.is_relative_to(folder)]
+    return min(within, key=lambda place: len(place.parts), default=Path(path.name)).as_posix()

@@ -1,0 +1,155 @@
+"""A model's surface at one place in the cycle against labels of that phase: overlap and surface distance."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import (
+    BoolArray,
+    DvfModel,
+    FloatArray,
+    Grid,
+    InvalidInputError,
+    Mesh,
+    Volume,
+    read_only_arrays,
+)
+from dvf_ig.core.frames import require_same_frame
+from dvf_ig.preop.distance.triangle_tree import build_triangle_tree
+from dvf_ig.preop.motion.quality import dice
+from dvf_ig.preop.segment.components import largest_component
+from dvf_ig.preop.spline.field import SplineField
+from dvf_ig.preop.surface.from_labels import surface_of_mask
+
+from .check import random_surface_points
+
+SAMPLES_PER_KNOT = 2
+"""Samples of the spline along each knot pitch, between which its zero level is interpolated linearly."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelCheck:
+    """Agreement of a model with labels that it was not built from.
+
+    Attributes:
+        fraction: the place in the cycle at which the model was evaluated.
+        dice: overlap of the voxels whose centre the model's surface encloses with those labelled.
+        model_to_labels_mm, labels_to_model_mm: (n,), (m,) distances from random points of one surface to the
+            other; points where the label image cuts the organ off are left out.
+    """
+
+    fraction: float
+    dice: float
+    model_to_labels_mm: FloatArray
+    labels_to_model_mm: FloatArray
+
+    @property
+    def both_mm(self) -> FloatArray:
+        """(n + m,) distances of both directions."""
+        return np.concatenate([self.model_to_labels_mm, self.labels_to_model_mm])
+
+
+def check_labels(
+    model: DvfModel,
+    labels: Volume,
+    fraction: float,
+    *,
+    organ_labels: Sequence[int] = (),
+    points: int = 4000,
+    rng: np.random.Generator,
+) -> LabelCheck:
+    """Compare the model's surface at `fraction` of the cycle with labels of that phase.
+
+    Between two phases the surface is the zero level of the distance interpolated between theirs (Ren 2008,
+    eq. 10). Of the labels the largest piece counts, with its holes filled, smoothed as a model's surface is.
+
+    Args:
+        organ_labels: values inside the surface; none means all but 0.
+        points: random points on each surface.
+    Raises:
+        FrameMismatchError: labels in another frame than the model.
+        InvalidInputError: no voxel of the organ, labels that do not meet the model's surface, or all of it
+            within a voxel of the image's border.
+    """
+    require_same_frame(model.frame, labels.grid.frame, "labels that a model is checked with")
+    mask = _organ(labels, organ_labels)
+    field = _field(model, fraction)
+    within = _enclosed(field, labels.grid)
+    if not (mask & within).any():
+        raise InvalidInputError(
+            "the labels and the model's surface have no voxel in common; give labels of the same "
+            "examination, in its coordinates"
+        )
+    of_model, of_labels = _zero_level(field, model.frame), surface_of_mask(mask, labels.grid)
+    distances = []
+    for source, target in ((of_model, of_labels), (of_labels, of_model)):
+        at, _ = random_surface_points(source, points, rng)
+        at = at[~_cut_off(at, mask, labels.grid)]
+        if len(at) == 0:
+            raise InvalidInputError(
+                "the label image cuts the organ off everywhere; give labels of more than its border"
+            )
+        distances.append(build_triangle_tree(target.vertices_mm, target.triangles).distance_mm(at))
+    return LabelCheck(fraction % 1.0, dice(mask, within), *distances)
+
+
+def _organ(labels: Volume, organ_labels: Sequence[int]) -> BoolArray:
+    chosen = np.isin(labels.values, list(organ_labels)) if organ_labels else labels.values != 0
+    if not chosen.any():
+        raise InvalidInputError(
+            f"the labels have no voxel of the organ labels {list(organ_labels) or 'other than 0'}; values "
+            f"present are {np.unique(labels.values).tolist()[:20]}"
+        )
+    return largest_component(chosen)
+
+
+def _field(model: DvfModel, fraction: float) -> SplineField:
+    """Signed distance at a place in the cycle."""
+    first, second, weight = model.timing.bracket(fraction)
+    coefficients = (1.0 - weight) * model.coefficients[first] + weight * model.coefficients[second]
+    return SplineField(coefficients[None], model.origin_mm, model.knot_spacing_mm)
+
+
+def _upper_mm(field: SplineField) -> FloatArray:
+    """(3,) far corner of the spline's box, just inside."""
+    knots = np.array(field.coefficients.shape[1:]) - 3
+    return np.asarray(field.origin_mm + knots * field.knot_spacing_mm * (1.0 - 1e-9))
+
+
+def _enclosed(field: SplineField, grid: Grid) -> BoolArray:
+    """(nx, ny, nz) voxels whose centre lies inside the surface."""
+    centers = grid.centers_mm()
+    in_box = ((centers >= field.origin_mm) & (centers <= _upper_mm(field))).all(axis=-1)
+    out = np.zeros(grid.shape, dtype=np.bool_)
+    out[in_box] = field.at(centers[in_box])[0] > 0.0
+    return out
+
+
+def _zero_level(field: SplineField, frame: str) -> Mesh:
+    from skimage.measure import marching_cubes
+
+    size_mm = _upper_mm(field) - field.origin_mm
+    counts = (np.array(field.coefficients.shape[1:]) - 3) * SAMPLES_PER_KNOT + 1
+    axes = [np.linspace(0.0, size, n) for size, n in zip(size_mm, counts, strict=True)]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1) + field.origin_mm
+    distance = field.at(nodes.reshape(-1, 3))[0].reshape(nodes.shape[:3])
+    if not distance.min() < 0.0 < distance.max():
+        raise InvalidInputError("the model has no surface at this place in the cycle; build it again")
+    vertices, triangles, _, _ = marching_cubes(distance, 0.0, allow_degenerate=False)
+    spacing = size_mm / (counts - 1)
+    return Mesh(frame, field.origin_mm + vertices * spacing, triangles.astype(np.int64))
+
+
+def _cut_off(xyz_mm: FloatArray, mask: BoolArray, grid: Grid) -> BoolArray:
+    """(n,) points within one voxel of a border that the labels reach, or beyond it: not imaged, but cut."""
+    index = grid.to_index(xyz_mm)
+    out = np.zeros(len(xyz_mm), dtype=np.bool_)
+    for axis, count in enumerate(mask.shape):
+        layers = np.moveaxis(mask, axis, 0)
+        if layers[0].any():
+            out |= index[:, axis] < 1.0
+        if layers[-1].any():
+            out |= index[:, axis] > count - 2.0
+    return out

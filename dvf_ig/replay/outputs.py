@@ -1,0 +1,128 @@
+"""What a replay leaves for other programs: pose (ITK, PLUS), poses over time (3D Slicer), and every tick."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dvf_ig.core import IntArray, InvalidInputError, OutputError, Rigid
+from dvf_ig.core.arrays import AnyArray
+from dvf_ig.guidance import Hazard, Status, SupervisorState
+from dvf_ig.io import refuse_foreign, write_pose_sequence, write_registration, write_text, write_transforms
+
+from .ticks import Ticks
+
+POSE, POSES, TICKS = "mr_from_tracker", "poses.seq.mha", "ticks.csv"
+NAMES = (f"{POSE}.tfm", f"{POSE}.h5", f"{POSE}.json", f"{POSE}.xml", POSES, TICKS)
+"""Every file that may be written."""
+
+COLUMNS = (
+    ("t_s", "%.6f"),
+    ("phi", "%.6f"),
+    ("phase_valid", "%d"),
+    ("model_phase", "%.6f"),
+    ("rr_s", "%.6f"),
+    *((f"tip_tracker_{axis}_mm", "%.4f") for axis in "xyz"),
+    *((f"tip_mr_{axis}_mm", "%.4f") for axis in "xyz"),
+    ("distance_mm", "%.4f"),
+    *((f"force_tracker_{axis}_n", "%.6f") for axis in "xyz"),
+    ("status", "%s"),
+    ("supervisor", "%s"),
+    ("hazards", "%s"),
+    ("pose_age_s", "%.3f"),
+)
+"""Of the ticks, each with its format: 1 µs, 0.1 µm, 1 µN."""
+_HEADER = ",".join(name for name, _ in COLUMNS)
+
+
+def require_own_outputs(folder: Path) -> None:
+    """Refuse a folder in which a user's own file has the name of an output.
+
+    Raises:
+        OutputError: naming the file.
+    """
+    refuse_foreign(*(folder / name for name in NAMES if name != TICKS))
+    table = folder / TICKS
+    if table.is_file():
+        with table.open("rb") as stream:
+            ours = stream.read(len(_HEADER)) == _HEADER.encode()
+        if not ours:
+            raise OutputError(
+                f"cannot write {table}: a file of that name exists and was not written by this command; move "
+                "it, or choose another folder"
+            )
+
+
+def write_outputs(poses: Sequence[tuple[float, Rigid]], ticks: Ticks, folder: Path) -> dict[str, str]:
+    """Write the last pose in use and the poses over time, where there was one, and the ticks.
+
+    Args:
+        poses: (time from which it was in use, mr_from_tracker) in order of time.
+        ticks: of the replay.
+        folder: holds nothing of a user's (see `require_own_outputs`).
+    Returns:
+        what was written: name of the file, and the frame of what is in it.
+    Raises:
+        OutputError: not writable.
+    """
+    frames = {}
+    if poses:
+        pose = poses[-1][1]
+        for path in write_transforms(pose, folder / NAMES[0]):
+            frames[path.name] = pose.name
+        frames[f"{POSE}.json"] = pose.name
+        frames[write_registration(pose, folder / f"{POSE}.xml").name] = pose.name
+        write_pose_sequence(poses, folder / POSES)
+        frames[POSES] = "ras_from_tracker"
+    write_text(folder / TICKS, ticks_csv(ticks))
+    frames[TICKS] = "tracker; tip_mr in mr"
+    return frames
+
+
+def ticks_csv(ticks: Ticks) -> str:
+    """One row a tick under `COLUMNS`; a cell is empty where there is no value.
+
+    Tip in the tracker's and in the MR's frame (LPS), force in the tracker's.
+    """
+    columns, form = _columns(ticks), ",".join(one for _, one in COLUMNS) + "\n"
+    if len(columns) != len(COLUMNS):
+        raise InvalidInputError(f"{len(columns)} columns for {len(COLUMNS)} names")
+    text = [_HEADER + "\n"]
+    for begin in range(0, len(ticks), _BLOCK):
+        rows = zip(*(column[begin : begin + _BLOCK].tolist() for column in columns), strict=True)
+        text.append("".join([form % row for row in rows]).replace("nan", "").replace("inf", ""))
+    return "".join(text)
+
+
+_BLOCK = 10_000
+"""Rows at a time: Python's numbers take ten times the memory of the arrays."""
+
+
+def _columns(ticks: Ticks) -> list[AnyArray]:
+    pose, phase = ticks.mr_from_tracker, ticks.phase
+    tip_mr = np.einsum("nij,nj->ni", pose[:, :, :3], ticks.tip_tracker_mm) + pose[:, :, 3]
+    return [
+        phase.t_s,
+        np.minimum(phase.phi, _BELOW_ONE),
+        phase.valid,
+        np.minimum(ticks.model_phase, _BELOW_ONE),
+        phase.rr_s,
+        *ticks.tip_tracker_mm.T,
+        *tip_mr.T,
+        ticks.distance_mm,
+        *ticks.force_n.T,
+        _words(ticks.status, lambda code: Status(code).name.lower()),
+        _words(ticks.supervisor, lambda code: SupervisorState(code).name.lower()),
+        _words(ticks.hazards, lambda bits: "|".join(h.name.lower() for h in Hazard(bits) if h.name)),
+        ticks.pose_age_s,
+    ]
+
+
+_BELOW_ONE = 0.999999
+"""So that a phase in [0, 1) is not rounded to 1."""
+
+
+def _words(codes: IntArray, word: Callable[[int], str]) -> AnyArray:
+    """(n,) the word of each code."""
+    found, places = np.unique(codes, return_inverse=True)
+    return np.array([word(code) for code in found.tolist()], dtype=object)[places]

@@ -1,0 +1,211 @@
+"""The pre-operative anatomy in ultrasound planes, before and after registration."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dvf_ig.core import AnyArray, FloatArray, Grid, ImageMap, Rigid, Volume, VolumeSeries, read_only_arrays
+from dvf_ig.guidance import Evaluator, Sigmoid
+from dvf_ig.registration import BoundaryTarget
+from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
+from dvf_ig.session import GatedFrames, Heart
+
+from .plane_names import edge_letters, plane_name
+
+DARK_PERCENT, BRIGHT_PERCENT = 1.0, 99.5
+"""Grey levels of the anatomy that are shown black and in full colour."""
+LONGEST_PX = 400
+"""A picture is about so large; of longer edges every second, third, … pixel is taken."""
+NO_GREY_LEVELS = "No grey-level MR was given: colour shows where the model has blood."
+SAMPLED = 200_000
+"""Voxels of which these are taken."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class Anatomy:
+    """What ultrasound planes are shown with.
+
+    Attributes:
+        name: of its grey levels, as a reader calls them: "MR".
+        remark: what a reader should know about them; empty where nothing.
+        grid, values, fractions: (n, nx, ny, nz) grey levels, and when in the cycle each image was taken.
+        window: grey levels shown black and in full colour.
+        evaluator: of the fixture model; None where there is none.
+        blood: the surface of the blood; None where it is not known.
+        outline_levels: grey levels, 0 to 1 in the window, whose contours stand in for a model.
+    """
+
+    name: str
+    remark: str
+    grid: Grid
+    values: AnyArray
+    fractions: FloatArray
+    window: tuple[float, float]
+    evaluator: Evaluator | None = None
+    blood: BoundaryTarget | None = None
+    outline_levels: tuple[float, ...] = ()
+
+    def plane(self, pose: Rigid, xyz_mm: FloatArray, model_phase: float) -> AnatomyPlane:
+        """The anatomy at (rows, columns, 3) places of the pose's source frame."""
+        shape, flat = xyz_mm.shape[:2], xyz_mm.reshape(-1, 3)
+        there = pose.apply_array(flat)
+        distance = None
+        if self.evaluator is not None:
+            distance = self.evaluator.force_through(pose, flat, model_phase).distance_mm.reshape(shape)
+        right, down = (
+            pose.rotation @ (xyz_mm[0, -1] - xyz_mm[0, 0]),
+            pose.rotation @ (xyz_mm[-1, 0] - xyz_mm[0, 0]),
+        )
+        return AnatomyPlane(
+            self._grey(there, model_phase).reshape(shape),
+            distance,
+            None if self.blood is None else _blood_mm(self.blood, there, model_phase).reshape(shape),
+            edge_letters(right, down),
+        )
+
+    def _grey(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
+        nearest = int(np.abs((self.fractions - model_phase + 0.5) % 1.0 - 0.5).argmin())
+        index = self.grid.to_index(xyz_mm)
+        inside = ((index >= 0) & (index <= np.array(self.grid.shape) - 1.0)).all(axis=1)
+        image = self.values[nearest].astype(np.float32)
+        level = ndimage.map_coordinates(image, index.T, order=1, mode="nearest")
+        low, high = self.window
+        return np.where(inside, np.clip((level - low) / max(high - low, 1e-12), 0.0, 1.0), np.nan)
+
+
+def anatomy_of_heart(heart: Heart, mr: VolumeSeries | None) -> Anatomy:
+    """A heart's model, with its MR, or where there is none with what its surfaces say of blood."""
+    fixture = Evaluator(heart.model, Sigmoid(), blend="distance")
+    if mr is not None:
+        window = _window(mr.values)
+        return Anatomy("MR", "", mr.grid, mr.values, mr.timing.fractions, window, fixture, heart.surface)
+    channels = heart.fine
+    blood = channels.values[..., 0]
+    window = float(blood.min()), float(blood.max())
+    return Anatomy(
+        "blood", NO_GREY_LEVELS, channels.grid, blood, channels.fractions, window, fixture, heart.surface
+    )
+
+
+def anatomy_of_image(image: Volume, name: str) -> Anatomy:
+    """An image of an organ that does not beat, without a model."""
+    low, high = _window(image.values)
+    shown = np.clip((_sample(image.values) - low) / max(high - low, 1e-12), 0.0, 1.0)
+    levels = _outline_levels(shown)
+    still = np.zeros(1)
+    return Anatomy(name, "", image.grid, image.values[None], still, (low, high), outline_levels=levels)
+
+
+def plane_overlay(
+    anatomy: Anatomy,
+    start: Rigid,
+    registered: Rigid,
+    image: NDArray[np.uint8],
+    frame_from_pixel: FloatArray,
+    *,
+    name: str,
+    event_s: float | None = None,
+    model_phase: float | None = None,
+) -> PlaneOverlay:
+    """An ultrasound image with the anatomy in its plane.
+
+    Args:
+        start, registered: poses from the ultrasound's frame.
+        image: (rows, columns) grey levels.
+        frame_from_pixel: (3, 3) mm from (column, row, 1).
+        name: of the image, for the reader.
+    """
+    step = max(1, max(image.shape) // LONGEST_PX)
+    image = image[::step, ::step]
+    frame_from_pixel = frame_from_pixel @ np.diag([step, step, 1.0])
+    rows, columns = image.shape
+    column, row = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64))
+    xyz_mm = np.stack([column, row, np.ones_like(row)], axis=-1) @ frame_from_pixel.T
+    right, down = frame_from_pixel[:, 0], frame_from_pixel[:, 1]
+    phase = 0.0 if model_phase is None else model_phase
+    return PlaneOverlay(
+        name=name,
+        plane=plane_name(registered.rotation @ np.cross(right, down)),
+        event_s=event_s,
+        model_phase=model_phase,
+        image=image,
+        pixel_mm=(float(np.linalg.norm(right)), float(np.linalg.norm(down))),
+        start=anatomy.plane(start, xyz_mm, phase),
+        registered=anatomy.plane(registered, xyz_mm, phase),
+        outline_levels=anatomy.outline_levels,
+    )
+
+
+def frame_overlays(
+    frames: GatedFrames,
+    images: NDArray[np.uint8],
+    probe_from_image: ImageMap,
+    anatomy: Anatomy,
+    start: Rigid,
+    registered: Rigid,
+    *,
+    count: int = 4,
+) -> list[PlaneOverlay]:
+    """`count` of the used frames, evenly spread between the first and the last of the sweep.
+
+    Args:
+        images: (n, rows, columns) of every frame since the stream began.
+        start, registered: mr_from_tracker.
+    """
+    probe_from_pixel = probe_from_image.matrix[:3, [0, 1, 3]]
+    used = frames.used
+    chosen = used[np.linspace(0, len(used) - 1, count + 2).astype(int)[1:-1]].tolist()
+    overlays = []
+    for frame in chosen:
+        tracker_from_pixel = frames.rotations[frame] @ probe_from_pixel
+        tracker_from_pixel[:, 2] += frames.translations_mm[frame]
+        number = frames.first_number + frame
+        overlays.append(
+            plane_overlay(
+                anatomy,
+                start,
+                registered,
+                images[number],
+                tracker_from_pixel,
+                name=f"frame {number}",
+                event_s=float(frames.event_s[frame]),
+                model_phase=float(frames.model_phase[frame]),
+            )
+        )
+    return overlays
+
+
+def _blood_mm(blood: BoundaryTarget, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
+    """(n,) signed distance to the blood's surface, positive inside; NaN outside its box."""
+    knots = xyz_mm @ blood.knots_from_mm[:, :3].T + blood.knots_from_mm[:, 3]
+    coefficients = blood.coefficients[int(blood.nearest_phase(np.array([model_phase]))[0])]
+    # coefficient j belongs to knot coordinate j − 1
+    return np.asarray(
+        ndimage.map_coordinates(coefficients, knots.T + 1.0, order=3, prefilter=False, cval=np.nan)
+    )
+
+
+def _sample(values: AnyArray) -> FloatArray:
+    """About SAMPLED finite voxels."""
+    flat = values.reshape(-1)
+    sample = np.asarray(flat[:: max(1, flat.size // SAMPLED)], dtype=np.float64)
+    return np.asarray(sample[np.isfinite(sample)])
+
+
+def _window(values: AnyArray) -> tuple[float, float]:
+    """Grey levels to be shown black and in full."""
+    low, high = np.percentile(_sample(values), [DARK_PERCENT, BRIGHT_PERCENT])
+    return float(low), float(high)
+
+
+def _outline_levels(shown: FloatArray) -> tuple[float, ...]:
+    """Two grey levels between three classes of tissue (Otsu 1979); none of an image with fewer."""
+    from skimage.filters import threshold_multiotsu
+
+    try:
+        return tuple(float(level) for level in threshold_multiotsu(shown, classes=3))
+    except ValueError:  # fewer than three grey levels
+        return ()

@@ -1,0 +1,175 @@
+"""The evidence of a registration in words: what each check measures, its value, its limit, how it ended."""
+
+import math
+
+import numpy as np
+
+from dvf_ig.core import Stop
+from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
+from dvf_ig.registration.evidence.checks import WRONG_MM
+from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
+from dvf_ig.registration.pair_check import MAX_STATISTIC
+from dvf_ig.report.registration import Check, Outcome
+from dvf_ig.session.registration_monitor import LANDMARKS_MM
+
+BOUNDARY_UNSEEN = "no boundary seen"
+
+
+def checks_of(
+    result: RegistrationResult, landmarks_mm: float | None, touched: SurfaceDisagreement | None
+) -> list[Check]:
+    """Every check that a registration may be held against; those of another kind of input are not checked.
+
+    Args:
+        landmarks_mm: mean distance over the heart from the pose of touched landmarks; None without any.
+        touched: how far points touched on the surface lie from the model's; None without any.
+    """
+    return [
+        _overlap(result),
+        _z_score(result),
+        *_disagreements(result),
+        _phase_offset(result),
+        _pair(result),
+        _at_most(
+            "Touched landmarks",
+            "mean distance over the heart from the pose that touched landmarks give",
+            landmarks_mm,
+            LANDMARKS_MM,
+        ),
+        _at_most(
+            "Touched surface",
+            "median distance of points touched on the heart from the model's surface",
+            None if touched is None else touched.median_mm,
+            math.inf if touched is None else touched.limit_mm,
+        ),
+        _search(result),
+        _geometry(result),
+    ]
+
+
+def _overlap(result: RegistrationResult) -> Check:
+    least = result.options.min_overlap
+    return Check(
+        "Overlap",
+        "share of the ultrasound that lies inside the pre-operative image",
+        f"{100 * result.overlap:.0f} %",
+        f"at least {100 * least:.0f} %",
+        _outcome(result.overlap >= least),
+    )
+
+
+def _z_score(result: RegistrationResult) -> Check:
+    value, least = result.evidence.z_score, result.options.limits.z_score
+    return Check(
+        "Better than wrong poses",
+        f"standard deviations by which the similarity stands above that of poses {WRONG_MM:g} mm away",
+        f"{value:.1f}",
+        f"at least {least:.1f}",
+        _outcome(value >= least),
+    )
+
+
+def _disagreements(result: RegistrationResult) -> list[Check]:
+    evidence, limits = result.evidence, result.options.limits
+    several_phases = evidence.phase_mm != 0.0
+    return [
+        _at_most(
+            "Interleaved halves",
+            "distance between the poses that every second slice and the rest would choose",
+            evidence.split_half_mm,
+            limits.split_half_mm,
+        ),
+        _at_most(
+            "Parts of the cycle",
+            "distance between the poses that one third of the heart's cycle and the rest would choose",
+            evidence.phase_mm if several_phases else None,
+            limits.phase_mm,
+        ),
+        _at_most(
+            "Half-volumes",
+            "distance of the poses that each half of space would choose from that of all",
+            evidence.half_volume_mm,
+            limits.half_volume_mm,
+        ),
+        _at_most(
+            "Boundary and grey levels",
+            "distance between the pose that the borders of blood would choose and that of the similarity",
+            evidence.boundary_mm,
+            limits.boundary_mm,
+            unknown=BOUNDARY_UNSEEN,
+        ),
+    ]
+
+
+def _phase_offset(result: RegistrationResult) -> Check:
+    offset = result.evidence.phase_offset
+    name, measures = (
+        "ECG and images",
+        "how late the ECG is, by the place in the cycle that fits the images best",
+    )
+    if offset is None:
+        return Check(name, measures, "", "", Outcome.NOT_CHECKED)
+    return Check(
+        name,
+        measures,
+        f"{1e3 * offset.offset_s:.0f} ms (log-likelihood ratio {offset.log_likelihood_ratio:.1f})",
+        f"at most {1e3 * SUSPICIOUS_S:.0f} ms, or a ratio of at most {SUSPICIOUS_LOG_RATIO:g}",
+        _outcome(not offset.suspicious),
+    )
+
+
+def _pair(result: RegistrationResult) -> Check:
+    value = result.evidence.pair_statistic
+    name = "Same patient"
+    measures = "disagreement of halves in mm, weighted by how well mirrored anatomy would fit instead"
+    if value is None:
+        return Check(name, measures, "", "", Outcome.NOT_CHECKED)
+    return Check(
+        name, measures, f"{value:.2f}", f"at most {MAX_STATISTIC:g}", _outcome(value <= MAX_STATISTIC)
+    )
+
+
+def _search(result: RegistrationResult) -> Check:
+    limit = result.options.bound_mm
+    iterating = result.stop is Stop.MAX_ITERATIONS and result.moved_mm <= limit
+    return Check(
+        "Distance moved",
+        "mean distance over a heart's size between start and result"
+        + ("; the search had not come to rest when it was stopped" if iterating else ""),
+        f"{result.moved_mm:.1f} mm",
+        f"at most {limit:.0f} mm",
+        _outcome(result.moved_mm <= limit and not iterating),
+    )
+
+
+def _geometry(result: RegistrationResult) -> Check:
+    known = bool(np.isfinite(result.covariance).all())
+    return Check(
+        "Every direction determined",
+        "whether the similarity falls off in all six directions of the pose",
+        "yes" if known else "no",
+        "yes",
+        _outcome(known),
+    )
+
+
+def _at_most(
+    name: str, measures: str, value: float | None, limit: float, *, unknown: str = "not determined"
+) -> Check:
+    """A distance that may be at most so long; infinite limits are none."""
+    if value is None:
+        return Check(name, measures, "", "", Outcome.NOT_CHECKED)
+    if not math.isfinite(value):
+        return Check(name, measures, unknown, _limit(limit), Outcome.FAILED)
+    text = f"{value:.2f} mm"
+    if math.isinf(limit):
+        return Check(name, measures, text, "", Outcome.SHOWN)
+    return Check(name, measures, text, _limit(limit), _outcome(value <= limit))
+
+
+def _limit(limit: float) -> str:
+    return "must be known" if math.isinf(limit) else f"at most {round(limit, 2):g} mm"
+
+
+def _outcome(passed: bool) -> Outcome:
+    return Outcome.PASSED if passed else Outcome.FAILED

@@ -1,0 +1,144 @@
+"""A registration handed to its page: outcome, evidence, findings and transform in words and numbers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import dvf_ig
+from dvf_ig.core import Rigid
+from dvf_ig.kernels.compiled import thread_count
+from dvf_ig.registration import RegistrationResult, SurfaceDisagreement, least_constrained_direction
+from dvf_ig.report.plane_overlay import PlaneOverlay
+from dvf_ig.report.registration import Check, Outcome, RegistrationPage, Transform, registration_html
+
+from .registration_checks import checks_of
+
+CAVEAT = (
+    "chance that the mean error is below 2 mm, by the worst check alone. It was set on "
+    "synthetic hearts and claims too much with poor images: it says more or less sure, and is no frequency"
+)
+ALMOST_SURE = 0.99
+"""Nothing larger is shown: no figure behind the probability is that good."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegisteredInput:
+    """What was registered, as its page shows it.
+
+    Attributes:
+        title: for example "Registration of case 7".
+        about: whose it is, and from which files.
+        source_name, target_name: what the two frames of the pose hold, as a reader calls it.
+        anatomy: what the planes show of the pre-operative data beside contours, for example "MR".
+        remark: what a reader should know about that; empty where nothing.
+        planes: ultrasound planes before and after registration.
+        data: rows of what was registered and how much of it was used.
+        landmarks_mm: distance of the pose from that of touched landmarks; None without any.
+        touched: how far points touched on the surface lie from it; None without any.
+    """
+
+    title: str
+    about: str
+    source_name: str
+    target_name: str
+    anatomy: str
+    remark: str
+    planes: Sequence[PlaneOverlay]
+    data: Sequence[tuple[str, str]]
+    landmarks_mm: float | None = None
+    touched: SurfaceDisagreement | None = None
+
+
+def registration_page(
+    result: RegistrationResult, start: Rigid, shown: RegisteredInput, transform: Path, seed: int
+) -> str:
+    """The page of a registration, as HTML.
+
+    Args:
+        start: that it began at.
+        shown: what was registered.
+        transform: the file that the pose is written to.
+        seed: of its random choices.
+    """
+    pose = result.target_from_source
+    checks = checks_of(result, shown.landmarks_mm, shown.touched)
+    return registration_html(
+        RegistrationPage(
+            title=shown.title,
+            about=f"{shown.about}, dvf_ig {dvf_ig.__version__}",
+            usable=result.stop.usable,
+            reason=_reason(result, checks),
+            planes=shown.planes,
+            anatomy=shown.anatomy,
+            remark=shown.remark,
+            checks=checks,
+            findings=_findings(result, start),
+            data=shown.data,
+            transform=Transform(
+                pose.target, pose.source, shown.target_name, shown.source_name, pose.matrix, transform.name
+            ),
+            made=(
+                ("computing time", f"{result.seconds:.1f} s"),
+                ("slices, evaluations", f"{result.slices}, {result.evaluations}"),
+                ("seed", str(seed)),
+                ("threads", str(thread_count())),
+            ),
+        )
+    )
+
+
+def _reason(result: RegistrationResult, checks: Sequence[Check]) -> str:
+    failed = [c for c in checks if c.outcome is Outcome.FAILED]
+    passed = [c for c in checks if c.outcome is Outcome.PASSED]
+    if result.stop.usable:
+        return f"It {result.sentence}, and passed all {len(passed)} checks that its kind of input allows."
+    sentence = f"{result.sentence[0].upper()}{result.sentence[1:]}."
+    if failed:
+        named = "; ".join(f"{c.name.lower()} ({c.value}, needed {c.limit})" for c in failed)
+        sentence += f" Failed: {named}."
+    return sentence
+
+
+def _findings(result: RegistrationResult, start: Rigid) -> list[tuple[str, str, str]]:
+    second = result.second_best
+    elsewhere = f"the best pose found elsewhere has {second:.3f}" if second > 0 else "no other pose was found"
+    turned_deg = np.degrees((result.target_from_source @ start.inverse()).angle_rad)
+    return [
+        (
+            "similarity (LC2)",
+            f"{result.start_similarity:.3f} at the start, {result.similarity:.3f} registered",
+            f"share of the ultrasound's variation that the anatomy explains, 0 to 1; {elsewhere}",
+        ),
+        (
+            "moved by",
+            f"{result.moved_mm:.1f} mm, turned by {turned_deg:.1f}°",
+            "from the start pose to the registered one; the distance is the mean over a heart's size",
+        ),
+        (
+            "standard deviation",
+            _deviations(result),
+            "left–right, front–back, head–foot; by the similarity's curvature",
+        ),
+        (
+            "least constrained",
+            least_constrained_direction(result.covariance).sentence(),
+            "the direction in which the ultrasound says least about the pose",
+        ),
+        ("success probability", _probability(result), CAVEAT),
+    ]
+
+
+def _probability(result: RegistrationResult) -> str:
+    value = result.success_probability
+    shown = f"above {ALMOST_SURE}" if value > ALMOST_SURE else f"{value:.2f}"
+    return shown if result.stop.usable else f"{shown} by the checks that have a limit in mm; but refused"
+
+
+def _deviations(result: RegistrationResult) -> str:
+    if not np.isfinite(result.covariance).all():
+        return "not determined"
+    sd = np.sqrt(np.diag(result.covariance))
+    turns, shifts = (", ".join(f"{v:.2f}" for v in part) for part in (np.degrees(sd[:3]), sd[3:]))
+    return f"shifts {shifts} mm; turns about these axes {turns}°"

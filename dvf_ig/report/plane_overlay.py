@@ -1,0 +1,73 @@
+"""An ultrasound plane with the anatomy that a registration puts there, as plain values for every page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core.arrays import FloatArray, read_only_arrays
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class AnatomyPlane:
+    """The pre-operative anatomy at the pixels of an ultrasound image, through one pose.
+
+    Attributes:
+        grey: (rows, columns) grey level, 0 to 1; NaN outside the pre-operative image.
+        distance_mm: (rows, columns) signed distance to the fixture model's surface, positive inside, NaN
+            outside its box; None where no model is known.
+        blood_mm: (rows, columns) the same of the blood, whose border ultrasound shows; None where not known.
+        edges: the side of the patient towards which the left, right, upper and lower edge lie, as letters
+            (R, L, A, P, H, F).
+    """
+
+    grey: FloatArray
+    distance_mm: FloatArray | None
+    blood_mm: FloatArray | None
+    edges: tuple[str, str, str, str]
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaneOverlay:
+    """An ultrasound image, and the anatomy in its plane before and after registration.
+
+    Attributes:
+        name: which image it is, for example "frame 37".
+        plane: how the plane lies in the patient by the registered pose, for example "axial, tilted by 12°".
+        event_s: when it was seen; None where that is not known.
+        model_phase: place in the model's cycle, 0 to 1; None for an organ that does not beat.
+        image: (rows, columns) grey levels, 0 to 255.
+        pixel_mm: width and height of a pixel.
+        start, registered: the anatomy through the start pose and through the registered one.
+        outline_levels: grey levels of the anatomy whose contours stand in for those of a model.
+    """
+
+    name: str
+    plane: str
+    event_s: float | None
+    model_phase: float | None
+    image: NDArray[np.uint8]
+    pixel_mm: tuple[float, float]
+    start: AnatomyPlane
+    registered: AnatomyPlane
+    outline_levels: tuple[float, ...] = ()
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and height of the image."""
+        rows, columns = self.image.shape
+        return columns * self.pixel_mm[0], rows * self.pixel_mm[1]
+
+    @property
+    def moment(self) -> str:
+        """When it was seen, as far as that is known."""
+        parts = []
+        if self.event_s is not None:
+            parts.append(f"{self.event_s:.1f} s")
+        if self.model_phase is not None:
+            parts.append(f"{round(100 * self.model_phase) % 100} % of the cycle")
+        return ", ".join(parts)

@@ -1,0 +1,162 @@
+"""`report.html` of a registration: may it be used and why, fused planes, evidence, and the transform."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.report.page import html_page, jpeg_tag, section, table
+from dvf_ig.report.plane_overlay import PlaneOverlay
+from dvf_ig.report.style import MR_ON_GREY, ON_GREY, jpeg_bytes
+
+from .planes import checkerboard_figure, fused_figure
+from .values import Check, Outcome, RegistrationPage, Transform
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STYLE = """
+body { max-width: 1360px; }
+.verdict { font-size: 1.05rem; max-width: 95ch; padding: .6rem 1rem; print-color-adjust: exact; }
+.verdict b { font-size: 1.3rem; display: block; }
+.planes { display: grid; grid-template-columns: repeat(4, 1fr); gap: .4rem; }
+@media (max-width: 900px) { .planes { grid-template-columns: repeat(2, 1fr); } }
+.planes figure { margin: 0; } .planes img { width: 100%; display: block; }
+.planes figcaption { font-size: .85rem; }
+h3 { font-size: 1rem; margin: 1.2rem 0 .3rem; }
+.key i { display: inline-block; width: 1.6em; height: .8em; margin: 0 .35em 0 1.2em; }
+.key i:first-child { margin-left: 0; }
+.refused { color: #b3261e; font-weight: 600; }
+td:first-child, td.passed, td.failed { white-space: nowrap; }
+td.failed { color: #b3261e; font-weight: 600; } td.passed { color: #2b7a3d; } td.other { color: #555; }
+table.matrix td { font-variant-numeric: tabular-nums; text-align: right; border: 0; color: inherit; }
+.pair { display: flex; flex-wrap: wrap; gap: 3rem; }
+@media print { .planes, tr { break-inside: avoid; } }
+"""
+PLANES_NOTE = (
+    "Where ultrasound and anatomy belong together, coloured regions end where grey ones begin, and lines run "
+    "on from square to square of the checkerboards. Letters at the edges: right (R) and left (L), front (A) "
+    "and back (P), head (H) and foot (F) of the patient by the pose of that picture."
+)
+OUTCOME_CLASS = {Outcome.PASSED: "passed", Outcome.FAILED: "failed"}
+
+
+def registration_html(page: RegistrationPage) -> str:
+    """The page for one registration."""
+    body = (
+        f"<p class=note>{html.escape(page.about)}</p>{_verdict(page)}"
+        + section(
+            "Ultrasound and anatomy, before and after registration",
+            f"{PLANES_NOTE} {page.remark}".strip(),
+            _planes(page),
+        )
+        + section(
+            "Evidence",
+            "What the pose was tested by. One failed check is enough to refuse it; passed ones are no proof.",
+            _checks(page.checks),
+        )
+        + section("Result", "", table(("", "value", "what it means"), page.findings))
+        + section("Transform", _transform_note(page.transform), _matrices(page.transform))
+        + section("What was registered", "", table(("", ""), page.data))
+        + section("How it was computed", "", table(("", ""), page.made))
+    )
+    return html_page(page.title, body, style=STYLE)
+
+
+def _verdict(page: RegistrationPage) -> str:
+    kind, head = (
+        ("good", "✓ This registration may be used")
+        if page.usable
+        else ("bad", "✕ REFUSED: this registration must not be used")
+    )
+    return f"<p class='verdict {kind}' role=status><b>{head}</b> {html.escape(page.reason)}</p>"
+
+
+def _planes(page: RegistrationPage) -> str:
+    return _key(page) + "".join(_plane(overlay, page) for overlay in page.planes)
+
+
+def _key(page: RegistrationPage) -> str:
+    entries = [(f"background:{MR_ON_GREY}", f"{page.anatomy}, over ultrasound in grey")]
+    if any(overlay.registered.distance_mm is not None for overlay in page.planes):
+        entries.append((f"border-bottom:3px solid {ON_GREY}", "the model's surface"))
+    if any(overlay.registered.blood_mm is not None for overlay in page.planes):
+        entries.append(("border-bottom:2px dashed #777", "border of the model's blood (white in the images)"))
+    if any(overlay.outline_levels for overlay in page.planes):
+        entries.append((f"border-bottom:3px solid {ON_GREY}", f"outlines in the {page.anatomy}"))
+    return (
+        "<p class=key>"
+        + "".join(f'<i style="{look}"></i>{html.escape(text)}' for look, text in entries)
+        + "</p>"
+    )
+
+
+def _plane(overlay: PlaneOverlay, page: RegistrationPage) -> str:
+    refused = "" if page.usable else ", refused"
+    poses = (("start pose", overlay.start, ""), (f"registered{refused}", overlay.registered, refused))
+    contours = " and the model's contours" if overlay.registered.distance_mm is not None else ""
+    contours = " and its outlines" if overlay.outline_levels else contours
+    figures = [
+        _figure(
+            fused_figure(overlay, anatomy), pose, f"{page.anatomy}{contours} over ultrasound", overlay, mark
+        )
+        for pose, anatomy, mark in poses
+    ] + [
+        _figure(
+            checkerboard_figure(overlay, anatomy),
+            pose,
+            f"checkerboard of ultrasound and {page.anatomy}",
+            overlay,
+            mark,
+        )
+        for pose, anatomy, mark in poses
+    ]
+    heading = ", ".join(part for part in (overlay.name, overlay.plane, overlay.moment) if part)
+    return f"<h3>{html.escape(heading)}</h3><div class=planes>{''.join(figures)}</div>"
+
+
+def _figure(figure: Figure, pose: str, shows: str, overlay: PlaneOverlay, mark: str) -> str:
+    look = " class=refused" if mark else ""
+    return (
+        f"<figure>{jpeg_tag(jpeg_bytes(figure), f'{overlay.name}, {pose}: {shows}')}"
+        f"<figcaption{look}>{html.escape(pose)}: {html.escape(shows)}</figcaption></figure>"
+    )
+
+
+def _checks(checks: Sequence[Check]) -> str:
+    head = "".join(f"<th>{name}</th>" for name in ("check", "what it measures", "value", "limit", "outcome"))
+    rows = "".join(
+        "<tr>"
+        + "".join(f"<td>{html.escape(cell)}</td>" for cell in (c.name, c.measures, c.value, c.limit))
+        + f"<td class={OUTCOME_CLASS.get(c.outcome, 'other')}>{c.outcome.value}</td></tr>"
+        for c in checks
+    )
+    return f"<table><tr>{head}</tr>{rows}</table>"
+
+
+def _transform_note(transform: Transform) -> str:
+    target = transform.target_name
+    return (
+        f"{transform.target}_from_{transform.source} takes points of {transform.source_name} to {target}: "
+        f"mm, LPS. {transform.file} and the .h5 beside it hold it as an ITK transform. 3D Slicer loads "
+        "either (Add Data) and shows the node the other way round, as the inverse in RAS: the right matrix "
+        f"below. To see {target} where the ultrasound is, put it under the loaded transform as it is; to see "
+        f"the ultrasound on {target}, invert the node (Transforms module, Invert) and put the ultrasound "
+        "under it."
+    )
+
+
+def _matrices(transform: Transform) -> str:
+    return (
+        "<div class=pair>"
+        + _matrix(f"{transform.target}_from_{transform.source} (LPS)", transform.matrix)
+        + _matrix("as 3D Slicer shows it (RAS, to parent)", transform.slicer_matrix)
+        + "</div>"
+    )
+
+
+def _matrix(title: str, matrix: FloatArray) -> str:
+    rows = "".join("<tr>" + "".join(f"<td>{v:.4f}</td>" for v in row) + "</tr>" for row in matrix + 0.0)
+    return f"<div><h3>{html.escape(title)}</h3><table class=matrix>{rows}</table></div>"

@@ -1,0 +1,250 @@
+"""`register --us-volume` on files of the toy heart: the pose that arrays give, and each misuse."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import pytest
+from html_outline import outline_of
+from toy_heart import CENTER_MM, toy_mr, toy_pose
+from toy_volume import resampled, toy_volume
+from typer.testing import CliRunner, Result
+
+from dvf_ig.cli.main import app
+from dvf_ig.core import Grid, Landmarks, Points, Preop, Rigid, Signal, TrackedVolume, Volume, VolumeSeries
+from dvf_ig.io import (
+    read_heart_options,
+    read_model,
+    write_ecg_csv,
+    write_landmarks,
+    write_model,
+    write_timing,
+    write_transform,
+    write_volume,
+    write_volume_series,
+)
+from dvf_ig.preop import ModelOptions, model_from_preop
+from dvf_ig.registration import prior_from_landmarks, target_errors_mm
+from dvf_ig.session import build_heart, register_gated_volumes
+
+VIEWS = ((0.5, 0.2, -0.4), (-0.6, 0.9, 0.3))
+TARGETS = Points("mr", CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3)))
+PATIENT = "toy"
+
+
+def cine() -> VolumeSeries:
+    mr = toy_mr()
+    return VolumeSeries(mr.grid, np.rint(mr.values).astype(np.int16), mr.timing)
+
+
+def views() -> list[TrackedVolume]:
+    """In the tracker's coordinates, as a scanner with a navigation system saves them."""
+    return [_in_tracker(toy_volume(turn, seed)) for seed, turn in zip((1, 101), VIEWS, strict=True)]
+
+
+def _in_tracker(volume: TrackedVolume) -> TrackedVolume:
+    pose, grid = volume.tracker_from_image, volume.image.grid
+    placed = Grid(
+        "tracker",
+        grid.shape,
+        pose.apply_array(grid.origin_mm),
+        grid.spacing_mm,
+        pose.rotation @ grid.direction,
+    )
+    image, mask = (Volume(placed, part.values) for part in (volume.image, volume.mask))
+    return replace(volume, image=image, mask=mask, tracker_from_image=Rigid.identity("tracker", "tracker"))
+
+
+def start_pose() -> Rigid:
+    return toy_pose().perturbed_left(np.array([0.1, -0.08, 0.05]), np.array([5.0, -4.0, 3.0]), CENTER_MM)
+
+
+def touched(noise_mm: float, names: int = 6) -> tuple[Landmarks, Landmarks]:
+    marked = Points("mr", TARGETS.xyz_mm[:names])
+    off = np.random.default_rng(2).normal(0, noise_mm, (names, 3))
+    felt = Points("tracker", toy_pose().inverse().apply(marked).xyz_mm + off)
+    named = tuple(f"p{i}" for i in range(names))
+    return Landmarks(named, marked), Landmarks(named, felt)
+
+
+def ecg(rr_s: float = 0.8, beats: int = 14) -> Signal:
+    """Narrow spikes on a quiet line."""
+    t_s = np.arange(round(rr_s * beats * 500)) / 500.0
+    away = (t_s - 0.3 + rr_s / 2) % rr_s - rr_s / 2
+    return Signal(np.exp(-0.5 * (away / 0.008) ** 2)[:, None], 500.0, 0.0, ("II",))
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """model.npz, cine.nrrd, a.nrrd (uint8), b.nrrd (float32), start.tfm, landmarks, ecg.csv."""
+    folder = tmp_path_factory.mktemp("lab")
+    mr = cine()
+    labels = np.where(mr.values > 200, 2, np.where(mr.values < 130, 1, 0)).astype(np.uint8)
+    preop = Preop(
+        PATIENT,
+        labels=VolumeSeries(mr.grid, labels, mr.timing),
+        label_names=((1, "wall"), (2, "blood")),
+        organ_labels=(1, 2),
+    )
+    still = model_from_preop(preop, options=ModelOptions(6.0, 15.0))
+    write_model(replace(still, es_fraction=0.35), folder / "model.npz")
+    write_volume_series(mr, folder / "cine.nrrd")
+    write_timing(mr.timing, folder / "timing.json")
+    first, second = views()
+    write_volume(first.image, folder / "a.nrrd")
+    write_volume(Volume(second.image.grid, second.image.values.astype(np.float32)), folder / "b.nrrd")
+    far = start_pose().perturbed_left(np.zeros(3), np.array([400.0, 0, 0]), CENTER_MM)
+    write_transform(start_pose(), folder / "start.tfm")
+    write_transform(far, folder / "far.tfm")
+    for side, points in zip(("mr", "tracker"), touched(0.4), strict=True):
+        write_landmarks(points, folder / f"{side}.mrk.json")
+    write_ecg_csv(ecg(), folder / "ecg.csv")
+    (folder / "here").mkdir()
+    return folder
+
+
+def register(lab: Path, *options: Any) -> Result:
+    return CliRunner().invoke(app, ["register", *map(str, options)])
+
+
+def given(lab: Path, *volumes: str) -> list[Any]:
+    out: list[Any] = ["--model", lab / "model.npz"]
+    for name in volumes:
+        out += ["--us-volume", f"{lab}/{name}"]
+    return out
+
+
+def pose_in(out: Path) -> tuple[Rigid, dict[str, Any]]:
+    payload = json.loads((out / "result.json").read_text())
+    return Rigid.from_matrix(payload["mr_from_tracker"], "mr", "tracker"), payload
+
+
+def expected(lab: Path, *, mr: bool = True, start: Rigid | None = None, **options: Any) -> Rigid:
+    """The same registration from arrays."""
+    series = cine() if mr else None
+    heart = build_heart(Preop(PATIENT, mr=series), read_model(lab / "model.npz"))
+    result = register_gated_volumes(
+        views(), heart, start or start_pose(), mr=series, seed=0, clock=perf_counter, **options
+    )
+    return result.target_from_source
+
+
+def test_files_give_the_pose_of_arrays(lab: Path, tmp_path: Path) -> None:
+    """One volume stored as uint8, one as float32, the model from its file."""
+    done = register(
+        lab,
+        *given(lab, "a.nrrd@0", "b.nrrd@0.0"),
+        *("--mr", lab / "cine.nrrd", "--start", lab / "start.tfm", "--seed", 0, "-o", tmp_path / "out"),
+    )
+    assert done.exit_code == 0, done.output
+    found, payload = pose_in(tmp_path / "out")
+    np.testing.assert_allclose(found.matrix, expected(lab).matrix, atol=1e-9)
+    assert target_errors_mm(found, toy_pose(), TARGETS).mean() < 0.4
+    np.testing.assert_allclose(payload["start"], start_pose().matrix, atol=1e-12)
+    assert (tmp_path / "out" / "mr_from_tracker.tfm").is_file()
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    outline = outline_of(page)
+    assert outline.faults == []
+    assert len(outline.images) == 24
+    assert "a.nrrd, b.nrrd" in page
+    assert "volume 2, across its third axis" in page
+    assert f"<td>{payload['part_disagreement_mm']:.2f} mm</td><td>at most 2.25 mm</td>" in page
+
+
+def test_landmarks_are_start_and_prior_and_times_need_the_ecg(lab: Path, tmp_path: Path) -> None:
+    """R peaks at 0.3 + 0.8 k s; the model's own rate, so that a time at R + 0.8 p is the phase p."""
+    done = register(
+        lab,
+        *given(lab, "a.nrrd=4.3", "b.nrrd=5.1"),
+        *("--ecg", f"csv:{lab / 'ecg.csv'}", "--seed", 0, "-o", tmp_path / "out"),
+        *("--start-landmarks", lab / "mr.mrk.json", lab / "tracker.mrk.json"),
+    )
+    assert done.exit_code in (0, 7), done.output
+    marked, felt = touched(0.4)
+    found, payload = pose_in(tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert re.search(r"<td>\d+\.\d\d mm</td><td>at most 4 mm</td><td class=(passed|failed)>", page)
+    assert "colour shows where the model has blood" in page
+    start = Rigid.from_matrix(payload["start"], "mr", "tracker")
+    prior = prior_from_landmarks(marked, felt)
+    assert prior is not None
+    wanted = expected(lab, mr=False, start=start, prior=prior, landmarks=start)
+    np.testing.assert_allclose(found.matrix, wanted.matrix, atol=1e-9)
+    assert np.linalg.norm(start.apply(felt.points).xyz_mm - marked.points.xyz_mm, axis=1).max() < 1.5
+
+
+def test_oblique_unequal_voxels_in_a_file(lab: Path, tmp_path: Path) -> None:
+    """The first view on 1 × 1 × 1.8 mm voxels along other axes, with black around it."""
+    turn = (
+        views()[0].image.grid.direction
+        @ Rigid.from_rotation_vector([0.3, -0.2, 0.4], [0, 0, 0], "a", "b").rotation
+    )
+    other = resampled(views()[0], np.array([1.0, 1.0, 1.8]), turn)
+    write_volume(other.image, tmp_path / "oblique.nii.gz")
+    done = register(
+        lab,
+        *given(lab, "b.nrrd@0"),
+        *("--us-volume", f"{tmp_path / 'oblique.nii.gz'}@0", "--mr", lab / "cine.nrrd"),
+        *("--start", lab / "start.tfm", "--seed", 0, "-o", tmp_path / "out"),
+    )
+    assert done.exit_code == 0, done.output
+    found, _ = pose_in(tmp_path / "out")
+    cubes_mm = target_errors_mm(expected(lab), toy_pose(), TARGETS).mean()
+    assert abs(target_errors_mm(found, toy_pose(), TARGETS).mean() - cubes_mm) < 0.2
+
+
+WRONG = [
+    (["a.nrrd"], ["--start", "start.tfm"], 3, "does not say when"),
+    (["a.nrrd@1.2"], ["--start", "start.tfm"], 3, "fraction of the RR interval"),
+    (["a.nrrd@0", "here/../a.nrrd@0.5"], ["--start", "start.tfm"], 3, "twice"),
+    (["a.nrrd=4.3"], ["--start", "start.tfm"], 2, "needs the ECG"),
+    (["a.nrrd=99"], ["--start", "start.tfm", "--ecg", "ecg.csv"], 3, "no heart beat of the ECG"),
+    (["a.nrrd@0"], ["--start", "start.tfm", "--ecg", "ecg.csv"], 2, "belongs to volumes given as FILE="),
+    (["a.nrrd@0"], [], 2, "--start FILE.tfm or --start-landmarks"),
+    (
+        ["a.nrrd@0"],
+        ["--start", "start.tfm", "--start-landmarks", "mr.mrk.json", "tracker.mrk.json"],
+        2,
+        "--start FILE.tfm or --start-landmarks",
+    ),
+    (["a.nrrd@0"], ["--start", "far.tfm"], 5, "no ultrasound volume reaches the model"),
+    (["none.nrrd@0"], ["--start", "start.tfm"], 3, "does not exist"),
+    (["cine.nrrd@0"], ["--start", "start.tfm"], 3, "split it"),
+    (["a.nrrd@0"], ["--start", "start.tfm", "--mr", "a.nrrd"], 3, "needed 4-D"),
+    (["a.nrrd@0"], ["--start", "start.tfm", "--mask", "a.nrrd"], 2, "--mask does not go with --us-volume"),
+    (["a.nrrd@0"], ["--start", "start.tfm", "--fixed", "a.nrrd"], 2, "what is to be registered?"),
+]
+
+
+@pytest.mark.parametrize(("volumes", "options", "code", "says"), WRONG)
+def test_misuse_ends_in_one_sentence_and_writes_nothing(
+    lab: Path, tmp_path: Path, volumes: list[str], options: list[str], code: int, says: str
+) -> None:
+    files = [lab / option if (lab / option).is_file() else option for option in options]
+    done = register(lab, *given(lab, *volumes), *files, "-o", tmp_path / "out")
+    assert done.exit_code == code, done.output
+    assert says in " ".join(done.output.replace("│", " ").split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_volumes_need_a_model_and_the_other_kinds_do_not_take_their_options(
+    lab: Path, tmp_path: Path
+) -> None:
+    done = register(lab, "--us-volume", f"{lab}/a.nrrd@0", "--start", lab / "start.tfm", "-o", tmp_path / "o")
+    assert (done.exit_code, "--model" in done.output) == (2, True)
+    done = register(lab, lab, "--mr", lab / "model.npz", "-o", tmp_path / "o")
+    assert (done.exit_code, "--us-volume" in done.output) == (2, True)
+    assert not (tmp_path / "o").exists()
+
+
+def test_times_of_a_cine_without_any_are_the_models(lab: Path, tmp_path: Path) -> None:
+    write_volume_series(cine(), tmp_path / "alone.nrrd")
+    files = {"model": str(lab / "model.npz"), "mr": str(tmp_path / "alone.nrrd")}
+    read = read_heart_options(files, None)
+    assert read.preop.mr is not None
+    assert read.model is not None
+    assert read.preop.mr.timing is read.model.timing

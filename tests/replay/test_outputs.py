@@ -1,0 +1,148 @@
+"""What a replay leaves for other programs: the same numbers, in files that are never half-written."""
+
+import csv
+import hashlib
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import SimpleITK
+from typer.testing import CliRunner
+
+from dvf_ig.cli.main import app
+from dvf_ig.core import OutputError, PhaseTrack, Rigid
+from dvf_ig.guidance import Hazard, Status, SupervisorState
+from dvf_ig.replay import Replay, validate
+from dvf_ig.replay.outputs import COLUMNS, NAMES, require_own_outputs, ticks_csv, write_outputs
+from dvf_ig.replay.ticks import Ticks
+
+POSE = Rigid.from_rotation_vector([0.4, -0.9, 0.3], [12.5, -40.25, 310.75], "mr", "tracker")
+
+
+def two_ticks() -> Ticks:
+    """One without anything, one with everything."""
+    nan = np.nan
+    return Ticks(
+        phase=PhaseTrack(
+            np.array([0.001, 0.002]), np.array([0.0, 0.9999999]), np.zeros(2), np.array([nan, 0.85]), [0, 1]
+        ),
+        model_phase=np.array([nan, 0.5]),
+        mr_from_tracker=np.stack([np.full((3, 4), nan), POSE.matrix[:3]]),
+        pose_age_s=np.array([np.inf, 0.25]),
+        tip_tracker_mm=np.array([[nan] * 3, [10.0, 20.0, 30.0]]),
+        force_n=np.array([[0.0, 0.0, 0.0], [0.1, -0.2, 0.3]]),
+        wanted_n=np.zeros((2, 3)),
+        distance_mm=np.array([nan, 1.25]),
+        status=np.array([Status.NO_POSE, Status.OK]),
+        supervisor=np.array([SupervisorState.FADE, SupervisorState.OK]),
+        hazards=np.array([Hazard.NO_POSE | Hazard.NO_PHASE, 0]),
+    )
+
+
+def test_the_table_holds_what_the_ticks_hold() -> None:
+    first, second = csv.DictReader(io.StringIO(ticks_csv(two_ticks())))
+    assert list(first) == [name for name, _ in COLUMNS]
+    assert {name: value for name, value in first.items() if value} == {
+        "t_s": "0.001000",
+        "phi": "0.000000",
+        "phase_valid": "0",
+        "force_tracker_x_n": "0.000000",
+        "force_tracker_y_n": "0.000000",
+        "force_tracker_z_n": "0.000000",
+        "status": "no_pose",
+        "supervisor": "fade",
+        "hazards": "no_phase|no_pose",
+    }
+    tip_mr = POSE.rotation @ (10, 20, 30) + POSE.translation_mm
+    assert [float(second[f"tip_mr_{axis}_mm"]) for axis in "xyz"] == pytest.approx(tip_mr, abs=5.1e-5)
+    assert [float(second[f"tip_tracker_{axis}_mm"]) for axis in "xyz"] == [10, 20, 30]
+    assert [float(second[f"force_tracker_{axis}_n"]) for axis in "xyz"] == [0.1, -0.2, 0.3]
+    assert (second["phi"], second["phase_valid"], second["distance_mm"]) == ("0.999999", "1", "1.2500")
+    assert (second["status"], second["supervisor"], second["hazards"]) == ("ok", "ok", "")
+    assert (second["model_phase"], second["rr_s"], second["pose_age_s"]) == ("0.500000", "0.850000", "0.250")
+
+
+def test_no_word_of_the_table_is_taken_for_a_missing_number() -> None:
+    names = [one.name.lower() for kind in (Status, SupervisorState, Hazard) for one in kind if one.name]
+    assert not [name for name in [*names, *dict(COLUMNS)] if "nan" in name or "inf" in name]
+
+
+def test_the_last_pose_in_use_is_the_one_that_is_written(tmp_path: Path) -> None:
+    earlier = Rigid.identity("mr", "tracker")
+    written = write_outputs([(1.0, earlier), (2.0, POSE)], two_ticks(), tmp_path)
+    assert set(written) == set(NAMES) == {path.name for path in tmp_path.iterdir()}
+    for ending in ("tfm", "h5"):
+        transform = SimpleITK.ReadTransform(str(tmp_path / f"mr_from_tracker.{ending}"))
+        place = transform.TransformPoint((10.0, 20.0, 30.0))
+        np.testing.assert_allclose(place, POSE.rotation @ (10, 20, 30) + POSE.translation_mm, atol=1e-9)
+    assert (tmp_path / "poses.seq.mha").read_text().count("TrackerToRasTransform =") == 2
+    require_own_outputs(tmp_path)
+
+
+def test_without_a_pose_there_is_no_file_of_one(tmp_path: Path) -> None:
+    assert list(write_outputs([], two_ticks(), tmp_path)) == ["ticks.csv"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_users_own_file_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("mine, not yours")
+    with pytest.raises(OutputError, match="a file of that name exists"):
+        require_own_outputs(tmp_path)
+
+
+@pytest.fixture
+def replayed(replay: Replay, monkeypatch: pytest.MonkeyPatch) -> Replay:
+    """The command's replay is the shared one, so that none has to be computed."""
+    monkeypatch.setattr("dvf_ig.replay.run_replay", lambda *_, **__: replay)
+    return replay
+
+
+def test_the_command_writes_all_files_and_says_what_it_read(
+    replayed: Replay, written: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    done = CliRunner().invoke(app, ["replay", str(written), "-o", str(out), "--json"])
+    assert done.exit_code == 0, done.output
+    assert {path.name for path in out.iterdir()} == {"result.json", "report.html", *NAMES}
+    for name in ("result.json", "report.html", *NAMES):
+        assert f"wrote {out / name}" in done.stderr
+    result = json.loads((out / "result.json").read_text())
+    validate(result)
+    assert result == json.loads(done.stdout)
+    listed = {one["file"]: one for one in result["inputs"]}
+    files = {p.relative_to(written).as_posix(): p for p in written.rglob("*") if p.is_file()}
+    assert listed.keys() == files.keys()
+    for name, one in listed.items():
+        data = files[name].read_bytes()
+        assert (one["sha256"], one["bytes"]) == (hashlib.sha256(data).hexdigest(), len(data))
+    np.testing.assert_array_equal(
+        np.array(result["estimates"]["mr_from_tracker"]), replayed.poses[-1][1].matrix
+    )
+    transform = SimpleITK.ReadTransform(str(out / "mr_from_tracker.tfm"))
+    np.testing.assert_allclose(
+        transform.TransformPoint((0.0, 0.0, 0.0)), replayed.poses[-1][1].translation_mm, atol=1e-9
+    )
+    assert len((out / "ticks.csv").read_text().splitlines()) == len(replayed.ticks) + 1
+
+
+def test_nothing_is_left_half_written(
+    replayed: Replay, written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "run"
+    out.mkdir()
+    (out / "ticks.csv").write_text("mine")
+    done = CliRunner().invoke(app, ["replay", str(written), "-o", str(out)])
+    assert done.exit_code == 4
+    assert [path.name for path in out.iterdir()] == ["ticks.csv"]
+    (out / "ticks.csv").unlink()
+
+    def full(*_: object) -> None:
+        raise OutputError("no space left")
+
+    monkeypatch.setattr("dvf_ig.replay.outputs.write_pose_sequence", full)
+    (out / "result.json").write_text("of an earlier run")
+    done = CliRunner().invoke(app, ["replay", str(written), "-o", str(out)])
+    assert done.exit_code == 4
+    assert {path.name: path.read_text() for path in out.iterdir()} == {"result.json": "of an earlier run"}
