@@ -61,7 +61,7 @@ def init(
     output: Annotated[Path, typer.Option("-o", "--out", help="SESSION.yaml to write.")],
     ecg: Annotated[
         str | None,
-        typer.Option("--ecg", help="wfdb:RECORD, edf:FILE or csv:FILE; not needed where --us holds it."),
+        typer.Option("--ecg", help="wfdb:, edf:, csv: or trigger:FILE; not needed where --us holds it."),
     ] = None,
     rate: EcgRateOption = None,
     probe: Annotated[

@@ -19,6 +19,8 @@ from typer.testing import CliRunner, Result
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, InvalidInputError, Landmarks, NoOverlapError, Points, Rigid, Scenario
 from dvf_ig.io import (
+    add_ecg_field,
+    read_ecg,
     write_coordinate_definitions,
     write_landmarks,
     write_poses,
@@ -211,7 +213,7 @@ WRONG: dict[str, tuple[Spoil, list[str]]] = {
     ),
     "an ECG of no known kind": (
         put("ecg", "heart.npz"),
-        ["ecg.file: ", "heart.npz' names no ECG; write wfdb:RECORD, edf:FILE or csv:FILE"],
+        ["ecg.file: ", "heart.npz' names no ECG; write wfdb:RECORD, edf:FILE, csv:FILE"],
     ),
     "a calibration of another sensor": (
         file(
@@ -295,7 +297,11 @@ WRONG: dict[str, tuple[Spoil, list[str]]] = {
     ),
     "another patient's model": (
         put("patient_id", "P-17"),
-        ["preop.model: ", "heart.npz is the model of patient 'ball', needed patient 'P-17'", "model build"],
+        [
+            "preop.model: ",
+            "heart.npz is the model of patient 'ball', needed patient 'P-17'",
+            "name the other data alike",
+        ],
     ),
     "a damaged model": (
         file(change_byte),
@@ -305,9 +311,12 @@ WRONG: dict[str, tuple[Spoil, list[str]]] = {
         both(file(image("labels.nrrd", 9, 9, 9)), put("preop", {"labels": "labels.nrrd"})),
         ["preop.labels: ", "labels.nrrd holds the labels of one phase; give mr, the cine"],
     ),
-    "labels without their meaning": (
-        both(file(image("labels.nrrd", 9, 9, 9, 4)), put("preop", {"labels": "labels.nrrd"})),
-        ["preop.organ_labels: ", "labels.nrrd: say which labels lie inside the protected", "has 1"],
+    "labels that no voxel has": (
+        both(
+            file(image("labels.nrrd", 9, 9, 9, 4)),
+            put("preop", {"labels": "labels.nrrd", "organ_labels": [7]}),
+        ),
+        ["preop.organ_labels: ", "labels.nrrd: the image has none of the labels 7; it has 1"],
     ),
     "a cine of somebody else": (
         both(file(image("cine.nrrd", 9, 9, 9, 4)), put("preop.mr", "cine.nrrd")),
@@ -457,6 +466,25 @@ def errors_of(done: Result) -> list[str]:
     assert done.exit_code == 3, done.output
     lines = done.stderr.strip().splitlines()
     return [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
+
+
+def test_an_ecg_in_the_sweep_needs_no_file(lab: Path) -> None:
+    add_ecg_field(lab / "sweep.igs.mha", read_ecg(f"csv:{lab / 'ecg.csv'}"), lab / "sweep.igs.mha")
+    output = lab / "session.yaml"
+    done = init(lab, output, without=("--ecg",))
+    assert done.exit_code == 0, done.output
+    assert "ECG                II at 250 Hz, 0.0 to 12.0 s; 14 R peaks, 75 beats/min" in done.stdout
+    assert "# Found: in the ultrasound's file: II at 250 Hz" in output.read_text()
+    assert run("validate", output).exit_code == 0
+
+
+def test_a_trigger_takes_the_place_of_an_ecg(lab: Path) -> None:
+    (lab / "pulses.csv").write_text("\n".join(str(0.4 + 0.8 * n) for n in range(14)) + "\n")
+    output = lab / "session.yaml"
+    done = init(lab, output, "--ecg", f"trigger:{lab / 'pulses.csv'}")
+    assert done.exit_code == 0, done.output
+    assert "trigger, 0.4 to 10.8 s; 14 R peaks, 75 beats/min" in done.stdout
+    assert yaml.safe_load(output.read_text())["ecg"] == {"file": "trigger:pulses.csv"}
 
 
 def test_the_tool_tracked_in_the_sweep_needs_no_file(lab: Path) -> None:

@@ -8,10 +8,10 @@ from typing import Literal
 from pydantic import Field
 
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.io.ecg.recording import KINDS
 from dvf_ig.io.fixtures import Number, RetimingName
 from dvf_ig.io.yaml_config import Section
 
+from .ecg_name import split_ecg
 from .schema import (
     EcgConfig,
     FileName,
@@ -149,10 +149,8 @@ def _relative(path: Path, folder: Path) -> str:
 
 
 def _spec(spec: str, folder: Path) -> str:
-    kind, colon, name = spec.partition(":")
-    prefixed = bool(colon) and kind in KINDS
-    relative = _relative(Path(name if prefixed else spec), folder)
-    return f"{kind}:{relative}" if prefixed else relative
+    parts = split_ecg(spec)
+    return f"{parts.prefix}{_relative(Path(parts.name), folder)}{parts.field}"
 
 
 def _seconds_or_name(text: str, folder: Path) -> float | str:

@@ -94,14 +94,12 @@ def _span(t_s: FloatArray) -> str:
 
 
 def _ecg(ecg: Signal | TriggerTimes) -> str:
-    if isinstance(ecg, TriggerTimes):
-        return f"trigger, {len(ecg)} pulses, {_span(ecg.t_s)}"
     peaks, _ = stream_recording(ecg)
     rate = ""
     if len(peaks) > 1:
         rate = f", {60.0 / float(np.median(np.diff([peak.t_s for peak in peaks]))):.0f} beats/min"
-    leads = ", ".join(ecg.leads)
-    return f"{leads} at {ecg.rate_hz:g} Hz, {_span(ecg.t_s)}; {len(peaks)} R peaks{rate}"
+    source = "trigger" if isinstance(ecg, TriggerTimes) else f"{', '.join(ecg.leads)} at {ecg.rate_hz:g} Hz"
+    return f"{source}, {_span(ecg.t_s)}; {len(peaks)} R peaks{rate}"
 
 
 def _tool(parts: SessionParts) -> str | None:

@@ -24,7 +24,7 @@ from dvf_ig.io.points_file import read_points
 from dvf_ig.io.reading import reading
 from dvf_ig.io.transform import read_transform
 
-from .named_files import split_ecg
+from .ecg_name import split_ecg
 from .preop import PreopFiles
 from .schema import EcgConfig, StartConfig, ToolConfig
 

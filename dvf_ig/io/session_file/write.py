@@ -165,11 +165,15 @@ def _recordings(draft: SessionDraft, found: Mapping[str, str | None]) -> list[st
     tool_of_sweep = "in the ultrasound's file: " if tool is None and found["tool"] is not None else ""
     lines = _section(
         "ecg",
-        ["ECG on the clock of the tracker (s): wfdb:RECORD, edf:FILE or csv:FILE."],
+        [
+            "ECG on the clock of the tracker (s): wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE; or the",
+            "pulses of a trigger in its place: trigger:FILE.",
+        ],
         None if found["ecg"] is None else of_sweep + found["ecg"],
         [
             _Entry("file", None if ecg is None else ecg.file, "edf:ecg.edf"),
             _Entry("rate_hz", None if ecg is None else ecg.rate_hz, "250", "of a table without times"),
+            _Entry("delay_s", None, "0.02", "of a trigger: how long after the R peak it fires"),
         ],
     )
     lines += [
