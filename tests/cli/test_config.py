@@ -502,7 +502,8 @@ def test_the_tool_tracked_in_the_sweep_needs_no_file(lab: Path) -> None:
 
 
 def test_nothing_is_written_where_a_file_is_wrong(lab: Path) -> None:
-    output = lab / "session.yaml"
+    (lab.parent / "case").mkdir()
+    output = lab.parent / "case" / "session.yaml"
     for more, word in (
         (("--touched", lab / "none.csv"), "start.touched: "),
         (("--patient", "P-17"), "preop.model: "),
@@ -512,6 +513,7 @@ def test_nothing_is_written_where_a_file_is_wrong(lab: Path) -> None:
         told = errors(init(lab, output, *more))
         assert len(told) == 1
         assert word in told[0]
+        assert "/../" not in told[0]
         assert not output.exists()
     lone = errors(run("init", "--us", lab / "sweep.igs.mha", "--cine", lab / "heart.npz", "-o", output))
     assert "give --labels LABELS" in lone[0]

@@ -99,8 +99,8 @@ class GivenFiles:
     reference_name: str | None = None
     patient_id: str | None = None
 
-    def draft(self, folder: Path) -> SessionDraft:
-        """The configuration whose names of files begin at `folder`.
+    def draft(self, folder: Path | None = None) -> SessionDraft:
+        """The configuration whose names of files begin at `folder`; None leaves them as the user gave them.
 
         Raises:
             InvalidInputError: a cine without labels, a rate without an ECG, or a file named by nothing.
@@ -143,17 +143,19 @@ class GivenFiles:
         )
 
 
-def _relative(path: Path, folder: Path) -> str:
+def _relative(path: Path, folder: Path | None) -> str:
     """Its name from a folder, with / between its parts wherever it was made."""
+    if folder is None:
+        return str(path)
     return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
 
 
-def _spec(spec: str, folder: Path) -> str:
+def _spec(spec: str, folder: Path | None) -> str:
     parts = split_ecg(spec)
     return f"{parts.prefix}{_relative(Path(parts.name), folder)}{parts.field}"
 
 
-def _seconds_or_name(text: str, folder: Path) -> float | str:
+def _seconds_or_name(text: str, folder: Path | None) -> float | str:
     try:
         return float(text)
     except ValueError:

@@ -59,14 +59,13 @@ def begin_session(given: GivenFiles, output: Path) -> tuple[SessionDraft, Verdic
     Raises:
         InvalidInputError: files that are of no use without another.
     """
-    folder = output.parent
-    draft = given.draft(folder)
-    parts, unreadable = examine(draft, folder, str(output))
+    as_given, draft = given.draft(), given.draft(output.parent)
+    parts, unreadable = examine(as_given, Path(), str(output))
     if draft.preop is not None and parts.preop is not None and (there := label_values(parts.preop.preop)):
         draft = draft.model_copy(update={"preop": draft.preop.model_copy(update={"organ_labels": there})})
         heart = replace(parts.preop, preop=replace(parts.preop.preop, organ_labels=there))
         parts = replace(parts, preop=heart)
-    return draft, _verdict(draft, folder, parts, unreadable)
+    return draft, _verdict(as_given, Path(), parts, unreadable)
 
 
 def _verdict(
