@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from .shell import EcgRateOption, JsonFlag, ProbeNameOption, ReferenceNameOption, command, emit, wrote
+from .shell import EcgRateOption, JsonFlag, ProbeNameOption, ReferenceNameOption, command, emit, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.io.session_file.draft import SessionDraft
@@ -135,10 +135,12 @@ def init(
         wrong = [p for p in (*verdict.unreadable, *verdict.misfits) if p.concerns("register")]
         if not wrong:
             write_session(output, session_text(draft, told))
-        _show(output, verdict, told, as_json=as_json)
+        emit(_payload(output, verdict, told), _rows(output, verdict, told, OPTIONS), as_json=as_json)
         if wrong:
             _refuse([in_options(problem.sentence) for problem in wrong])
         wrote(output)
+        for problem in verdict.misfits:
+            warn(f"a replay cannot use {in_options(problem.sentence)}")
         lacking = [problem.key for problem in verdict.missing if problem.concerns("register")]
         if lacking:
             _refuse([f"{output} is written, but register cannot run yet; it lacks: {', '.join(lacking)}"])
@@ -188,12 +190,11 @@ def validate(
 
         config, folder = _read(session)
         verdict = judge_session(config, folder, str(session))
-        _show(session, verdict, found(verdict.parts), as_json=as_json)
+        told = found(verdict.parts)
+        emit(_payload(session, verdict, told), _rows(session, verdict, told, {}), as_json=as_json)
+        wrong = list(verdict.hindrances(purpose or "register"))
         if purpose is None:
-            lacking = [problem for problem in verdict.missing if problem.concerns("register")]
-            wrong = [*verdict.unreadable, *verdict.misfits, *lacking]
-        else:
-            wrong = list(verdict.hindrances(purpose))
+            wrong += [problem for problem in verdict.misfits if problem not in wrong]
         if not wrong and verdict.parts.recorded_calibrations:
             wrong = _calibrations_refused(config, folder, str(session))
         if wrong:
@@ -241,27 +242,29 @@ def _refuse(sentences: Sequence[str]) -> None:
     raise typer.Exit(3)
 
 
-def _show(path: Path, verdict: "Verdict", told: Mapping[str, str | None], *, as_json: bool) -> None:
+def _payload(path: Path, verdict: "Verdict", told: Mapping[str, str | None]) -> dict[str, Any]:
     kinds = {"unreadable": verdict.unreadable, "misfit": verdict.misfits, "missing": verdict.missing}
-    ready = {use: not verdict.hindrances(use) for use in USES}
-    payload: dict[str, Any] = {
+    return {
         "session": str(path),
         "parts": dict(told),
-        "ready": ready,
+        "ready": {use: not verdict.hindrances(use) for use in USES},
         "problems": [
             {"key": p.key, "kind": kind, "hinders": p.hinders, "sentence": str(p.error)}
             for kind, problems in kinds.items()
             for p in problems
         ],
     }
-    if as_json:
-        emit(payload, (), as_json=True)
-        return
+
+
+def _rows(
+    path: Path, verdict: "Verdict", told: Mapping[str, str | None], options: Mapping[str, str]
+) -> list[tuple[str, ...]]:
+    """What was found, what can be done with it, and what is missing, with the option that gives it."""
     wrong = [p.key for p in (*verdict.unreadable, *verdict.misfits)]
     rows = [("session", str(path))]
     for key, label in PARTS.items():
         text = told[key] or ("cannot be used" if any(k.startswith(key) for k in wrong) else "-")
         rows.append((label, text))
     rows += [(use, _readiness(use, verdict)) for use in USES]
-    rows += [("missing", f"{p.error}  ({OPTIONS[p.key]})") for p in verdict.missing]
-    emit({}, rows, as_json=False)
+    rows += [("missing", f"{p.error} ({options.get(p.key, p.key)})") for p in verdict.missing]
+    return [*rows]

@@ -1,5 +1,6 @@
 """A session's configuration that may still lack parts, as `config init` begins one and users go on."""
 
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from pydantic import Field
 
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.io.fixtures import Number, RetimingName
-from dvf_ig.io.yaml_config import Section
+from dvf_ig.io.yaml_config import Section, validated
 
 from .ecg_name import split_ecg
 from .schema import (
@@ -103,7 +104,7 @@ class GivenFiles:
         """The configuration whose names of files begin at `folder`; None leaves them as the user gave them.
 
         Raises:
-            InvalidInputError: a cine without labels, a rate without an ECG, or a file named by nothing.
+            InvalidInputError: a cine without labels, a rate without an ECG, or an empty name.
         """
         if self.rate_hz is not None and self.ecg is None:
             raise InvalidInputError("a sampling rate belongs to an ECG as a text table; give --ecg, too")
@@ -119,28 +120,28 @@ class GivenFiles:
         heart = {"model": self.model, "mr": self.mr, "labels": self.labels, "surfaces_folder": self.surfaces}
         files = {key: name(path) for key, path in heart.items() if path is not None}
         tool = self.tool if self.tool is not None or self.tool_name is None else self.ultrasound
-        return SessionDraft(
-            patient_id=self.patient_id,
-            preop=PreopConfig.model_validate(files) if files else None,
-            ultrasound=UltrasoundConfig(
-                file=_relative(self.ultrasound, folder),
-                probe_name=self.probe_name,
-                reference_name=self.reference_name,
-            ),
-            ecg=None if self.ecg is None else EcgConfig(file=_spec(self.ecg, folder), rate_hz=self.rate_hz),
-            tool=None if tool is None else ToolConfig(file=_relative(tool, folder), name=self.tool_name),
-            calibration=CalibrationDraft(
-                probe=name(self.probe),
-                latency=None if self.latency is None else _seconds_or_name(self.latency, folder),
-                tip=name(self.tip),
-            ),
-            start=StartConfig(
-                transform=name(self.start),
-                landmarks_mr=None if self.landmarks is None else name(self.landmarks[0]),
-                landmarks_tracker=None if self.landmarks is None else name(self.landmarks[1]),
-                touched=name(self.touched),
-            ),
-        )
+        names = {"probe_name": self.probe_name, "reference_name": self.reference_name}
+        ecg = None if self.ecg is None else {"file": _spec(self.ecg, folder), "rate_hz": self.rate_hz}
+        mr_points, patient_points = self.landmarks or (None, None)
+        document = {
+            "patient_id": self.patient_id,
+            "preop": files or None,
+            "ultrasound": {"file": name(self.ultrasound), **names},
+            "ecg": ecg,
+            "tool": None if tool is None else {"file": name(tool), "name": self.tool_name},
+            "calibration": {
+                "probe": name(self.probe),
+                "latency": None if self.latency is None else _seconds_or_name(self.latency, folder),
+                "tip": name(self.tip),
+            },
+            "start": {
+                "transform": name(self.start),
+                "landmarks_mr": name(mr_points),
+                "landmarks_tracker": name(patient_points),
+                "touched": name(self.touched),
+            },
+        }
+        return validated(SessionDraft, document, Path("options"))
 
 
 def _relative(path: Path, folder: Path | None) -> str:
@@ -157,6 +158,7 @@ def _spec(spec: str, folder: Path | None) -> str:
 
 def _seconds_or_name(text: str, folder: Path | None) -> float | str:
     try:
-        return float(text)
+        seconds = float(text)
     except ValueError:
         return _relative(Path(text), folder)
+    return seconds if math.isfinite(seconds) else _relative(Path(text), folder)
