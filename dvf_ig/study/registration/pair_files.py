@@ -59,9 +59,9 @@ def keep_pairs(
 def write_pair(pair: ImagePair, volumes: Sequence[TrackedVolume], folder: Path) -> None:
     """Write the heart before and now into a folder.
 
-    Before: model.npz; cine.nrrd with timing.json, and labels.nrrd of all its phases. Now: VIEW-PHASE.nrrd in the tracker's coordinates for each
-    of VOLUME_VIEWS and GATED. Truth: truth.tfm, and the targets on both sides, targets_mr.mrk.json and
-    targets_tracker.mrk.json.
+    Before: model.npz; cine.nrrd with timing.json, and labels.nrrd of all its phases. Now: VIEW-PHASE.nrrd in
+    the tracker's coordinates for each of VOLUME_VIEWS and GATED. Truth: truth.tfm, and the targets on both
+    sides, targets_mr.mrk.json and targets_tracker.mrk.json.
 
     Args:
         volumes: of the pair, at GATED.
