@@ -41,6 +41,7 @@ def register(
     us: own.UltrasoundOption = None,
     ecg: own.EcgOption = None,
     rate: EcgRateOption = None,
+    ecg_start: own.EcgStartOption = None,
     mr: own.MrOption = None,
     labels: own.LabelsOption = None,
     organ: own.OrganOption = None,
@@ -79,8 +80,8 @@ def register(
             raise typer.BadParameter("say where to write: -o OUT")
         own_options = {
             "--model": model, "--mr": mr, "--labels": labels, "--organ": organ, "--cavity": cavity,
-            "--patient": patient, "--ecg": ecg, "--rate": rate, "--probe": probe, "--lag-s": lag_s,
-            "--latency": latency, "--fan": fan, "--probe-name": probe_name,
+            "--patient": patient, "--ecg": ecg, "--rate": rate, "--ecg-start": ecg_start, "--probe": probe,
+            "--lag-s": lag_s, "--latency": latency, "--fan": fan, "--probe-name": probe_name,
             "--reference-name": reference_name, "--start": start, "--start-landmarks": start_landmarks,
             "--touched": touched,
         }  # fmt: skip

@@ -23,7 +23,7 @@ CALIBRATION = {"--probe", "--lag-s", "--latency", "--fan", "--probe-name", "--re
 OPTIONS: dict[Kind, set[str]] = {
     Kind.scenario: {"--model", "--start"},
     Kind.config: set(),
-    Kind.recordings: HEART | START | CALIBRATION | {"--ecg", "--rate"},
+    Kind.recordings: HEART | START | CALIBRATION | {"--ecg", "--rate", "--ecg-start"},
     Kind.volumes: HEART | {"--ecg", "--rate", "--start", "--start-landmarks"},
     Kind.pair: {"--start", "--mask"},
 }

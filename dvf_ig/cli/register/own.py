@@ -20,6 +20,12 @@ EcgOption = Annotated[
     str | None,
     typer.Option("--ecg", help="ECG as `gate` takes it (default: the one recorded with the ultrasound)."),
 ]
+EcgStartOption = Annotated[
+    float | None,
+    typer.Option(
+        "--ecg-start", help="When its first sample was taken, s on the tracker's clock (default: the file's)."
+    ),
+]
 MrOption = Annotated[Path | None, typer.Option("--mr", "--cine", help="Cine series the model was made from.")]
 LabelsOption = Annotated[
     Path | None,
@@ -122,7 +128,7 @@ def document_of(us: Path | None, options: Mapping[str, Any]) -> dict[str, Any]:
                 reference_name=options["--reference-name"],
                 fan=_fan(options["--fan"]),
             ),
-            ecg=_given(file=options["--ecg"], rate_hz=options["--rate"]),
+            ecg=_given(file=options["--ecg"], rate_hz=options["--rate"], start_s=options["--ecg-start"]),
             calibration=_given(probe=options["--probe"], latency=latency),
             start=_given(
                 transform=options["--start"],
@@ -151,8 +157,9 @@ def _require_enough(options: Mapping[str, Any]) -> None:
         )
     if (options["--lag-s"] is None) == (options["--latency"] is None):
         raise typer.BadParameter("give the latency of the video once: --lag-s SECONDS, or --latency JSON")
-    if options["--ecg"] is None and options["--rate"] is not None:
-        raise typer.BadParameter("--rate is of the table that --ecg names; give --ecg, too")
+    for option in ("--rate", "--ecg-start"):
+        if options["--ecg"] is None and options[option] is not None:
+            raise typer.BadParameter(f"{option} is of the recording that --ecg names; give --ecg, too")
 
 
 def _touched(text: str | None) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """The parts of a session, each read from the files that the configuration names for it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
@@ -122,7 +122,14 @@ def read_session_ecg(config: EcgConfig | None, folder: Path, sweep: Path) -> Sig
             ) from exc
     spec = split_ecg(config.file)
     named = f"{spec.prefix}{folder / spec.name}{spec.field}"
-    return read_beat_source(named, rate_hz=config.rate_hz, delay_s=config.delay_s)
+    found = read_beat_source(named, rate_hz=config.rate_hz, delay_s=config.delay_s)
+    if config.start_s is None:
+        return found
+    if isinstance(found, TriggerTimes):
+        raise UnreadableFileError(
+            f"{folder / spec.name} holds times of pulses, which are on the tracker's clock; leave out ecg.start_s"
+        )
+    return replace(found, start_s=config.start_s)
 
 
 def read_start(config: StartConfig, folder: Path) -> StartFiles:

@@ -1,0 +1,89 @@
+"""A scenario taken apart by hand: its recordings as a lab's own files give the scenario's own result."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from edf_files import write_ecg_edf
+from typer.testing import CliRunner
+
+from dvf_ig.cli.main import app
+from dvf_ig.core import Scenario, Signal
+from dvf_ig.io import add_ecg_field
+from dvf_ig.replay import Replay, register_scenario
+
+BLOOD = "2,4,6,7,8"
+SESSION = """
+schema: dvf_ig.session/1
+preop: {mr: cine.nrrd, labels: labels.nrrd, timing: timing.json, cavity_labels: [2, 4, 6, 7, 8]}
+ultrasound:
+  file: sweep.igs.mha
+  fan: {apex_px: [171.5, 6.0], start_px: 0.0, stop_px: 300.0, half_angle_rad: 0.6108652381980153}
+ecg: edf:ecg.edf
+tool: needle.igs.mha
+calibration: {probe: probe.json, latency: latency.json, tip: tip.json}
+start: {transform: start.tfm, landmarks_mr: model.mrk.json, landmarks_tracker: patient.mrk.json}
+"""
+
+
+def run(*words: object, code: int = 0) -> dict[str, Any]:
+    done = CliRunner().invoke(app, [*map(str, words), "--json"])
+    assert done.exit_code == code, done.output
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+@pytest.fixture(scope="module")
+def lab(scenario: Scenario, written: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scenario's recordings under other names, its calibrations as `calibrate` writes them."""
+    folder = tmp_path_factory.mktemp("lab")
+    for name, source in {
+        "cine.nrrd": "preop/mr.nrrd",
+        "labels.nrrd": "preop/labels.nrrd",
+        "timing.json": "preop/timing.json",
+        "needle.igs.mha": "tool.igs.mha",
+        "sweep.igs.mha": "ultrasound.igs.mha",
+        "start.tfm": "start.tfm",
+        "start.json": "start.json",
+        "model.mrk.json": "landmarks_mr.mrk.json",
+        "patient.mrk.json": "landmarks_tracker.mrk.json",
+    }.items():
+        shutil.copy(written / source, folder / name)
+    assert isinstance(scenario.ecg, Signal)
+    write_ecg_edf(scenario.ecg, folder / "ecg.edf")
+    add_ecg_field(folder / "sweep.igs.mha", scenario.ecg, folder / "sweep_with_ecg.igs.mha")
+    recorded = written / "calibration"
+    device_set, points = recorded / "nwire.xml", recorded / "nwire_points.xml"
+    run("calibrate", "pivot", recorded / "pivot.igs.mha", "-o", folder / "tip.json")
+    run("calibrate", "probe", recorded / "nwire.igs.mha", "--device-set", device_set, "--points", points,
+        "-o", folder / "probe.json")  # fmt: skip
+    tank = [recorded / f"latency_{part}.igs.mha" for part in ("tracker", "video")]
+    lines = recorded / "latency_lines.xml"
+    run("calibrate", "latency", *tank, "--line-table", lines, "-o", folder / "latency.json")
+    return folder
+
+
+def test_register_with_the_ecg_inside_the_sweep(scenario: Scenario, lab: Path, tmp_path: Path) -> None:
+    """An option for each file; phases and patient come from the files alone."""
+    own = register_scenario(scenario).result.target_from_source.matrix
+    found = run(
+        "register", "--us", lab / "sweep_with_ecg.igs.mha", "--cine", lab / "cine.nrrd",
+        "--labels", lab / "labels.nrrd", "--cavity", BLOOD, "--probe", lab / "probe.json",
+        "--latency", lab / "latency.json", "--start", lab / "start.tfm", "-o", tmp_path / "out",
+    )  # fmt: skip
+    np.testing.assert_allclose(found["mr_from_tracker"], own, rtol=0, atol=1e-6)
+
+
+def test_replay_with_the_ecg_as_edf(replay: Replay, lab: Path, tmp_path: Path) -> None:
+    """Poses and force of the scenario's own replay, from one YAML."""
+    (lab / "SESSION.yaml").write_text(SESSION)
+    found = run("replay", "--config", lab / "SESSION.yaml", "-o", tmp_path / "run")
+    own = replay.poses[-1][1].matrix
+    np.testing.assert_allclose(found["estimates"]["mr_from_tracker"], own, rtol=0, atol=1e-6)
+    magnitude = np.linalg.norm(replay.ticks.force_n, axis=1)
+    assert found["force_n"]["max"] == pytest.approx(float(magnitude.max()), abs=1e-6)
+    assert found["valid_ticks"] == int(replay.ticks.valid.sum())
+    assert found["tre_mm"] is None
