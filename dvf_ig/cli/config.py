@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from .shell import EcgRateOption, JsonFlag, ProbeNameOption, ReferenceNameOption, command, emit, warn, wrote
+from .register.own import CavityOption, EcgStartOption, OrganOption, PatientOption
+from .shell import (
+    EcgRateOption,
+    JsonFlag,
+    ProbeNameOption,
+    ReferenceNameOption,
+    command,
+    emit,
+    warn,
+    whole_numbers,
+    wrote,
+)
 
 if TYPE_CHECKING:
     from dvf_ig.io.session_file.draft import SessionDraft
@@ -64,6 +75,7 @@ def init(
         typer.Option("--ecg", help="wfdb:, edf:, csv: or trigger:FILE; not needed where --us holds it."),
     ] = None,
     rate: EcgRateOption = None,
+    ecg_start: EcgStartOption = None,
     probe: Annotated[
         Path | None, typer.Option("--probe", help="Probe calibration: our JSON, or a PLUS .xml.")
     ] = None,
@@ -79,23 +91,30 @@ def init(
     ] = None,
     model: Annotated[Path | None, typer.Option("--model", help="Model of the heart (model build).")] = None,
     cine: Annotated[
-        Path | None, typer.Option("--cine", help="4-D MR or CT: with --labels, or beside --model.")
+        Path | None, typer.Option("--cine", "--mr", help="4-D MR or CT: with --labels, or beside --model.")
     ] = None,
     labels: Annotated[
         Path | None, typer.Option("--labels", help="Labels, 4-D or of end-diastole alone.")
     ] = None,
+    organ: OrganOption = None,
+    cavity: CavityOption = None,
     surfaces: Annotated[Path | None, typer.Option("--surfaces", help="Folder of surfaces.")] = None,
     start: Annotated[Path | None, typer.Option("--start", help="Coarse mr_from_tracker (.tfm).")] = None,
     landmarks: Annotated[
         tuple[Path, Path] | None,
-        typer.Option("--landmarks", help="The same points in the model and on the patient: two files."),
+        typer.Option(
+            "--landmarks",
+            "--start-landmarks",
+            metavar="MODEL PATIENT",
+            help="The same points in the model and on the patient: two files.",
+        ),
     ] = None,
     touched: Annotated[
         Path | None, typer.Option("--touched", help="Points touched all over the heart's surface.")
     ] = None,
     probe_name: ProbeNameOption = None,
     reference_name: ReferenceNameOption = None,
-    patient: Annotated[str | None, typer.Option("--patient", help="Patient id.")] = None,
+    patient: PatientOption = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Begin a SESSION.yaml from a lab's files: look into each, say what is missing or does not fit.
@@ -114,6 +133,7 @@ def init(
             ultrasound=us,
             ecg=ecg,
             rate_hz=rate,
+            ecg_start_s=ecg_start,
             probe=probe,
             latency=latency,
             tip=tip,
@@ -122,6 +142,8 @@ def init(
             model=model,
             mr=cine,
             labels=labels,
+            organ_labels=None if organ is None else whole_numbers(organ, "--organ", "1,2,5"),
+            cavity_labels=None if cavity is None else whole_numbers(cavity, "--cavity", "2,4"),
             surfaces=surfaces,
             start=start,
             landmarks=landmarks,

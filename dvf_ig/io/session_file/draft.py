@@ -4,7 +4,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -73,17 +73,20 @@ class GivenFiles:
 
     Attributes:
         ultrasound: tracked images; the only file that is needed to begin with.
-        ecg: as `gate` takes it, for example `edf:FILE`; `rate_hz` of a table without times.
+        ecg: as `gate` takes it, for example `edf:FILE`; `rate_hz` of a table without times; `ecg_start_s` is
+            when its first sample was taken on the tracker's clock.
         probe, tip: what `calibrate -o` wrote, JSON or PLUS XML.
         latency: such a file, or seconds.
         tool: poses; `tool_name` as the recording names it.
-        model, mr, labels, surfaces: the pre-operative heart.
+        model, mr, labels, surfaces: the pre-operative heart; `organ_labels` inside the protected surface, of
+            which `cavity_labels` are blood.
         start: mr_from_tracker; `landmarks` in the model and on the patient; `touched` points.
     """
 
     ultrasound: Path
     ecg: str | None = None
     rate_hz: float | None = None
+    ecg_start_s: float | None = None
     probe: Path | None = None
     latency: str | None = None
     tip: Path | None = None
@@ -92,6 +95,8 @@ class GivenFiles:
     model: Path | None = None
     mr: Path | None = None
     labels: Path | None = None
+    organ_labels: tuple[int, ...] | None = None
+    cavity_labels: tuple[int, ...] | None = None
     surfaces: Path | None = None
     start: Path | None = None
     landmarks: tuple[Path, Path] | None = None
@@ -106,8 +111,12 @@ class GivenFiles:
         Raises:
             InvalidInputError: a cine without labels, a rate without an ECG, or an empty name.
         """
-        if self.rate_hz is not None and self.ecg is None:
-            raise InvalidInputError("a sampling rate belongs to an ECG as a text table; give --ecg, too")
+        for option, value in (("--rate", self.rate_hz), ("--ecg-start", self.ecg_start_s)):
+            if value is not None and self.ecg is None:
+                raise InvalidInputError(f"{option} is of the recording that --ecg names; give --ecg, too")
+        for option, values in (("--organ", self.organ_labels), ("--cavity", self.cavity_labels)):
+            if values is not None and self.labels is None:
+                raise InvalidInputError(f"{option} says what labels mean; give --labels, too")
         if self.mr is not None and (self.model, self.labels, self.surfaces) == (None, None, None):
             raise InvalidInputError(
                 f"{self.mr} shows the heart but not where its surface is; give --labels LABELS (of "
@@ -118,10 +127,13 @@ class GivenFiles:
             return None if path is None else _relative(path, folder)
 
         heart = {"model": self.model, "mr": self.mr, "labels": self.labels, "surfaces_folder": self.surfaces}
-        files = {key: name(path) for key, path in heart.items() if path is not None}
+        files: dict[str, Any] = {key: name(path) for key, path in heart.items() if path is not None}
+        meaning = {"organ_labels": self.organ_labels, "cavity_labels": self.cavity_labels}
+        files |= {key: values for key, values in meaning.items() if values is not None}
         tool = self.tool if self.tool is not None or self.tool_name is None else self.ultrasound
         names = {"probe_name": self.probe_name, "reference_name": self.reference_name}
-        ecg = None if self.ecg is None else {"file": _spec(self.ecg, folder), "rate_hz": self.rate_hz}
+        of_ecg = {"rate_hz": self.rate_hz, "start_s": self.ecg_start_s}
+        ecg = None if self.ecg is None else {"file": _spec(self.ecg, folder), **of_ecg}
         mr_points, patient_points = self.landmarks or (None, None)
         document = {
             "patient_id": self.patient_id,

@@ -6,7 +6,7 @@ import SimpleITK
 import yaml
 from config_runs import errors, run
 from spoilt_lab import WRONG, image
-from toy_lab import sweep
+from toy_lab import sweep, write_ecg
 from typer.testing import Result
 
 from dvf_ig.io import add_ecg_field, read_ecg, write_sequence
@@ -104,6 +104,15 @@ def test_an_ecg_in_the_sweep_needs_no_file(lab: Path) -> None:
     assert run("validate", output).exit_code == 0
 
 
+def test_an_ecg_of_another_recorder_needs_its_beginning(lab: Path) -> None:
+    write_ecg(lab / "ecg.csv", begin_s=5000.0)
+    output = lab / "session.yaml"
+    assert "--ecg-start says when on it the ECG began" in errors(init(lab, output))[0]
+    assert init(lab, output, "--ecg-start", 0.25).exit_code == 0
+    assert yaml.safe_load(output.read_text())["ecg"] == {"file": "csv:ecg.csv", "start_s": 0.25}
+    assert run("validate", output, "--for", "replay").exit_code == 0
+
+
 def test_a_trigger_takes_the_place_of_an_ecg(lab: Path) -> None:
     (lab / "pulses.csv").write_text("\n".join(str(0.4 + 0.8 * n) for n in range(14)) + "\n")
     output = lab / "session.yaml"
@@ -175,3 +184,8 @@ def test_init_takes_all_labels_and_says_which_there_are(lab: Path) -> None:
     assert "labels 1, 3 of end-diastole alone (phase 0)" in done.stdout
     assert "4 phases (times assumed: no timing.json)" in done.stdout
     assert yaml.safe_load(output.read_text())["preop"]["organ_labels"] == [1, 3]
+    heart = ("--cine", lab / "cine.nii.gz", "--labels", lab / "ed.nii.gz")
+    assert init(lab, output, *heart, "--organ", "3", "--cavity", "1", without=("--model",)).exit_code == 0
+    preop = yaml.safe_load(output.read_text())["preop"]
+    assert (preop["organ_labels"], preop["cavity_labels"]) == ([3], [1])
+    assert "give --labels, too" in errors(init(lab, output, "--organ", "3"))[0]
