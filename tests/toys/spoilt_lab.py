@@ -139,6 +139,7 @@ WRONG: dict[str, tuple[Spoil, list[str]]] = {
             "ecg.file: ",
             "ecg.csv: ECG (5000",
             "ultrasound (0.5 to 11.4 s) share less than a second",
+            "ecg.start_s",
             "one clock",
         ],
     ),

@@ -1,7 +1,8 @@
 """What a session still lacks for a registration, and for a force."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from dvf_ig.core.errors import InvalidInputError
 
@@ -17,6 +18,12 @@ class _Need:
     use: Use
     is_there: Callable[[SessionParts], bool]
     sentence: str
+
+    def absent_from(self, document: Mapping[str, Any]) -> bool:
+        """Whether the content of a SESSION.yaml does not name the part."""
+        section, _, entry = self.key.partition(".")
+        given = document.get(section)
+        return given is None or (bool(entry) and isinstance(given, dict) and given.get(entry) is None)
 
 
 def _has_start(start: StartFiles) -> bool:
@@ -70,6 +77,10 @@ NEEDS = (
         "a force needs a tool tip: dvf-ig calibrate pivot POSES -o tip.json",
     ),
 )
+
+
+REQUIRED = ("preop", "calibration.probe", "calibration.latency")
+"""Keys without which a SESSION.yaml describes no session; the ECG may be in the ultrasound."""
 
 
 def missing_parts(parts: SessionParts, told: tuple[Problem, ...] = ()) -> tuple[Problem, ...]:

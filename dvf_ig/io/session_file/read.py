@@ -17,6 +17,7 @@ from dvf_ig.io.yaml_config import read_yaml, validated
 
 from .calibration import read_latency_source, read_probe_source, read_tip_source
 from .draft import SessionDraft
+from .missing import NEEDS, REQUIRED
 from .named_files import require_files
 from .parts import read_session_ecg, read_start, read_sweep, read_tool
 from .preop import read_preop
@@ -50,7 +51,12 @@ def read_session_config(path: Path | str) -> SessionConfig:
         UnreadableFileError: absent, not YAML, unknown keys, or missing or wrong values.
     """
     path = Path(path)
-    return validated(SessionConfig, _document(path), path)
+    document = _document(path)
+    needs = (need for need in NEEDS if need.key in REQUIRED and need.absent_from(document))
+    lacking = [f"{need.key}: {need.sentence}" for need in needs]
+    if lacking:
+        raise UnreadableFileError(f"{path} lacks {'; '.join(lacking)}")
+    return validated(SessionConfig, document, path)
 
 
 def read_session_draft(path: Path | str) -> SessionDraft:
@@ -67,7 +73,8 @@ def _document(path: Path) -> Any:
     document = read_yaml(path, "a session's configuration")
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         got = document.get("schema") if isinstance(document, dict) else None
-        raise UnreadableFileError(f"{path} has schema '{got}'; needed '{SCHEMA}' (dvf-ig config init)")
+        hint = "give its folder" if got == "dvf_ig.scenario/1" else "begin one with: dvf-ig config init"
+        raise UnreadableFileError(f"{path} has schema '{got}'; needed '{SCHEMA}': {hint}")
     return document
 
 

@@ -32,6 +32,10 @@ def test_a_scenario_folder_is_a_configuration(written: Path, tmp_path: Path) -> 
     assert read_session_config(again) == read_scenario_session(written)
 
 
-def test_what_is_no_configuration_is_told(tmp_path: Path) -> None:
+def test_what_is_no_configuration_is_told(written: Path, tmp_path: Path) -> None:
+    assert (
+        "'dvf_ig.scenario/1'; needed 'dvf_ig.session/1': give its"
+        in errors(run("dump", written / "scenario.yaml"))[0]
+    )
     assert "is not a scenario folder" in errors(run("dump", tmp_path))[0]
     assert "does not exist" in errors(run("dump", tmp_path / "none.yaml"))[0]

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 import SimpleITK
 import yaml
 from config_runs import errors, run
@@ -9,6 +10,7 @@ from spoilt_lab import WRONG, image
 from toy_lab import sweep, write_ecg
 from typer.testing import Result
 
+from dvf_ig.core import UnreadableFileError
 from dvf_ig.io import add_ecg_field, read_ecg, write_sequence
 from dvf_ig.io.session_file.read import read_session
 
@@ -74,6 +76,8 @@ def test_init_with_the_sweep_alone_writes_what_is_missing_as_comments(lab: Path)
         "schema": "dvf_ig.session/1",
         "ultrasound": {"file": "sweep.igs.mha"},
     }
+    with pytest.raises(UnreadableFileError, match=r"session.yaml lacks preop: a registration needs"):
+        read_session(output)
     opened = output.read_text().replace("\n# ecg:\n#   file: edf:ecg.edf", "\necg:\n  file: csv:ecg.csv")
     for key in ("preop:\n#   model", "calibration:\n#   probe", "start:\n#   transform"):
         assert f"\n# {key}" in opened
