@@ -69,13 +69,14 @@ def read_session_draft(path: Path | str) -> SessionDraft:
     return validated(SessionDraft, _document(path), path)
 
 
-def _document(path: Path) -> Any:
+def _document(path: Path) -> dict[str, Any]:
+    """The keys with a value: a section of which every line is commented out is not given."""
     document = read_yaml(path, "a session's configuration")
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         got = document.get("schema") if isinstance(document, dict) else None
         hint = "give its folder" if got == "dvf_ig.scenario/1" else "begin one with: dvf-ig config init"
         raise UnreadableFileError(f"{path} has schema '{got}'; needed '{SCHEMA}': {hint}")
-    return document
+    return {key: value for key, value in document.items() if value is not None}
 
 
 def read_session(path: Path | str) -> SessionRecordings:

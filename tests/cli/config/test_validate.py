@@ -62,6 +62,7 @@ def test_what_a_purpose_does_not_need_is_not_asked_for(lab: Path) -> None:
     path = write(lab, document)
     assert run("validate", path).exit_code == 0
     told = errors(run("validate", path, "--for", "replay"))
+    assert told == errors(run("validate", write(lab, {**document, "tool": None}), "--for", "replay"))
     assert [sentence.partition(":")[0] for sentence in told] == ["tool", "calibration.tip"]
     WRONG["a tool that was never tracked"][0](lab, document)
     path = write(lab, {**document, "tool": "needle.igs.mha"})
