@@ -94,8 +94,8 @@ class UltrasoundConfig(FileSection):
 class EcgConfig(FileSection):
     """An ECG or a trigger as `gate` takes it, for example `edf:FILE`.
 
-    `rate_hz` is of a table without times; `start_s` is when the first sample was taken on the tracker's clock,
-    in place of what the file says; `delay_s` says how long after the R peak a trigger fires.
+    `rate_hz` is of a table without times; `start_s` is when the first sample was taken on the tracker's
+    clock, in place of what the file says; `delay_s` says how long after the R peak a trigger fires.
     """
 
     rate_hz: Annotated[float, Field(ge=1.0, le=100_000.0)] | None = None
