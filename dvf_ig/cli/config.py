@@ -7,11 +7,22 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from .shell import EcgRateOption, JsonFlag, ProbeNameOption, ReferenceNameOption, command, emit, wrote
+from .register.own import CavityOption, EcgStartOption, OrganOption, PatientOption
+from .shell import (
+    EcgRateOption,
+    JsonFlag,
+    ProbeNameOption,
+    ReferenceNameOption,
+    command,
+    emit,
+    warn,
+    whole_numbers,
+    wrote,
+)
 
 if TYPE_CHECKING:
     from dvf_ig.io.session_file.draft import SessionDraft
-    from dvf_ig.io.session_file.problem import Use
+    from dvf_ig.io.session_file.problem import Problem, Use
     from dvf_ig.io.session_file.verdict import Verdict
 
 app = typer.Typer(
@@ -61,9 +72,10 @@ def init(
     output: Annotated[Path, typer.Option("-o", "--out", help="SESSION.yaml to write.")],
     ecg: Annotated[
         str | None,
-        typer.Option("--ecg", help="wfdb:RECORD, edf:FILE or csv:FILE; not needed where --us holds it."),
+        typer.Option("--ecg", help="wfdb:, edf:, csv: or trigger:FILE; not needed where --us holds it."),
     ] = None,
     rate: EcgRateOption = None,
+    ecg_start: EcgStartOption = None,
     probe: Annotated[
         Path | None, typer.Option("--probe", help="Probe calibration: our JSON, or a PLUS .xml.")
     ] = None,
@@ -79,23 +91,30 @@ def init(
     ] = None,
     model: Annotated[Path | None, typer.Option("--model", help="Model of the heart (model build).")] = None,
     cine: Annotated[
-        Path | None, typer.Option("--cine", help="4-D MR or CT: with --labels, or beside --model.")
+        Path | None, typer.Option("--cine", "--mr", help="4-D MR or CT: with --labels, or beside --model.")
     ] = None,
     labels: Annotated[
         Path | None, typer.Option("--labels", help="Labels, 4-D or of end-diastole alone.")
     ] = None,
+    organ: OrganOption = None,
+    cavity: CavityOption = None,
     surfaces: Annotated[Path | None, typer.Option("--surfaces", help="Folder of surfaces.")] = None,
     start: Annotated[Path | None, typer.Option("--start", help="Coarse mr_from_tracker (.tfm).")] = None,
     landmarks: Annotated[
         tuple[Path, Path] | None,
-        typer.Option("--landmarks", help="The same points in the model and on the patient: two files."),
+        typer.Option(
+            "--landmarks",
+            "--start-landmarks",
+            metavar="MODEL PATIENT",
+            help="The same points in the model and on the patient: two files.",
+        ),
     ] = None,
     touched: Annotated[
         Path | None, typer.Option("--touched", help="Points touched all over the heart's surface.")
     ] = None,
     probe_name: ProbeNameOption = None,
     reference_name: ReferenceNameOption = None,
-    patient: Annotated[str | None, typer.Option("--patient", help="Patient id.")] = None,
+    patient: PatientOption = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Begin a SESSION.yaml from a lab's files: look into each, say what is missing or does not fit.
@@ -114,6 +133,7 @@ def init(
             ultrasound=us,
             ecg=ecg,
             rate_hz=rate,
+            ecg_start_s=ecg_start,
             probe=probe,
             latency=latency,
             tip=tip,
@@ -122,6 +142,8 @@ def init(
             model=model,
             mr=cine,
             labels=labels,
+            organ_labels=None if organ is None else whole_numbers(organ, "--organ", "1,2,5"),
+            cavity_labels=None if cavity is None else whole_numbers(cavity, "--cavity", "2,4"),
             surfaces=surfaces,
             start=start,
             landmarks=landmarks,
@@ -135,10 +157,12 @@ def init(
         wrong = [p for p in (*verdict.unreadable, *verdict.misfits) if p.concerns("register")]
         if not wrong:
             write_session(output, session_text(draft, told))
-        _show(output, verdict, told, as_json=as_json)
+        emit(_payload(output, verdict, told), _rows(output, verdict, told, OPTIONS), as_json=as_json)
         if wrong:
             _refuse([in_options(problem.sentence) for problem in wrong])
         wrote(output)
+        for problem in verdict.misfits:
+            warn(f"a replay cannot use {in_options(problem.sentence)}")
         lacking = [problem.key for problem in verdict.missing if problem.concerns("register")]
         if lacking:
             _refuse([f"{output} is written, but register cannot run yet; it lacks: {', '.join(lacking)}"])
@@ -188,12 +212,13 @@ def validate(
 
         config, folder = _read(session)
         verdict = judge_session(config, folder, str(session))
-        _show(session, verdict, found(verdict.parts), as_json=as_json)
+        told = found(verdict.parts)
+        emit(_payload(session, verdict, told), _rows(session, verdict, told, {}), as_json=as_json)
+        wrong = list(verdict.hindrances(purpose or "register"))
         if purpose is None:
-            lacking = [problem for problem in verdict.missing if problem.concerns("register")]
-            wrong = [*verdict.unreadable, *verdict.misfits, *lacking]
-        else:
-            wrong = list(verdict.hindrances(purpose))
+            wrong += [problem for problem in verdict.misfits if problem not in wrong]
+        if not wrong and verdict.parts.recorded_calibrations:
+            wrong = _calibrations_refused(config, folder, str(session))
         if wrong:
             _refuse([in_keys(problem.sentence) for problem in wrong])
 
@@ -214,6 +239,19 @@ def _read(session: Path) -> "tuple[SessionDraft, Path]":
     return read_session_draft(session), session.parent
 
 
+def _calibrations_refused(config: "SessionDraft", folder: Path, named_by: str) -> "list[Problem]":
+    """What a replay would say of calibrations that are still recordings."""
+    from dvf_ig.io.session_file.draft import complete
+    from dvf_ig.io.session_file.problem import ProblemList
+    from dvf_ig.io.session_file.read import read_recordings
+    from dvf_ig.replay.calibrations import calibrate
+
+    problems = ProblemList()
+    with problems.about("calibration"):
+        calibrate(read_recordings(complete(config), folder, named_by).scenario, seed=0)
+    return problems.found
+
+
 def _readiness(use: "Use", verdict: "Verdict") -> str:
     keys = list(dict.fromkeys(problem.key for problem in verdict.hindrances(use)))
     return "can run" if not keys else f"cannot run yet: {', '.join(keys)}"
@@ -226,27 +264,29 @@ def _refuse(sentences: Sequence[str]) -> None:
     raise typer.Exit(3)
 
 
-def _show(path: Path, verdict: "Verdict", told: Mapping[str, str | None], *, as_json: bool) -> None:
+def _payload(path: Path, verdict: "Verdict", told: Mapping[str, str | None]) -> dict[str, Any]:
     kinds = {"unreadable": verdict.unreadable, "misfit": verdict.misfits, "missing": verdict.missing}
-    ready = {use: not verdict.hindrances(use) for use in USES}
-    payload: dict[str, Any] = {
+    return {
         "session": str(path),
         "parts": dict(told),
-        "ready": ready,
+        "ready": {use: not verdict.hindrances(use) for use in USES},
         "problems": [
             {"key": p.key, "kind": kind, "hinders": p.hinders, "sentence": str(p.error)}
             for kind, problems in kinds.items()
             for p in problems
         ],
     }
-    if as_json:
-        emit(payload, (), as_json=True)
-        return
+
+
+def _rows(
+    path: Path, verdict: "Verdict", told: Mapping[str, str | None], options: Mapping[str, str]
+) -> list[tuple[str, ...]]:
+    """What was found, what can be done with it, and what is missing, with the option that gives it."""
     wrong = [p.key for p in (*verdict.unreadable, *verdict.misfits)]
     rows = [("session", str(path))]
     for key, label in PARTS.items():
         text = told[key] or ("cannot be used" if any(k.startswith(key) for k in wrong) else "-")
         rows.append((label, text))
     rows += [(use, _readiness(use, verdict)) for use in USES]
-    rows += [("missing", f"{p.error}  ({OPTIONS[p.key]})") for p in verdict.missing]
-    emit({}, rows, as_json=False)
+    rows += [("missing", f"{p.error} ({options.get(p.key, p.key)})") for p in verdict.missing]
+    return [*rows]

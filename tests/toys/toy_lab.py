@@ -33,7 +33,10 @@ def write_lab(folder: Path, model: DvfModel) -> None:
     write_calibration(folder / "tip.json", "tip", tip_mm=[1.0, 2.0, 150.0], tip_frame="needle")
     mr = np.random.default_rng(1).normal(size=(len(NAMES), 3)) * 30
     patient = Rigid(
-        "tracker", "mr", Rotation.from_euler("xyz", [0.3, -0.2, 1.0]).as_matrix(), np.array([10.0, 20, 30])
+        "tracker",
+        "mr",
+        Rotation.from_euler("xyz", [0.3, -0.2, 1.0]).as_matrix(),
+        np.array([10.0, 20.0, 30.0]),
     )
     write_landmarks(Landmarks(NAMES, Points("mr", mr)), folder / "model.mrk.json")
     touched = patient.apply(Points("mr", mr))

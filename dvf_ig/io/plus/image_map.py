@@ -28,6 +28,6 @@ def read_image_map(path: Path | str, sensor: str = "probe") -> ImageMap:
         if name not in found:
             raise UnreadableFileError(
                 f"{path} has no transform {name}; it has {', '.join(sorted(found)) or 'none'}: give "
-                "the file that holds it, or name the image's sensor"
+                "the file that holds it, or name its sensor (--probe-name)"
             )
         return ImageMap.from_matrix(found[name].matrix, sensor)

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from dvf_ig.io.session_file.named_files import split_ecg
+from dvf_ig.io.session_file.ecg_name import split_ecg
 from dvf_ig.io.session_file.schema import (
     CalibrationConfig,
     EcgConfig,

@@ -6,7 +6,7 @@ What is not there is told by `missing_parts`, what cannot be read by `examine`.
 import numpy as np
 
 from dvf_ig.cardiac import stream_recording
-from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.errors import InvalidInputError, NoOverlapError
 from dvf_ig.core.image_map import ImageMap
 from dvf_ig.registration import TouchedPoints, start_from_landmarks
 from dvf_ig.registration.surface_points.touched import require_spread
@@ -98,7 +98,10 @@ def _clock_misfits(parts: SessionParts) -> list[Problem]:
     sweep_s = None if parts.sweep is None else parts.sweep.recorded.t_s
     if sweep_s is not None:
         with problems.about("ultrasound" if tool_fits else "ecg"):
-            require_common_time(parts.ecg, sweep_s, "ultrasound")
+            try:
+                require_common_time(parts.ecg, sweep_s, "ultrasound")
+            except NoOverlapError as exc:
+                raise NoOverlapError(f"{exc}, and --ecg-start says when on it the ECG began") from exc
     if parts.tool is not None and not problems.found:
         with problems.about("tool", "replay"):
             require_common_time(parts.ecg, parts.tool.t_s, "tool")

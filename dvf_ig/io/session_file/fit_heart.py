@@ -27,7 +27,7 @@ def misfits_of_heart(files: PreopFiles) -> list[Problem]:
                 )
     if label_values(preop):
         with problems.about("preop.organ_labels"):
-            _require_labels(files)
+            _require_labels(preop)
     if preop.mr is not None and preop.labels is not None:
         with problems.about("preop.labels"):
             if len(preop.mr.timing) != len(preop.labels.timing):
@@ -41,12 +41,9 @@ def misfits_of_heart(files: PreopFiles) -> list[Problem]:
     return problems.found
 
 
-def _require_labels(files: PreopFiles) -> None:
-    preop = files.preop
+def _require_labels(preop: Preop) -> None:
     there = label_values(preop)
     listed = ", ".join(map(str, there)) or "none"
-    if not preop.organ_labels and preop.labels is not None and files.model is None:
-        raise InvalidInputError(f"say which labels lie inside the protected surface; the image has {listed}")
     absent = sorted(set(preop.organ_labels) - set(there))
     if preop.organ_labels and len(absent) == len(set(preop.organ_labels)):
         raise InvalidInputError(

@@ -80,8 +80,10 @@ def _ultrasound(sweep: Sweep) -> str:
     rows, columns = recorded.images.shape[1:]
     share = float(fan_mask_from_images(recorded.images).mean())
     sector = f"sector on {share:.0%} of it" if share <= 1 - DARK_BORDER else "no dark border around a sector"
-    moving = probe.target == "reference"
-    against = "relative to the reference marker" if moving else "no reference marker"
+    frames = {frame for s in recorded.poses.values() for frame in (s.target, s.source)}
+    against = f"relative to {probe.target}"
+    if probe.target == "tracker":
+        against = "the reference marker not used" if "reference" in frames else "no reference marker"
     return f"{len(recorded)} images of {columns} x {rows} px, {sector}; {_poses(probe)}, {against}"
 
 
@@ -94,14 +96,19 @@ def _span(t_s: FloatArray) -> str:
 
 
 def _ecg(ecg: Signal | TriggerTimes) -> str:
-    if isinstance(ecg, TriggerTimes):
-        return f"trigger, {len(ecg)} pulses, {_span(ecg.t_s)}"
-    peaks, _ = stream_recording(ecg)
-    rate = ""
-    if len(peaks) > 1:
-        rate = f", {60.0 / float(np.median(np.diff([peak.t_s for peak in peaks]))):.0f} beats/min"
-    leads = ", ".join(ecg.leads)
-    return f"{leads} at {ecg.rate_hz:g} Hz, {_span(ecg.t_s)}; {len(peaks)} R peaks{rate}"
+    source = "trigger" if isinstance(ecg, TriggerTimes) else f"{', '.join(ecg.leads)} at {ecg.rate_hz:g} Hz"
+    return f"{source}, {_span(ecg.t_s)}; {_beats(ecg)}"
+
+
+def _beats(ecg: Signal | TriggerTimes) -> str:
+    try:
+        peaks, _ = stream_recording(ecg)
+    except InvalidInputError:
+        return "no R peaks found"
+    if len(peaks) < 2:
+        return f"{len(peaks)} R peaks"
+    rate_bpm = 60.0 / float(np.median(np.diff([peak.t_s for peak in peaks])))
+    return f"{len(peaks)} R peaks, {rate_bpm:.0f} beats/min"
 
 
 def _tool(parts: SessionParts) -> str | None:

@@ -1,17 +1,15 @@
 """The files that a session's configuration names, and whether they are there."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import BaseModel
 
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.io.ecg.recording import KINDS
-from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX
 from dvf_ig.io.truth import FILES as TRUTH_FILES
 
 from .draft import SessionDraft
+from .ecg_name import split_ecg
 from .schema import SessionConfig
 
 
@@ -51,24 +49,6 @@ def named_files(config: SessionConfig | SessionDraft) -> Iterator[tuple[str, str
         yield "fixtures", config.fixtures
     if config.truth is not None:
         yield from (("truth", f"{config.truth}/{name}") for name in TRUTH_FILES)
-
-
-@dataclass(frozen=True, slots=True)
-class EcgName:
-    """`plus:sweep.igs.mha#EcgData` as its format, its file, and the field in it."""
-
-    prefix: str
-    name: str
-    field: str
-
-
-def split_ecg(spec: str) -> EcgName:
-    """What names an ECG or a trigger, in parts; prefix and field are empty where they are not given."""
-    kind, colon, rest = spec.partition(":")
-    if not colon or f"{kind}:" not in (*(f"{k}:" for k in KINDS), TRIGGER_PREFIX):
-        kind, colon, rest = "", "", spec
-    name, at, field = rest.partition("#")
-    return EcgName(kind + colon, name, at + field)
 
 
 def _of(section: BaseModel, key: str, *fields: str) -> Iterator[tuple[str, str]]:

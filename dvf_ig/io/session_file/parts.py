@@ -24,7 +24,7 @@ from dvf_ig.io.points_file import read_points
 from dvf_ig.io.reading import reading
 from dvf_ig.io.transform import read_transform
 
-from .named_files import split_ecg
+from .ecg_name import split_ecg
 from .preop import PreopFiles
 from .schema import EcgConfig, StartConfig, ToolConfig
 
@@ -69,6 +69,12 @@ class SessionParts:
     latency: float | LatencyRecording | None = None
     tip: Points | PoseStream | None = None
     start: StartFiles = StartFiles()
+
+    @property
+    def recorded_calibrations(self) -> bool:
+        """Whether a calibration is to be made from its recording."""
+        raw = (NWireRecording, TargetRecording, LatencyRecording, PoseStream)
+        return any(isinstance(part, raw) for part in (self.probe, self.latency, self.tip))
 
 
 def read_sweep(path: Path, names: ProbeNames) -> Sweep:

@@ -13,6 +13,7 @@ KEYS = {
     "--probe-name": "ultrasound.probe_name",
     "--reference-name": "ultrasound.reference_name",
     "--rate": "ecg.rate_hz",
+    "--ecg-start": "ecg.start_s",
     "--tool-name": "tool.name",
 }
 """Options of the commands and keys of a SESSION.yaml that say the same."""

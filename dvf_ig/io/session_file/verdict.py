@@ -1,7 +1,7 @@
 """Whether a session's files can be used: what cannot be read, what does not fit, what is missing."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from .draft import GivenFiles, SessionDraft
@@ -52,21 +52,19 @@ def judge_session(config: SessionDraft, folder: Path, named_by: str) -> Verdict:
 def begin_session(given: GivenFiles, output: Path) -> tuple[SessionDraft, Verdict]:
     """A configuration of the files that a user named, and what is to be said of them.
 
-    All labels that an image holds are taken as inside the protected surface; the user says otherwise.
+    Unless the user says otherwise, all labels of an image are taken as inside the protected surface.
 
     Args:
         output: the configuration's file; names in it begin at its folder.
     Raises:
         InvalidInputError: files that are of no use without another.
     """
-    folder = output.parent
-    draft = given.draft(folder)
-    parts, unreadable = examine(draft, folder, str(output))
-    if draft.preop is not None and parts.preop is not None and (there := label_values(parts.preop.preop)):
-        draft = draft.model_copy(update={"preop": draft.preop.model_copy(update={"organ_labels": there})})
-        heart = replace(parts.preop, preop=replace(parts.preop.preop, organ_labels=there))
-        parts = replace(parts, preop=heart)
-    return draft, _verdict(draft, folder, parts, unreadable)
+    as_given, draft = given.draft(), given.draft(output.parent)
+    parts, unreadable = examine(as_given, Path(), str(output))
+    if draft.preop is not None and parts.preop is not None and not draft.preop.organ_labels:
+        all_labels = {"organ_labels": label_values(parts.preop.preop)}
+        draft = draft.model_copy(update={"preop": draft.preop.model_copy(update=all_labels)})
+    return draft, _verdict(as_given, Path(), parts, unreadable)
 
 
 def _verdict(

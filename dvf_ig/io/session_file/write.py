@@ -123,11 +123,16 @@ def _preop(draft: SessionDraft, found: Mapping[str, str | None]) -> list[str]:
         _Entry("labels", given.get("labels"), "labels.nii.gz", "4-D; with mr, 3-D of one phase is enough"),
     ]
     if labelled:
-        organ = given.get("organ_labels")
+        organ, cavity = given.get("organ_labels"), given.get("cavity_labels")
         entries += [
             _Entry("ed_phase", given.get("ed_phase"), "0", "the phase of mr that 3-D labels belong to"),
             _Entry("organ_labels", organ and list(organ), "[1, 2]", "inside the protected surface"),
-            _Entry("cavity_labels", None, "[2]", "which of them are blood: ultrasound shows its border"),
+            _Entry(
+                "cavity_labels",
+                cavity and list(cavity),
+                "[2]",
+                "of them, blood: ultrasound shows its border",
+            ),
         ]
     entries += [
         _Entry(
@@ -165,11 +170,21 @@ def _recordings(draft: SessionDraft, found: Mapping[str, str | None]) -> list[st
     tool_of_sweep = "in the ultrasound's file: " if tool is None and found["tool"] is not None else ""
     lines = _section(
         "ecg",
-        ["ECG on the clock of the tracker (s): wfdb:RECORD, edf:FILE or csv:FILE."],
+        [
+            "ECG on the clock of the tracker (s): wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE; or the",
+            "pulses of a trigger in its place: trigger:FILE.",
+        ],
         None if found["ecg"] is None else of_sweep + found["ecg"],
         [
             _Entry("file", None if ecg is None else ecg.file, "edf:ecg.edf"),
             _Entry("rate_hz", None if ecg is None else ecg.rate_hz, "250", "of a table without times"),
+            _Entry(
+                "start_s",
+                None if ecg is None else ecg.start_s,
+                "12.5",
+                "when another recorder took its first sample, s on the tracker's clock",
+            ),
+            _Entry("delay_s", None, "0.02", "of a trigger: how long after the R peak it fires"),
         ],
     )
     lines += [

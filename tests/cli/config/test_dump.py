@@ -1,0 +1,37 @@
+"""`dvf-ig config dump`: the complete configuration, which reads back to the same."""
+
+import json
+from pathlib import Path
+
+from config_runs import errors, run, write
+from toy_lab import SESSION
+
+from dvf_ig.io.scenario.read import read_scenario_session
+from dvf_ig.io.session_file.draft import SessionDraft
+from dvf_ig.io.session_file.read import read_session_config
+from dvf_ig.io.session_file.schema import SessionConfig
+
+
+def test_a_dump_reads_back_to_the_same(lab: Path) -> None:
+    path = write(
+        lab, {**SESSION, "fixtures": [{"law": "guidance", "delta": 2.5}], "preop": {"model": "heart.npz"}}
+    )
+    done = run("dump", path)
+    assert done.exit_code == 0
+    assert "blend: force" in done.stdout
+    again = lab / "again.yaml"
+    again.write_text(done.stdout)
+    assert read_session_config(again) == read_session_config(path)
+    assert SessionDraft.model_fields.keys() == SessionConfig.model_fields.keys()
+    assert json.loads(run("dump", path, "--json").stdout)["fixtures"][0]["delta"] == 2.5
+
+
+def test_a_scenario_folder_is_a_configuration(written: Path, tmp_path: Path) -> None:
+    again = tmp_path / "session.yaml"
+    again.write_text(run("dump", written).stdout)
+    assert read_session_config(again) == read_scenario_session(written)
+
+
+def test_what_is_no_configuration_is_told(tmp_path: Path) -> None:
+    assert "is not a scenario folder" in errors(run("dump", tmp_path))[0]
+    assert "does not exist" in errors(run("dump", tmp_path / "none.yaml"))[0]
