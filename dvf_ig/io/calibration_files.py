@@ -43,11 +43,13 @@ class TipFile(CalibrationFile):
 
 
 class ProbeFile(CalibrationFile):
-    """Of `calibrate probe`: sensor_from_image in mm per pixel."""
+    """Of `calibrate probe`: sensor_from_image in mm per pixel, and its parts where the file has them."""
 
     kind: Literal["probe"]
     sensor_from_image: Matrix
     sensor_frame: str
+    sensor_from_image_rigid: Matrix | None = None
+    pixel_mm: tuple[Number, Number] | None = None
 
 
 class LatencyFile(CalibrationFile):
@@ -130,7 +132,19 @@ def read_probe(path: Path | str, sensor: str = "probe", *, allow_refused: bool =
             "calibration, or name its sensor (--probe-name)"
         )
     with reading(path, "a probe calibration"):
-        return ImageMap.from_matrix(found.sensor_from_image, sensor)
+        return _image_map(found, sensor)
+
+
+def _image_map(found: ProbeFile, sensor: str) -> ImageMap:
+    """From its parts, which keep every digit, where they are those of the matrix."""
+    whole = ImageMap.from_matrix(found.sensor_from_image, sensor)
+    if found.sensor_from_image_rigid is None or found.pixel_mm is None:
+        return whole
+    rigid = rigid_from_matrix(found.sensor_from_image_rigid, sensor, "image")
+    parts = ImageMap(rigid, np.array(found.pixel_mm))
+    if not np.allclose(parts.matrix, whole.matrix, rtol=0, atol=1e-6):
+        raise InvalidInputError("sensor_from_image is not the product of its rigid part and the pixel's size")
+    return parts
 
 
 def read_lag(path: Path | str, *, allow_refused: bool = False) -> float:

@@ -45,8 +45,11 @@ LABEL_MARGIN_MM = 20.0
 
 MR_BOUNDARY_SHARE = 0.35
 LABEL_BOUNDARY_SHARE = 0.8
+MODEL_BOUNDARY_SHARE = 0.35
 """How far a registration goes from LC2's pose to that of the boundary. Real surfaces, tuning seeds 101 and
-102, windows of 8 to 30 s: boundary 1.4 to 2.1 mm off (3.7 once), LC2 on label maps 1.7 to 3.7 mm."""
+102, windows of 8 to 30 s: boundary 1.4 to 2.1 mm off (3.7 once), LC2 on label maps 1.7 to 3.7 mm.
+A model alone, whole recordings, tuning seeds 101 to 104: 1.69 mm with 0.8, 1.21 with 0.35; real surfaces,
+seed 101: 1.22 and 0.89."""
 
 
 _WITHOUT_CHAMBERS = (
@@ -118,7 +121,8 @@ def build_heart(
         surface = target.result() if target is not None else None
     if preop.mr is not None:
         return Heart(model, channels, channels, center, surface, MR_BOUNDARY_SHARE)
-    return Heart(model, channels, channels, center, surface, LABEL_BOUNDARY_SHARE, False, normalised_grey)
+    share = LABEL_BOUNDARY_SHARE if has_anatomy else MODEL_BOUNDARY_SHARE
+    return Heart(model, channels, channels, center, surface, share, False, normalised_grey)
 
 
 def _require_within(mr: VolumeSeries, model: DvfModel, center_mm: FloatArray) -> None:

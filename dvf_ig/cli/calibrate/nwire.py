@@ -4,7 +4,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
-from .output import error_fields, error_row, verdict, wire_rows
+from .output import error_fields, error_row, image_fields, verdict, wire_rows
 from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
 from .wires import read_wires, segmentation_json, segmentation_rows
 
@@ -79,8 +79,7 @@ def _result(found: "NWireResult", checked: "CalibrationErrors | None") -> dict[s
     return {
         "kind": "probe",
         **verdict(found.refusals),
-        "sensor_from_image": found.matrix.tolist(),
-        "sensor_frame": found.probe_from_image.rigid.target,
+        **image_fields(found.probe_from_image),
         "phantom": "nwire",
         "calibration": error_fields(found.calibration),
         "validation": error_fields(checked),

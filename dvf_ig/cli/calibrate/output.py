@@ -11,7 +11,7 @@ from dvf_ig.cli.shell import emit, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import CalibrationErrors, Refusal
-    from dvf_ig.core import FloatArray
+    from dvf_ig.core import FloatArray, ImageMap
 
 OutputOption = Annotated[
     Path | None,
@@ -120,6 +120,16 @@ def judge(result: dict[str, Any]) -> None:
 
 def vector(values: Sequence[float]) -> str:
     return "(" + ", ".join(f"{v:.3f}" for v in values) + ")"
+
+
+def image_fields(image: "ImageMap") -> dict[str, Any]:
+    """An image calibration: its matrix, and its parts with every digit, which the product rounds off."""
+    return {
+        "sensor_from_image": image.matrix.tolist(),
+        "sensor_frame": image.rigid.target,
+        "sensor_from_image_rigid": image.rigid.matrix.tolist(),
+        "pixel_mm": image.scale_mm_per_px.tolist(),
+    }
 
 
 def error_fields(errors: "CalibrationErrors | None") -> dict[str, float | int] | None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .output import error_fields, error_row, vector, verdict
+from .output import error_fields, error_row, image_fields, vector, verdict
 from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
 
 if TYPE_CHECKING:
@@ -49,8 +49,7 @@ def target_result(
         "kind": "probe",
         **verdict(found.refusals),
         "max_residual_mm": options.max_rms_mm,
-        "sensor_from_image": found.probe_from_image.matrix.tolist(),
-        "sensor_frame": found.probe_from_image.rigid.target,
+        **image_fields(found.probe_from_image),
         "phantom": phantom,
         "calibration": error_fields(found.calibration),
         "validation": error_fields(checked),

@@ -127,8 +127,7 @@ def read_session_ecg(config: EcgConfig | None, folder: Path, sweep: Path) -> Sig
         return found
     if isinstance(found, TriggerTimes):
         raise UnreadableFileError(
-            f"{folder / spec.name} holds times of pulses, which are on the tracker's clock; leave out "
-            "ecg.start_s"
+            f"{folder / spec.name} holds times of pulses on the tracker's clock; leave out ecg.start_s"
         )
     return replace(found, start_s=config.start_s)
 
