@@ -1,5 +1,6 @@
 """`dvf-ig config init`: a lab's files become a SESSION.yaml that says what is still missing."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,9 @@ from typer.testing import Result
 
 from dvf_ig.core import UnreadableFileError
 from dvf_ig.io import add_ecg_field, read_ecg, write_sequence
-from dvf_ig.io.session_file.read import read_session
+from dvf_ig.io.fixtures import ForbiddenConfig
+from dvf_ig.io.session_file.read import read_session, read_session_config
+from dvf_ig.io.session_file.schema import SessionConfig
 
 ALL = {
     "--ecg": "csv:{lab}/ecg.csv",
@@ -193,3 +196,17 @@ def test_init_takes_all_labels_and_says_which_there_are(lab: Path) -> None:
     preop = yaml.safe_load(output.read_text())["preop"]
     assert (preop["organ_labels"], preop["cavity_labels"]) == ([3], [1])
     assert "give --labels, too" in errors(init(lab, output, "--organ", "3"))[0]
+
+
+def test_every_commented_line_says_a_key_that_is_known(lab: Path) -> None:
+    output = lab / "session.yaml"
+    run("init", "--us", lab / "sweep.igs.mha", "-o", output)
+    opened = re.sub(r"^( *)# ( *(?:- \{)?[a-z_]+: ?.*)$", r"\1\2", output.read_text(), flags=re.MULTILINE)
+    opened = opened.replace("#   - {law", "  - {law")
+    output.write_text(opened)
+    config = read_session_config(output)
+    given = config.model_dump(exclude_unset=True)
+    assert given.keys() == SessionConfig.model_fields.keys() - {"name", "preset", "seed", "cap_n", "truth"}
+    assert config.calibration.tip == "tip.json"
+    assert config.fixtures
+    assert config.fixtures[0] == ForbiddenConfig()
