@@ -84,7 +84,7 @@ RetimingOption = Annotated[
 
 
 def chosen_fixtures(
-    given: Mapping[str, Any], file: Path | None, described: "FixtureSet | None" = None, frame: str = "mr"
+    given: Mapping[str, Any], file: Path | None, frame: str = "mr"
 ) -> "tuple[FixtureSet, RetimeMode | None]":
     """The fixtures that the user described, and the file's law of retiming where it gives one.
 
@@ -92,20 +92,15 @@ def chosen_fixtures(
         given: options of a single fixture by their keys in YAML (`dvf_ig.io.fixtures`); None or False: not
             given.
         file: of several.
-        described: those of a SESSION.yaml.
         frame: of the model.
     Raises:
-        typer.BadParameter: options beside a description, or one that does not go with the law.
+        typer.BadParameter: options beside a file, or one that does not go with the law.
         DvfIgError: a number out of range, or a file that does not fit.
     """
     from dvf_ig.guidance import FixtureSet
     from dvf_ig.io.fixtures import LAWS, fixture_options, read_fixtures
 
-    asked = {key: value for key, value in given.items() if value is not None and value is not False}
-    if described is not None:
-        if asked or file is not None:
-            raise typer.BadParameter("the SESSION.yaml describes the fixtures; leave out options of fixtures")
-        return described, None
+    asked = _asked(given)
     if file is not None:
         if asked:
             raise typer.BadParameter(f"--fixtures describes every fixture; leave out {_options(asked)}")
@@ -116,6 +111,17 @@ def chosen_fixtures(
         fit = [key for key in given if key in LAWS[law].model_fields and key != "law"]
         raise typer.BadParameter(f"--law {law} does not take {_options(unfit)}; it takes {_options(fit)}")
     return FixtureSet((fixture_options(asked),)), None
+
+
+def refuse_options(given: Mapping[str, Any], file: Path | None) -> None:
+    """Raise typer.BadParameter where options describe fixtures that a SESSION.yaml describes, too."""
+    asked = _options(_asked(given)) if file is None else "--fixtures"
+    if asked:
+        raise typer.BadParameter(f"the SESSION.yaml describes the fixtures; leave out {asked}")
+
+
+def _asked(given: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in given.items() if value is not None and value is not False}
 
 
 def chosen_retiming(asked: RetimingName | None, of_file: "RetimeMode | None") -> "RetimeMode":

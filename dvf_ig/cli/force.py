@@ -79,7 +79,7 @@ def force(
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
         model = read_model(model_file)
-        options, _ = chosen_fixtures(given, fixtures, frame=model.frame)
+        options, _ = chosen_fixtures(given, fixtures, model.frame)
         if free_zone_mm is not None:
             if law != "guidance" or delta is not None or m is not None:
                 raise typer.BadParameter(

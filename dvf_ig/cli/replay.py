@@ -18,6 +18,7 @@ from .fixture_options import (
     RetimingOption,
     chosen_fixtures,
     chosen_retiming,
+    refuse_options,
 )
 from .patient_model import patient_model
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, warn, wrote
@@ -76,8 +77,11 @@ def replay(
 
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
+        options, of_file = chosen_fixtures(given, fixtures)
         recordings = _read(scenario, config, model)
-        options, of_file = chosen_fixtures(given, fixtures, recordings.fixtures)
+        if recordings.fixtures is not None:
+            refuse_options(given, fixtures)
+            options = recordings.fixtures
         mode = chosen_retiming(retiming, recordings.retiming or of_file)
         recorded = recordings.scenario
         require_replayable(recorded)
