@@ -124,6 +124,7 @@ def prepare_volumes(
     return joined([_planes(volume, _blocks(volume, table, pitch_mm), planes) for volume in volumes])
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Averaged:
     """Brightness averaged over blocks of `edge` voxels, NaN where one of them was not insonified."""
