@@ -6,7 +6,6 @@ from dvf_ig.io.session_file.ecg_name import split_ecg
 from dvf_ig.io.session_file.schema import (
     CalibrationConfig,
     EcgConfig,
-    FanConfig,
     LatencyConfig,
     NWireConfig,
     PivotConfig,
@@ -45,7 +44,7 @@ def session_of_scenario(config: ScenarioConfig, folder: Path, *, truth: bool = T
         ),
         ultrasound=UltrasoundConfig(
             file=files.ultrasound,
-            fan=None if config.fan is None else FanConfig(**config.fan.model_dump()),
+            fan=config.fan,
         ),
         ecg=EcgConfig(file=files.ecg if split_ecg(files.ecg).prefix else f"csv:{files.ecg}"),
         tool=ToolConfig(file=files.tool),

@@ -8,6 +8,7 @@ import yaml
 from pydantic import Field
 
 from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.io.session_file.schema import FanConfig
 from dvf_ig.io.yaml_config import Section, read_yaml, validated
 
 SCHEMA = "dvf_ig.scenario/1"
@@ -28,15 +29,6 @@ _OURS = re.compile(
     r"|calibration/(nwire|nwire_points|latency_lines)\.xml"
     r"|truth/(spec\.yaml|truth\.json|r_peaks\.csv|tool\.npz|surface\.npz)"
 )
-
-
-class FanConfig(Section):
-    """The insonified sector, px and rad."""
-
-    apex_px: tuple[float, float]
-    start_px: float
-    stop_px: float
-    half_angle_rad: float
 
 
 class PreopConfig(Section):
