@@ -24,6 +24,7 @@ from dvf_ig.io.mesh.series import write_surface_series
 from dvf_ig.io.plus.latency import write_line_table
 from dvf_ig.io.plus.nwire import write_nwire_phantom, write_wire_points
 from dvf_ig.io.plus.sequence_write import write_poses, write_sequence
+from dvf_ig.io.session_file.schema import FanConfig
 from dvf_ig.io.transform import write_transform
 from dvf_ig.io.truth import write_truth
 
@@ -34,7 +35,6 @@ from .layout import (
     SPEC,
     TRIGGER,
     TRUTH,
-    FanConfig,
     FilesConfig,
     PreopConfig,
     ScenarioConfig,
