@@ -38,9 +38,10 @@ class Sweep:
 
     @property
     def other_tools(self) -> tuple[str, ...]:
-        """What else was tracked against the same, by its recorded name."""
+        """What else was tracked against the same, by its recorded name; a tool's tip is no tool."""
         probe, streams = self.probe, self.recorded.poses.values()
-        return tuple(sorted({s.source for s in streams} - {probe.source, probe.target, "reference"}))
+        found = {s.source for s in streams} - {probe.source, probe.target, "reference", "tracker"}
+        return tuple(sorted(found - {f"{name}_tip" for name in found}))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

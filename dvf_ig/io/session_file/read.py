@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.errors import DvfIgError, UnreadableFileError
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.scenario import Scenario
 from dvf_ig.core.sequence import Fan, TrackedSequence
@@ -20,6 +20,7 @@ from .draft import SessionDraft
 from .named_files import require_files
 from .parts import read_session_ecg, read_start, read_sweep, read_tool
 from .preop import read_preop
+from .problem import in_keys
 from .schema import SCHEMA, SessionConfig
 
 if TYPE_CHECKING:
@@ -80,7 +81,11 @@ def read_session(path: Path | str) -> SessionRecordings:
         QualityGateError: a calibration that was refused.
     """
     path = Path(path)
-    return read_recordings(read_session_config(path), path.parent, str(path))
+    config = read_session_config(path)
+    try:
+        return read_recordings(config, path.parent, str(path))
+    except DvfIgError as error:
+        raise type(error)(in_keys(str(error))) from error
 
 
 def read_options(document: dict[str, Any]) -> SessionRecordings:
