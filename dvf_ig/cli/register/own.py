@@ -201,6 +201,8 @@ def _require_enough(options: Mapping[str, Any]) -> None:
         )
     if (options["--lag-s"] is None) == (options["--latency"] is None):
         raise typer.BadParameter("give the latency of the video once: --lag-s SECONDS, or --latency JSON")
+    if str(options["--latency"]).lstrip("-").replace(".", "", 1).isdigit():
+        raise typer.BadParameter("--latency names a JSON of `calibrate latency`; give seconds as --lag-s")
     for option in ("--rate", "--ecg-start"):
         if options["--ecg"] is None and options[option] is not None:
             raise typer.BadParameter(f"{option} is of the recording that --ecg names; give --ecg, too")
@@ -223,7 +225,7 @@ def _touched(text: str | None) -> dict[str, Any]:
         place = -1.0
     if not 0.0 <= place < 1.0:
         raise typer.BadParameter(
-            f"--touched: '{phase}' is no place in the cycle; needed a fraction from 0 to below 1, such as 0.35"
+            f"--touched: '{phase}' is no place in the cycle; needed a fraction from 0 to below 1"
         )
     return {"touched": file, "touched_phase": place}
 

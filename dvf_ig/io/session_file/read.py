@@ -125,7 +125,7 @@ def read_recordings(config: SessionConfig, folder: Path, named_by: str) -> Sessi
         ultrasound=_ultrasound(sweep.recorded, sweep.probe),
         fan=None if fan is None else Fan(**fan.model_dump()),
         probe=read_probe_source(calibration.probe, folder, names),
-        latency=read_latency_source(calibration.latency, folder),
+        latency=read_latency_source(calibration.latency, folder, names),
         tool=None if tool is None else replace(tool, target="tracker", source="tool"),
         tip=tip,
         start=start.start,
