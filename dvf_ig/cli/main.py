@@ -10,6 +10,7 @@ from dvf_ig.cli.calibrate import commands as calibrate
 from dvf_ig.cli.inspect import command as inspect
 from dvf_ig.cli.model import commands as model
 from dvf_ig.cli.register import command as register
+from dvf_ig.cli.register.panels import RegisterCommand
 from dvf_ig.cli.study import commands as study
 from dvf_ig.cli.synth import commands as synth
 
@@ -29,7 +30,7 @@ app.add_typer(model.app, name="model")
 app.command("force")(force.force)
 app.add_typer(calibrate.app, name="calibrate")
 app.command("gate")(gate.gate)
-app.command("register")(register.register)
+app.command("register", cls=RegisterCommand)(register.register)
 app.command("evaluate")(evaluate.evaluate)
 app.command("replay")(replay.replay)
 app.add_typer(config.app, name="config")

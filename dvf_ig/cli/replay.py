@@ -117,11 +117,16 @@ def replay(
 def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "SessionRecordings":
     """The recordings of a scenario folder or of a SESSION.yaml."""
     from dvf_ig.io import SessionRecordings, read_scenario, read_session
+    from dvf_ig.io.session_file.fit import require_fit
 
-    if (scenario is None) == (config is None):
+    if scenario is not None and config is not None:
+        raise typer.BadParameter("give a scenario folder or --config SESSION.yaml, not both")
+    if scenario is None and config is None:
         raise typer.BadParameter("what is to be replayed? give a scenario folder, or --config SESSION.yaml")
     if config is None:
         return SessionRecordings(read_scenario(scenario or Path()), None, None, None)
     if model is not None:
         raise typer.BadParameter(f"{config} says whose model it is (preop.model); leave out --model")
-    return read_session(config)
+    recordings = read_session(config)
+    require_fit(recordings, "replay")
+    return recordings

@@ -15,6 +15,7 @@ from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 
 from .json_file import read_json
 from .plus.image_map import read_image_map
+from .plus.names import same_sensor
 from .plus.xml import read_calibrations
 from .reading import reading
 from .transform import rigid_from_matrix
@@ -126,7 +127,7 @@ def read_probe(path: Path | str, sensor: str = "probe", *, allow_refused: bool =
     if path.suffix.lower() == ".xml":
         return read_image_map(path, sensor)
     found = _read(ProbeFile, path, "a probe calibration", "probe", allow_refused=allow_refused)
-    if found.sensor_frame != sensor:
+    if not same_sensor(found.sensor_frame, sensor):
         raise UnreadableFileError(
             f"{path} calibrates '{found.sensor_frame}'; needed '{sensor}': give this probe's "
             "calibration, or name its sensor (--probe-name)"

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 def register(
     scenario: Annotated[
-        Path | None, typer.Argument(help="Scenario folder; or give --config, --us, or --fixed and --moving.")
+        Path | None,
+        typer.Argument(help="Scenario folder; or give --config, --us, --us-volume, or --fixed and --moving."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder, or a .tfm file, for the transform.")
@@ -99,6 +100,7 @@ def register(
         files = files_of(out, name)
         with output_folder(files.transform.parent):
             files.refuse_foreign()
+            files.refuse_start(start)
             if scenario is not None:
                 registered = register_folder(scenario, model, start, seed)
             elif kind is Kind.pair:
@@ -107,15 +109,18 @@ def register(
                 registered = register_volume_files(us_volume, own_options, seed)
             else:
                 registered = register_own(_recordings(config, us, own_options), seed)
-            payload = payload_of(registered.result, registered.start, name, seed)
+            payload = payload_of(registered, name, seed)
             files.write(registered, payload, name)
-        emit(payload, rows_of(registered.result, name), as_json=as_json)
-        require_usable(registered.result)
+        emit(payload, rows_of(registered, name), as_json=as_json)
+        require_usable(registered)
 
 
 def _recordings(config: Path | None, us: Path | None, options: dict[str, Any]) -> "SessionRecordings":
     from dvf_ig.io import read_session
+    from dvf_ig.io.session_file.fit import require_fit
 
-    if config is not None:
-        return read_session(config)
-    return own.read_recordings(us, options)
+    if config is None:
+        return own.read_recordings(us, options)
+    recordings = read_session(config)
+    require_fit(recordings, "register")
+    return recordings

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from dvf_ig.core import Rigid
-    from dvf_ig.registration import RegistrationResult
+    from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
     from dvf_ig.replay.registration_page import RegisteredInput
 
 
@@ -37,6 +37,14 @@ class OutputFiles(NamedTuple):
         refuse_foreign(self.transform.with_suffix(".json"), kind="transform")
         refuse_foreign(self.page, self.plus_xml)
 
+    def refuse_start(self, start: Path | None) -> None:
+        """Refuse to replace the transform that the registration starts from."""
+        import typer
+
+        kept = () if start is None else (self.transform, self.transform.with_suffix(".h5"))
+        if start is not None and any(path.resolve() == start.resolve() for path in kept):
+            raise typer.BadParameter(f"the result would replace the start, {start}; choose another -o")
+
     def write(self, registered: Registered, payload: dict[str, Any], name: str) -> None:
         """Write all of them or none, and tell the user."""
         from dvf_ig.cli.shell import wrote
@@ -60,16 +68,18 @@ class OutputFiles(NamedTuple):
         wrote(self.page)
 
 
-def payload_of(result: "RegistrationResult", start: "Rigid", name: str, seed: int) -> dict[str, Any]:
+def payload_of(registered: Registered, name: str, seed: int) -> dict[str, Any]:
     from dvf_ig.kernels.compiled import thread_count
     from dvf_ig.replay import evidence_of
 
+    result, start, shown = registered
     return {
         name: result.target_from_source.matrix.tolist(),
         "start": start.matrix.tolist(),
         "stop": result.stop.name,
         "reason": result.sentence,
         **evidence_of(result),
+        "surface_points": _surface_points(shown.touched),
         "threads": thread_count(),
         "seed": seed,
     }
@@ -82,11 +92,24 @@ def files_of(out: Path, name: str) -> OutputFiles:
     return OutputFiles(out / f"{name}.tfm", out / "result.json", out / "report.html")
 
 
-def rows_of(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
+def _surface_points(touched: "SurfaceDisagreement | None") -> dict[str, Any] | None:
+    """How far points touched on the surface lie from it; None where none were touched."""
+    if touched is None:
+        return None
+    return {
+        "median_mm": touched.median_mm,
+        "limit_mm": touched.limit_mm,
+        "agrees": touched.agrees,
+        "points": len(touched.distance_mm),
+    }
+
+
+def rows_of(registered: Registered, name: str) -> list[tuple[str, str]]:
     import numpy as np
 
     from dvf_ig.registration import least_constrained_direction
 
+    result, touched = registered.result, registered.shown.touched
     sd = np.sqrt(np.diag(result.covariance))
     rotation, shift = np.degrees(sd[:3]), sd[3:]
     return [
@@ -96,6 +119,7 @@ def rows_of(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
         ("moved from start", f"{result.moved_mm:.1f} mm"),
         ("similarity", f"{result.start_similarity:.3f} at the start, {result.similarity:.3f} now"),
         *_checks(result),
+        *([] if touched is None else [("touched surface", touched.sentence)]),
         ("overlap", f"{100 * result.overlap:.0f} % of {result.slices} slices' pixels"),
         ("standard deviation", f"{_triple(rotation)} deg, {_triple(shift)} mm (x, y, z)"),
         ("least constrained", least_constrained_direction(result.covariance).sentence()),
@@ -119,12 +143,16 @@ def _triple(values: Any) -> str:
     return ", ".join(f"{v:.2f}" for v in values)
 
 
-def require_usable(result: "RegistrationResult") -> None:
+def require_usable(registered: Registered) -> None:
     from dvf_ig.core import NoOverlapError, NotConvergedError, QualityGateError, Stop
 
+    result, touched = registered.result, registered.shown.touched
+    sentence = f"the registration must not be used: {result.sentence}"
     if result.stop is Stop.MAX_ITERATIONS:
-        raise NotConvergedError(f"the registration must not be used: {result.sentence}")
+        raise NotConvergedError(sentence)
     if result.stop is Stop.LOW_OVERLAP:
-        raise NoOverlapError(f"the registration must not be used: {result.sentence}")
+        raise NoOverlapError(sentence)
+    if result.stop is Stop.DISAGREEMENT and touched is not None and not touched.agrees:
+        raise QualityGateError(f"{sentence}; {touched.sentence}")
     if not result.stop.usable:
-        raise QualityGateError(f"the registration must not be used: {result.sentence}")
+        raise QualityGateError(sentence)

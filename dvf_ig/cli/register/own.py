@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .kinds import START
+
 if TYPE_CHECKING:
     from dvf_ig.io import PreopFiles, SessionRecordings
 
@@ -80,6 +82,27 @@ FanOption = Annotated[
     ),
 ]
 
+OPTION_OF = {
+    "preop.model": "--model",
+    "preop.mr": "--mr",
+    "preop.labels": "--labels",
+    "preop.organ_labels": "--organ",
+    "patient_id": "--patient",
+    "ultrasound": "--us",
+    "ultrasound.file": "--us",
+    "ultrasound.fan": "--fan",
+    "ecg": "--ecg",
+    "ecg.file": "--ecg",
+    "ecg.rate_hz": "--rate",
+    "ecg.start_s": "--ecg-start",
+    "calibration.probe": "--probe",
+    "start.transform": "--start",
+    "start.landmarks_mr": "--start-landmarks",
+    "start.landmarks_tracker": "--start-landmarks",
+    "start.touched": "--touched",
+}
+"""The option for each key of a SESSION.yaml; that of the latency is one of two."""
+
 
 def read_recordings(us: Path | None, options: Mapping[str, Any]) -> "SessionRecordings":
     """Everything that the options name.
@@ -89,12 +112,30 @@ def read_recordings(us: Path | None, options: Mapping[str, Any]) -> "SessionReco
         options: by their names on the command line; None where they were not given.
     Raises:
         typer.BadParameter: an option is missing, or two exclude each other.
-        DvfIgError: a file is absent, cannot be read, or does not fit.
+        DvfIgError: a file is absent, cannot be read, or does not fit; told by the options.
     """
+    from dvf_ig.core import DvfIgError
     from dvf_ig.io import read_options
+    from dvf_ig.io.session_file.fit import require_fit
 
     _require_enough(options)
-    return read_options(document_of(us, options))
+    try:
+        recordings = read_options(document_of(us, options))
+        require_fit(recordings, "register")
+    except DvfIgError as error:
+        raise type(error)(_by_options(str(error), options)) from error
+    return recordings
+
+
+def _by_options(sentence: str, options: Mapping[str, Any]) -> str:
+    """A sentence with the options in place of the keys that it names."""
+    latency = "--latency" if options["--lag-s"] is None else "--lag-s"
+    sentence = sentence.removeprefix("options: ")
+    for key, option in {**OPTION_OF, "calibration.latency": latency}.items():
+        sentence = sentence.replace(f"({key})", f"({option})")
+        if sentence.startswith(f"{key}: "):
+            sentence = f"{option}: {sentence.removeprefix(f'{key}: ')}"
+    return sentence
 
 
 def read_heart(options: Mapping[str, Any]) -> "PreopFiles":
@@ -147,6 +188,9 @@ def require_heart(options: Mapping[str, Any]) -> None:
         raise typer.BadParameter("give --model, or --labels from which one is built, not both")
     if options["--model"] is None and options["--labels"] is None:
         raise typer.BadParameter("whose heart? give --model MODEL, or --cine CINE with --labels LABELS")
+    for option in ("--organ", "--cavity"):
+        if options["--labels"] is None and options[option] is not None:
+            raise typer.BadParameter(f"{option} says which of --labels are meant; a model knows its own")
 
 
 def _require_enough(options: Mapping[str, Any]) -> None:
@@ -157,21 +201,33 @@ def _require_enough(options: Mapping[str, Any]) -> None:
         )
     if (options["--lag-s"] is None) == (options["--latency"] is None):
         raise typer.BadParameter("give the latency of the video once: --lag-s SECONDS, or --latency JSON")
+    if str(options["--latency"]).lstrip("-").replace(".", "", 1).isdigit():
+        raise typer.BadParameter("--latency names a JSON of `calibrate latency`; give seconds as --lag-s")
     for option in ("--rate", "--ecg-start"):
         if options["--ecg"] is None and options[option] is not None:
             raise typer.BadParameter(f"{option} is of the recording that --ecg names; give --ecg, too")
+    if all(options[option] is None for option in START):
+        raise typer.BadParameter(
+            "--us needs a start: --start FILE.tfm, --start-landmarks MR TRACKER, or --touched POINTS"
+        )
 
 
 def _touched(text: str | None) -> dict[str, Any]:
+    """POINTS or POINTS@PHASE; an @ may also be part of a file's name."""
     file, at, phase = (text or "").rpartition("@")
-    if not at:
+    if not at or Path(text or "").is_file():
         return {"touched": text}
+    if not file:
+        raise typer.BadParameter(f"--touched is '{text}'; needed a file of points before @")
     try:
-        return {"touched": file, "touched_phase": float(phase)}
-    except ValueError as exc:
+        place = float(phase)
+    except ValueError:
+        place = -1.0
+    if not 0.0 <= place < 1.0:
         raise typer.BadParameter(
-            f"--touched: '{phase}' is no place in the cycle; needed a fraction such as 0.0"
-        ) from exc
+            f"--touched: '{phase}' is no place in the cycle; needed a fraction from 0 to below 1"
+        )
+    return {"touched": file, "touched_phase": place}
 
 
 def _fan(text: str | None) -> dict[str, Any] | None:

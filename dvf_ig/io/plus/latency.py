@@ -1,5 +1,6 @@
 """Temporal-calibration recordings in PLUS's files: tracker, video, and the line seen in each video frame."""
 
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,6 +12,8 @@ from dvf_ig.core.scenario import LatencyRecording
 from dvf_ig.core.signal import Trace
 from dvf_ig.io.reading import reading
 
+from .feature_points import tracked_probe
+from .names import USUAL_NAMES, ProbeNames
 from .sequence_read import read_indexed_sequence, read_sequence
 from .xml import numbers, parse_xml, write_xml
 
@@ -49,19 +52,24 @@ def read_line_table(xml: Path | str, column_px: float | None = None) -> tuple[In
 
 
 def read_latency_recording(
-    tracker_sequence: Path | str, video_sequence: Path | str, line_table: Path | str
+    tracker_sequence: Path | str,
+    video_sequence: Path | str,
+    line_table: Path | str,
+    names: ProbeNames = USUAL_NAMES,
 ) -> LatencyRecording:
     """Tracker poses and the depth of the tank floor at the image's centre column.
 
     Args:
-        tracker_sequence: PLUS sequence with tracker_from_probe.
+        tracker_sequence: PLUS sequence with the probe tracked against the reference sensor or the tracker.
         video_sequence: PLUS sequence whose time stamps are the video clock; it may lack images.
         line_table: PLUS line-segmentation results of that video.
+        names: of probe and reference in the tracker's sequence; here they are "probe" and "tracker".
     Raises:
         UnreadableFileError: one cannot be read, or the table has more frames than the video.
     """
     with reading(Path(tracker_sequence), "a sequence with a tracked probe"):
-        probe = read_sequence(tracker_sequence).stream("tracker", "probe")
+        found = tracked_probe(read_sequence(tracker_sequence), names)
+        probe = replace(found, target="tracker", source="probe")
     video, kept, frames = read_indexed_sequence(video_sequence)
     if not video.has_timestamps:
         raise UnreadableFileError(f"{video_sequence} has no time stamps; the latency cannot be read from it")

@@ -59,6 +59,21 @@ def join_transform(target: str, source: str) -> str:
     return name
 
 
+def same_sensor(one: str, other: str) -> bool:
+    """Whether two names are one sensor's: "us_sensor", "UsSensor" and "ussensor" are."""
+    return _plain(one) == _plain(other)
+
+
+def _recorded_as(name: str, recorded: set[str]) -> str:
+    """The same sensor's name in a recording, which goes by the letters where no name is equal."""
+    alike = sorted(frame for frame in recorded if same_sensor(frame, name))
+    return name if name in recorded or not alike else alike[0]
+
+
+def _plain(name: str) -> str:
+    return _NOT_WORD.sub("", name).replace("_", "").lower()
+
+
 @dataclass(frozen=True, slots=True)
 class ProbeNames:
     """What a recording calls the probe's sensor and the sensor or tracker that its poses are relative to.
@@ -74,10 +89,13 @@ class ProbeNames:
     @classmethod
     def from_plus(cls, probe: str | None, reference: str | None) -> "ProbeNames":
         """From names as PLUS writes them ("Probe", "StylusTip") or as here; None keeps the default."""
-        return cls(
-            "probe" if probe is None else frame_from_plus(probe),
-            None if reference is None else frame_from_plus(reference),
-        )
+        try:
+            return cls(
+                "probe" if probe is None else frame_from_plus(probe),
+                None if reference is None else frame_from_plus(reference),
+            )
+        except InvalidInputError as exc:
+            raise InvalidInputError(f"{exc} (--probe-name, --reference-name)") from exc
 
     def stream(self, sequence: TrackedSequence, held: str) -> PoseStream:
         """held_from_probe over time.
@@ -85,8 +103,10 @@ class ProbeNames:
         Raises:
             InvalidInputError: the sequence does not connect the two frames.
         """
+        recorded = {frame for s in sequence.poses.values() for frame in (s.target, s.source)}
+        target, source = (_recorded_as(name, recorded) for name in (held, self.probe))
         try:
-            return sequence.stream(held, self.probe)
+            return sequence.stream(target, source)
         except InvalidInputError as exc:
             raise InvalidInputError(f"{exc}; name what is meant (--probe-name, --reference-name)") from exc
 

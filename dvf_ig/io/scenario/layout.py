@@ -84,7 +84,12 @@ def read_config(folder: Path) -> ScenarioConfig:
     """
     path = folder / CONFIG
     if not path.is_file():
-        raise UnreadableFileError(f"{folder} is not a scenario folder: it has no {CONFIG}")
+        what = (
+            "it is a file (a SESSION.yaml is given as --config)"
+            if folder.is_file()
+            else f"it has no {CONFIG}"
+        )
+        raise UnreadableFileError(f"{folder} is not a scenario folder: {what}")
     document = read_yaml(path, "a scenario description")
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         got = document.get("schema") if isinstance(document, dict) else None

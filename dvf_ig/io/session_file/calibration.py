@@ -13,9 +13,10 @@ from dvf_ig.core.stream import PoseStream
 from dvf_ig.io.calibration_files import read_lag, read_probe, read_tip
 from dvf_ig.io.plus.feature_points import read_target_recording
 from dvf_ig.io.plus.latency import read_latency_recording
-from dvf_ig.io.plus.names import ProbeNames
+from dvf_ig.io.plus.names import ProbeNames, same_sensor
 from dvf_ig.io.plus.nwire import read_nwire_recording
-from dvf_ig.io.plus.poses import read_poses
+from dvf_ig.io.plus.poses import SEQUENCE_SUFFIXES, read_poses
+from dvf_ig.io.plus.sequence_read import read_sequence
 
 from .schema import LatencyConfig, NWireConfig, PivotConfig, TargetConfig
 
@@ -42,12 +43,20 @@ def read_probe_source(
     return TargetRecording(source.phantom, replace(poses, source="probe"), points_px)
 
 
-def read_latency_source(source: str | float | LatencyConfig, folder: Path) -> float | LatencyRecording:
-    """lag_s, or a water-tank sweep."""
+def read_latency_source(
+    source: str | float | LatencyConfig, folder: Path, names: ProbeNames
+) -> float | LatencyRecording:
+    """lag_s, or a water-tank sweep.
+
+    Args:
+        names: of probe and reference in the recording.
+    """
     if isinstance(source, str):
         return read_lag(folder / source)
     if isinstance(source, LatencyConfig):
-        return read_latency_recording(folder / source.tracker, folder / source.video, folder / source.lines)
+        return read_latency_recording(
+            folder / source.tracker, folder / source.video, folder / source.lines, names
+        )
     return float(source)
 
 
@@ -57,15 +66,30 @@ def read_tip_source(source: str | PivotConfig, folder: Path, tool: str) -> Point
     Args:
         tool: the tool's name in the recording of its poses.
     Raises:
-        UnreadableFileError: a tip of another tool.
+        UnreadableFileError: a tip or poses of another tool.
     """
     if isinstance(source, PivotConfig):
-        return replace(read_poses(folder / source.pivot), source="tool")
+        return _pivoting(folder / source.pivot, tool)
     path = folder / source
     tip = read_tip(path, tool if path.suffix.lower() == ".xml" else None)
-    if "tool" not in (tool, tip.frame) and tip.frame != tool:
+    if "tool" not in (tool, tip.frame) and not same_sensor(tip.frame, tool):
         raise UnreadableFileError(
             f"{path} is the tip of '{tip.frame}', but the recorded tool is '{tool}'; calibrate this tool, or "
             "name the recorded one (tool.name)"
         )
     return Points("tool", tip.xyz_mm)
+
+
+def _pivoting(path: Path, tool: str) -> PoseStream:
+    """Poses of this tool, whatever else was tracked while it pivoted; one that is just "tool" is any tool."""
+    name = None
+    if tool != "tool" and path.suffix.lower() in SEQUENCE_SUFFIXES:
+        tracked = {stream.source for stream in read_sequence(path).poses.values()}
+        name = next((known for known in (tool, "tool") if known in tracked), None)
+        if name is None:
+            listed = ", ".join(sorted(tracked)) or "nothing"
+            raise UnreadableFileError(
+                f"{path} tracks {listed}, but the recorded tool is '{tool}'; let this tool pivot, or name "
+                "the recorded one (tool.name)"
+            )
+    return replace(read_poses(path, source=name), source="tool")

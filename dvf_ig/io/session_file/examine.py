@@ -78,7 +78,7 @@ class _Reader:
             else part("calibration.probe", lambda: read_probe_source(probe, folder, known)),
             latency=None
             if latency is None
-            else part("calibration.latency", lambda: read_latency_source(latency, folder)),
+            else part("calibration.latency", lambda: read_latency_source(latency, folder, known)),
             tip=None
             if tip is None
             else part("calibration.tip", lambda: read_tip_source(tip, folder, recorded)),

@@ -22,9 +22,11 @@ def require_files(config: SessionConfig, folder: Path, named_by: str) -> None:
     """
     missing = [f"{name} ({key})" for key, name in named_files(config) if not is_there(folder / name, key)]
     if missing:
+        where = "the working directory" if folder == Path() else str(folder)
+        home = "; write out ~, your home" if any(name.startswith("~") for name in missing) else ""
         raise UnreadableFileError(
-            f"{folder} lacks {', '.join(missing)}, which {named_by} names; copy what is missing, or mend "
-            "its name"
+            f"{where} lacks {', '.join(missing)}, which {named_by} names; copy what is missing, or mend "
+            f"its name{home}"
         )
 
 

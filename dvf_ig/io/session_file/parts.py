@@ -1,5 +1,6 @@
 """The parts of a session, each read from the files that the configuration names for it."""
 
+import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,6 +29,8 @@ from .ecg_name import split_ecg
 from .preop import PreopFiles
 from .schema import EcgConfig, StartConfig, ToolConfig
 
+log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
@@ -38,9 +41,10 @@ class Sweep:
 
     @property
     def other_tools(self) -> tuple[str, ...]:
-        """What else was tracked against the same, by its recorded name."""
+        """What else was tracked against the same, by its recorded name; a tool's tip is no tool."""
         probe, streams = self.probe, self.recorded.poses.values()
-        return tuple(sorted({s.source for s in streams} - {probe.source, probe.target, "reference"}))
+        found = {s.source for s in streams} - {probe.source, probe.target, "reference", "tracker"}
+        return tuple(sorted(found - {f"{name}_tip" for name in found}))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,12 +96,23 @@ def read_tool(config: ToolConfig | None, folder: Path, sweep: Sweep | None) -> P
     held = None if sweep is None else sweep.probe.target
     if config is None:
         others = () if sweep is None else sweep.other_tools
+        if len(others) > 1:
+            log.warning(
+                "the ultrasound tracks %s beside the probe; say which is the tool (tool.file, tool.name)",
+                " and ".join(others),
+            )
         if sweep is None or held is None or len(others) != 1:
             return None
         return sweep.recorded.stream(held, others[0])
     source = None if config.name is None else frame_from_plus(config.name)
     try:
-        return read_poses(folder / config.file, held, source)
+        poses = read_poses(folder / config.file, held, source)
+        if sweep is not None and poses.source == sweep.probe.source:
+            raise UnreadableFileError(
+                f"{folder / config.file} tracks the probe; give a sequence that tracks the tool, or name the "
+                "tool (tool.name)"
+            )
+        return poses
     except UnreadableFileError as exc:
         if isinstance(exc.__cause__, InvalidInputError) and "the sequence" in str(exc):
             raise UnreadableFileError(

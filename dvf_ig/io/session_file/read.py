@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.errors import DvfIgError, UnreadableFileError
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.scenario import Scenario
 from dvf_ig.core.sequence import Fan, TrackedSequence
@@ -21,6 +21,7 @@ from .missing import NEEDS, REQUIRED
 from .named_files import require_files
 from .parts import read_session_ecg, read_start, read_sweep, read_tool
 from .preop import read_preop
+from .problem import in_keys
 from .schema import SCHEMA, SessionConfig
 
 if TYPE_CHECKING:
@@ -88,7 +89,11 @@ def read_session(path: Path | str) -> SessionRecordings:
         QualityGateError: a calibration that was refused.
     """
     path = Path(path)
-    return read_recordings(read_session_config(path), path.parent, str(path))
+    config = read_session_config(path)
+    try:
+        return read_recordings(config, path.parent, str(path))
+    except DvfIgError as error:
+        raise type(error)(in_keys(str(error))) from error
 
 
 def read_options(document: dict[str, Any]) -> SessionRecordings:
@@ -128,7 +133,7 @@ def read_recordings(config: SessionConfig, folder: Path, named_by: str) -> Sessi
         ultrasound=_ultrasound(sweep.recorded, sweep.probe),
         fan=None if fan is None else Fan(**fan.model_dump()),
         probe=read_probe_source(calibration.probe, folder, names),
-        latency=read_latency_source(calibration.latency, folder),
+        latency=read_latency_source(calibration.latency, folder, names),
         tool=None if tool is None else replace(tool, target="tracker", source="tool"),
         tip=tip,
         start=start.start,

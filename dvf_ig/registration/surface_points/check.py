@@ -58,4 +58,4 @@ def surface_disagreement(pose: Rigid, touched: TouchedPoints, model: DvfModel) -
     distance = SurfaceDistance(touched, model, np.zeros(3)).residuals_mm(pose)
     spread = float(np.hypot(touched.sigma_mm, ALLOWED_MM / np.sqrt(3)))
     limit = spread * (0.89 + 3 * 0.79 / np.sqrt(len(touched)))
-    return SurfaceDisagreement(float(np.median(np.abs(distance))), limit, distance)
+    return SurfaceDisagreement(float(np.median(np.abs(distance))), float(limit), distance)
