@@ -55,7 +55,7 @@ def test_texts_that_the_code_cites_are_in_the_repository() -> None:
 def commands_in(text: str) -> set[str]:
     """`dvf-ig …` in code, without comments, alternatives in brackets, and what the shell does with it."""
     code = re.findall(r"```(?:\w*)\n(.*?)```", text, re.DOTALL) + re.findall(r"`([^`\n]+)`", text)
-    lines = (line for block in code for line in block.splitlines())
+    lines = (line for block in code for line in block.replace("\\\n", " ").splitlines())
     return {line.split("#")[0].strip() for line in lines if line.strip().startswith("dvf-ig ")}
 
 
