@@ -62,6 +62,7 @@ from .surfaces.anatomy import SurfaceAnatomy as SurfaceAnatomy
 from .surfaces.anatomy import surface_anatomy as surface_anatomy
 from .ultrasound.image_failure import ImageFailureSpec as ImageFailureSpec
 from .ultrasound.image_faults import ImageSpec as ImageSpec
+from .ultrasound.image_probe import CalibratedImage as CalibratedImage
 from .ultrasound.label_anatomy import LabelAnatomy as LabelAnatomy
 from .ultrasound.label_anatomy import label_anatomy as label_anatomy
 from .ultrasound.presets import PROBES as PROBES

@@ -16,7 +16,7 @@ from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Rigid, read_o
 from .hand import perpendicular, tremor
 
 STANDOFF_MM = (36.0, 50.0)
-"""Distance of the fan apex from the heart surface over a sweep."""
+"""Distance of the fan apex from the heart surface over a sweep with the standard probe."""
 
 CENTRAL_STANDOFF_MM = 48.0
 """The same for a single view: a compromise between the width of the sector there and its depth."""
@@ -63,12 +63,17 @@ class HeartOutline:
 
 
 def sweeping_path(
-    shape: HeartOutline, window: FloatArray, spec: SweepSpec, rng: np.random.Generator
+    shape: HeartOutline,
+    window: FloatArray,
+    spec: SweepSpec,
+    rng: np.random.Generator,
+    standoff_mm: tuple[float, float] = STANDOFF_MM,
 ) -> PosePath:
     """mr_from_plane of an operator sweeping through off-axis views again and again.
 
     Args:
         window: (3,) unit direction from the heart's centre to the middle of the acoustic window.
+        standoff_mm: smallest and largest distance of the fan apex from the heart surface.
     """
     up = perpendicular(window, np.array([0.0, 0.0, 1.0]))
     along = np.stack([up, np.cross(window, up)])
@@ -87,7 +92,7 @@ def sweeping_path(
         orbit_b = np.deg2rad(spec.orbit_deg[1]) * gain[:, 1] * np.cos(angle) + wander[:, 1]
         direction = window + np.tan(orbit_a)[:, None] * along[0] + np.tan(orbit_b)[:, None] * along[1]
         direction /= np.linalg.norm(direction, axis=1)[:, None]
-        low, high = STANDOFF_MM
+        low, high = standoff_mm
         standoff = 0.5 * (low + high) + 0.5 * (high - low) * np.sin(0.5 * angle + 1.0) * gain[:, 2] / 1.3
         apex = shape.center_mm + direction * (shape.radius_mm(direction) + standoff)[:, None] + shake(t)
         turn = base_turn + np.deg2rad(spec.turn_deg) * gain[:, 3] * np.sin(angle + 0.9)
@@ -106,10 +111,12 @@ def _looking(beams: FloatArray, hint: FloatArray) -> FloatArray:
     return np.stack([np.cross(beams, elevation), beams, elevation], axis=2)
 
 
-def central_view(shape: HeartOutline, window: FloatArray) -> Rigid:
+def central_view(
+    shape: HeartOutline, window: FloatArray, standoff_mm: float = CENTRAL_STANDOFF_MM
+) -> Rigid:
     """mr_from_plane looking from the middle of the window at the heart's centre."""
     rotation = _looking(-window[None], perpendicular(window, np.array([0.0, 0.0, 1.0])))[0]
-    reach = float(shape.radius_mm(window[None])[0]) + CENTRAL_STANDOFF_MM
+    reach = float(shape.radius_mm(window[None])[0]) + standoff_mm
     return Rigid("mr", "plane", rotation, shape.center_mm + reach * window)
 
 

@@ -55,7 +55,8 @@ def match_blocks(
     """
     from skimage.feature import match_template
 
-    half, reach = round(0.5 * block_mm / probe.mm_per_px), round(SEARCH_MM / probe.mm_per_px)
+    across_mm = probe.mm_per_px[0]
+    half, reach = round(0.5 * block_mm / across_mm), round(SEARCH_MM / across_mm)
     pixels = np.rint(places_mm / probe.mm_per_px + np.array(probe.apex_px)).astype(int)
     moved, score = np.empty((len(pixels), 2)), np.empty(len(pixels))
     for n, (column, row) in enumerate(pixels):

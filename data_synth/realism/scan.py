@@ -9,7 +9,7 @@ from .gates import Gate
 
 REAL_LINES, REAL_SAMPLES = 96, 3640
 REAL_POLAR = PolarGrid(REAL_LINES, REAL_SAMPLES, 10.0, 82.0, float(np.deg2rad(75.0)))
-REAL_PIXELS = PixelGrid(616, 820, 0.15, (410.0, 87.0 - 10.0 / 0.15))
+REAL_PIXELS = PixelGrid(616, 820, (0.15, 0.15), (410.0, 87.0 - 10.0 / 0.15))
 """Geometry of the PLUS test recording (Ultrasonix BPC8-4/10): the transducer's face at pixel (410, 87)."""
 
 

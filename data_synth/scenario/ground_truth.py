@@ -1,10 +1,11 @@
 """The ground truth that a replay has to find: frames, image calibration, tool tip, latency; coarse starts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from data_synth.ultrasound.image_probe import CalibratedImage
 from dvf_ig.core import FloatArray, ImageMap, Landmarks, Points, Rigid
 
 from .displacement import random_displacement
@@ -29,6 +30,12 @@ class GroundTruth:
     probe_from_plane: Rigid
     tip_in_tool: Points
     lag_s: float
+
+    def with_image(self, image: CalibratedImage) -> "GroundTruth":
+        """The same room with a probe whose calibration is known."""
+        return replace(
+            self, probe_from_image=image.probe_from_image, probe_from_plane=image.probe_from_plane
+        )
 
 
 def draw_ground_truth(

@@ -15,6 +15,7 @@ from data_synth.signals.tracker import TrackerSpec
 from data_synth.signals.tracker_failure import ClockRestartSpec, TrackerFailureSpec
 from data_synth.ultrasound.image_failure import ImageFailureSpec
 from data_synth.ultrasound.image_faults import ImageSpec
+from data_synth.ultrasound.image_probe import CalibratedImage
 from dvf_ig.core import InvalidInputError
 
 from .displacement import Displacement
@@ -174,6 +175,7 @@ class ScenarioSpec:
         us_rate_hz: ultrasound frame rate.
         mismatch_mm: overrides the preset's mismatch.
         changed: what the preset is replaced by, where it was adapted; None takes it as it is.
+        image: a real probe's calibration and image size; None draws one for the standard probe.
     """
 
     preset: str = "calm"
@@ -183,6 +185,7 @@ class ScenarioSpec:
     us_rate_hz: float = 12.0
     mismatch_mm: float | None = None
     changed: Preset | None = None
+    image: CalibratedImage | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "preset", preset_name(self.preset))

@@ -53,7 +53,7 @@ def phantom_scenario(spec: ScenarioSpec, progress: Report | None = None) -> Scen
     ecg = synthetic_ecg(beats, spec.seconds, spec.options.ecg, child_rng(spec.seed, "ecg"))
     world = make_world(spec, anatomy, beats.r_peaks_s)
     _report_progress(progress, 0.12)
-    sweep = sweeping_path(world.outline, world.window, spec.options.sweep, world.rng("probe path"))
+    sweep = sweeping_path(world.outline, world.window, spec.options.sweep, world.rng("probe path"), world.standoff_mm)
     name = f"four-chamber phantom, {spec.motion}, {spec.preset}, seed {spec.seed}"
     preop = cine_preop(anatomy, world.rng("preop"))
     return _assembled(name, world, preop, ecg, sweep, with_start=True, progress=progress)
@@ -89,7 +89,7 @@ def surface_scenario(
     anatomy = surface_anatomy(surfaces, mismatch_mm=spec.mismatch, seed=seed)
     world = make_world(spec, anatomy, np.asarray(r_peaks_s, dtype=np.float64))
     _report_progress(progress, 0.12)
-    view = central_view(world.outline, world.window)
+    view = central_view(world.outline, world.window, world.central_standoff_mm)
     mr_from_mean_probe = view @ world.truth.probe_from_plane.inverse()
     sweep = reframed(probe_path, mr_from_mean_probe, world.truth.probe_from_plane)
     name = f"real surfaces and ECG, {spec.preset}, seed {spec.seed}"

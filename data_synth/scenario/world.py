@@ -9,7 +9,12 @@ from data_synth.heart.clock import HeartClock
 from data_synth.heart.respiration import Breathing, breathing
 from data_synth.heart.tissue import Tissue
 from data_synth.operator.contact import MovingSurface
-from data_synth.operator.probe_path import HeartOutline, acoustic_window
+from data_synth.operator.probe_path import (
+    CENTRAL_STANDOFF_MM,
+    STANDOFF_MM,
+    HeartOutline,
+    acoustic_window,
+)
 from data_synth.seeds import child_rng
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.core import FloatArray, ImageMap, read_only_arrays
@@ -56,6 +61,21 @@ class World:
     def options(self) -> Preset:
         return self.spec.options
 
+    @property
+    def standoff_mm(self) -> tuple[float, float]:
+        """Smallest and largest distance of the fan apex from the heart in a sweep."""
+        near, far = STANDOFF_MM
+        return self._apex_at(near), self._apex_at(far)
+
+    @property
+    def central_standoff_mm(self) -> float:
+        """Distance of the fan apex from the heart in a single view."""
+        return self._apex_at(CENTRAL_STANDOFF_MM)
+
+    def _apex_at(self, standoff_mm: float) -> float:
+        """The same share of the image's depth lies before the heart as with the standard probe."""
+        return self.probe.face_radius_mm + standoff_mm * (self.probe.depth_mm / SectorProbe().depth_mm)
+
     def rng(self, stream: str) -> np.random.Generator:
         return child_rng(self.spec.seed, stream)
 
@@ -84,11 +104,14 @@ def make_world(spec: ScenarioSpec, anatomy: BeatingAnatomy, r_peaks_s: FloatArra
         outline,
         ANTERIOR_LEFT / np.linalg.norm(ANTERIOR_LEFT),
     )
-    probe, options = SectorProbe(), spec.options
+    probe = SectorProbe() if spec.image is None else spec.image.probe
+    options = spec.options
     center = anatomy.box_mm.mean(axis=0)
     truth = draw_ground_truth(
         center, probe.plane_from_image, options.tool.length_mm, child_rng(spec.seed, "planting")
     )
+    if spec.image is not None:
+        truth = truth.with_image(spec.image)
     middle = image_middle_mm(truth.probe_from_image, probe)
     return World(
         spec=spec,

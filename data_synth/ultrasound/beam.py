@@ -13,6 +13,9 @@ LATTICE_MM = 0.15
 ELEVATION_REACH = 2.0
 """The outermost elevation planes lie this many standard deviations off the middle one."""
 
+NARROWEST_LINES = 0.02
+"""Least standard deviation of a beam, in fine lines: at a curved array's face it has none at all."""
+
 
 def lattice_correlation(distance_mm: FloatArray) -> FloatArray:
     """Chance that two points this far apart lie in the same lattice cell, averaged over directions."""
@@ -50,7 +53,7 @@ def lateral_taps(fwhm_rad: FloatArray, pitch_rad: float, radius_mm: FloatArray) 
         pitch_rad: angle between fine lines.
         radius_mm: (samples,) distance of the samples from the fan apex.
     """
-    sigma = fwhm_rad / FWHM_PER_SIGMA / pitch_rad
+    sigma = np.maximum(fwhm_rad / FWHM_PER_SIGMA / pitch_rad, NARROWEST_LINES)
     reach = int(np.ceil(3 * sigma.max()))
     offset = (np.arange(2 * reach) - reach + 0.5)[:, None]
     weights = np.exp(-0.5 * (offset / sigma) ** 2)

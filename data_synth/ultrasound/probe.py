@@ -29,7 +29,8 @@ class SectorProbe:
         frequency_mhz, bandwidth_mhz: centre frequency, and −6 dB pulse-echo bandwidth.
         aperture_mm, focus_mm: active aperture and transmit focus.
         depth_of_field_mm: distance from the focus at which the beam is √2 times its focal angle.
-        rows, columns, mm_per_px: image raster, isotropic pixels.
+        rows, columns: image raster.
+        mm_per_px: (column, row) size of a pixel.
         apex_px: (column, row) of the fan apex.
         tgc_db_per_cm_mhz: one-way attenuation that time-gain compensation makes up for.
         noise_db: receiver noise before compensation, re myocardium at the transducer.
@@ -59,7 +60,7 @@ class SectorProbe:
     depth_of_field_mm: float = 60.0
     rows: int = 320
     columns: int = 344
-    mm_per_px: float = 0.5
+    mm_per_px: tuple[float, float] = (0.5, 0.5)
     apex_px: tuple[float, float] = (171.5, 6.0)
     tgc_db_per_cm_mhz: float = 0.33
     noise_db: float = -66.0
@@ -157,14 +158,20 @@ class SectorProbe:
 
     @property
     def fan(self) -> Fan:
-        """The insonified sector in image pixels."""
-        start, stop = self.polar.start_mm / self.mm_per_px, self.polar.stop_mm / self.mm_per_px
-        return Fan(np.array(self.apex_px), start, stop, self.half_angle_rad)
+        """The insonified sector in image pixels; of pixels that are not square, the largest inside it."""
+        across, down = self.mm_per_px
+        start_mm, stop_mm = self.polar.start_mm, self.polar.stop_mm
+        if across == down:
+            return Fan(np.array(self.apex_px), start_mm / down, stop_mm / down, self.half_angle_rad)
+        # a circle in mm is an ellipse in pixels: its smallest and largest radius over the sector
+        edge = np.array([np.sin(self.half_angle_rad) / across, np.cos(self.half_angle_rad) / down])
+        per_mm = (1.0 / down, float(np.hypot(*edge)))
+        half_angle = float(np.arctan2(*edge))
+        return Fan(np.array(self.apex_px), start_mm * max(per_mm), stop_mm * min(per_mm), half_angle)
 
     @property
     def plane_from_image(self) -> ImageMap:
         """Pixel (column, row) to in-plane mm (x lateral, y depth, z = 0)."""
-        origin = -self.mm_per_px * np.array([self.apex_px[0], self.apex_px[1], 0.0])
-        return ImageMap(
-            Rigid("plane", "image", np.eye(3), origin), np.array([self.mm_per_px, self.mm_per_px])
-        )
+        scale = np.array(self.mm_per_px)
+        origin = -np.append(scale * np.array(self.apex_px), 0.0)
+        return ImageMap(Rigid("plane", "image", np.eye(3), origin), scale)

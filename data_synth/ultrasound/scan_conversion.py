@@ -51,11 +51,11 @@ class PolarGrid:
 
 @dataclass(frozen=True, slots=True)
 class PixelGrid:
-    """An image of isotropic pixels, with the (column, row) of the apex; it may lie outside the image."""
+    """An image, with (column, row) size of its pixels and place of the apex, which may lie outside it."""
 
     rows: int
     columns: int
-    mm_per_px: float
+    mm_per_px: tuple[float, float]
     apex_px: tuple[float, float]
 
 
@@ -74,8 +74,8 @@ class ScanConverter:
     @classmethod
     def of(cls, polar: PolarGrid, pixels: PixelGrid) -> "ScanConverter":
         row, column = np.mgrid[: pixels.rows, : pixels.columns]
-        x = (column - pixels.apex_px[0]) * pixels.mm_per_px
-        y = (row - pixels.apex_px[1]) * pixels.mm_per_px
+        x = (column - pixels.apex_px[0]) * pixels.mm_per_px[0]
+        y = (row - pixels.apex_px[1]) * pixels.mm_per_px[1]
         radius, angle = np.hypot(x, y), np.arctan2(x, y)
         inside = (radius >= polar.start_mm) & (radius <= polar.stop_mm)
         inside &= np.abs(angle) <= polar.half_angle_rad

@@ -65,6 +65,17 @@ def scenario(
     probe_path: Annotated[
         Path | None, typer.Option("--probe-path", help="PLUS sequence whose probe motion is replayed.")
     ] = None,
+    probe_calibration: Annotated[
+        Path | None,
+        typer.Option(
+            "--probe-calibration",
+            help="ImageToProbe of a real probe, PLUS XML or JSON of `calibrate probe`; its image is simulated.",
+        ),
+    ] = None,
+    image_px: Annotated[
+        tuple[int, int] | None,
+        typer.Option("--image-px", metavar="COLUMNS ROWS", help="Image size of --probe-calibration."),
+    ] = None,
     mismatch_mm: Annotated[
         float | None, typer.Option("--mismatch-mm", help="RMS difference between MR and ultrasound anatomy.")
     ] = None,
@@ -95,6 +106,8 @@ def scenario(
             "surfaces": None if surfaces is None else str(surfaces),
             "ecg": ecg,
             "probe_path": None if probe_path is None else str(probe_path),
+            "probe_calibration": None if probe_calibration is None else str(probe_calibration),
+            "image_px": image_px,
             "preset": preset,
             "motion": motion,
             "seconds": seconds,

@@ -11,7 +11,7 @@ from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.io.yaml_config import read_yaml
 
 if TYPE_CHECKING:
-    from data_synth import Preset, ScenarioSpec
+    from data_synth import CalibratedImage, Preset, ScenarioSpec
 
 SCHEMA = "dvf_ig.scenario-spec/1"
 _KEYS = {"occlusion": "sight"}
@@ -28,6 +28,8 @@ class SpecFile(BaseModel):
 
     Attributes:
         anatomy: whose heart beats; the three inputs belong to "surfaces".
+        probe_calibration, image_px: file with a real probe's image calibration, and its image's columns and
+            rows; both or neither.
         options: changes to the preset, as deep as needed.
     """
 
@@ -38,6 +40,8 @@ class SpecFile(BaseModel):
     surfaces: str | None = None
     ecg: str | None = None
     probe_path: str | None = None
+    probe_calibration: str | None = None
+    image_px: tuple[int, int] | None = None
     preset: str = "calm"
     motion: str = "paper5mm"
     seconds: float = 60.0
@@ -67,6 +71,7 @@ def scenario_spec(file: SpecFile) -> "ScenarioSpec":
 
     Raises:
         InvalidInputError: unknown preset, motion or option, or an impossible value.
+        UnreadableFileError, QualityGateError: the probe's calibration, as `read_probe`.
     """
     from data_synth import MOTIONS, PRESETS, ScenarioSpec, preset_name
 
@@ -75,7 +80,31 @@ def scenario_spec(file: SpecFile) -> "ScenarioSpec":
         raise InvalidInputError(f"there is no motion '{file.motion}'; choose from {', '.join(MOTIONS)}")
     name = preset_name(file.preset)
     changed = _merged(PRESETS[name], file.options) if file.options else None
-    return ScenarioSpec(name, motion, file.seconds, file.seed, file.us_rate_hz, file.mismatch_mm, changed)
+    return ScenarioSpec(
+        name,
+        motion,
+        file.seconds,
+        file.seed,
+        file.us_rate_hz,
+        file.mismatch_mm,
+        changed,
+        _calibrated_image(file),
+    )
+
+
+def _calibrated_image(file: SpecFile) -> "CalibratedImage | None":
+    """The real probe that the file names, if any."""
+    if file.probe_calibration is None and file.image_px is None:
+        return None
+    if file.probe_calibration is None or file.image_px is None:
+        raise InvalidInputError(
+            "a probe's calibration and the size of its image belong together; needed --probe-calibration "
+            "(probe_calibration) and --image-px (image_px), which dvf-ig inspect tells of its recordings"
+        )
+    from data_synth import CalibratedImage
+    from dvf_ig.io import read_probe
+
+    return CalibratedImage(read_probe(file.probe_calibration), *file.image_px)
 
 
 def spec_text(file: SpecFile) -> str:
@@ -85,6 +114,8 @@ def spec_text(file: SpecFile) -> str:
     full = file.model_copy(update={"preset": spec.preset, "options": options})
     document = full.model_dump(mode="json", by_alias=True)
     inputs = ("surfaces", "ecg", "probe_path") if file.anatomy == "phantom" else ()
+    if file.probe_calibration is None:
+        inputs += ("probe_calibration", "image_px")
     kept = {key: value for key, value in document.items() if key not in inputs}
     return _HEADER + yaml.safe_dump(kept, sort_keys=False, allow_unicode=True, default_flow_style=None)
 

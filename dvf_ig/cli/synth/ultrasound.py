@@ -145,7 +145,7 @@ def _write(anatomy: "LabelAnatomy", probe: Any, pose: "Rigid", seed: int, out: P
         seen = image[probe.fan.mask(*image.shape)]
         values = image.T[:, :, None]
         corner = probe.plane_from_image.apply_pixels(np.zeros((1, 2))).xyz_mm[0]
-        origin, spacing = pose.apply_array(corner), np.array([probe.mm_per_px, probe.mm_per_px, 1.0])
+        origin, spacing = pose.apply_array(corner), np.array([*probe.mm_per_px, 1.0])
         if out.suffix.lower() == ".png":
             _write_png(image, out)
     if out.suffix.lower() != ".png":

@@ -87,13 +87,13 @@ def test_wire_points_lie_in_the_sector_at_many_depths() -> None:
     mask = PROBE.fan.mask(PROBE.rows, PROBE.columns)
     column, row = np.round(recording.points_px).astype(int).reshape(-1, 2).T
     assert mask[row, column].all()
-    depth_mm = (recording.points_px[..., 1] - PROBE.fan.apex_px[1]) * PROBE.mm_per_px
+    depth_mm = (recording.points_px[..., 1] - PROBE.fan.apex_px[1]) * PROBE.mm_per_px[1]
     assert np.ptp(depth_mm) > 60.0
 
 
 def test_point_noise_and_failed_frames_are_as_stated() -> None:
     exact, noisy = nwire(2, point_noise_mm=0.0, failed_share=0.0), nwire(2)
-    error_mm = (noisy.points_px - exact.points_px) * PROBE.mm_per_px
+    error_mm = (noisy.points_px - exact.points_px) * PROBE.mm_per_px[1]
     failed = np.isnan(noisy.points_px).any(axis=(1, 2))
     assert np.array_equal(failed, np.isnan(noisy.points_px).all(axis=(1, 2)))
     assert 0 < failed.mean() < 0.15
@@ -155,7 +155,7 @@ def test_watertank_rows_are_the_depth_in_the_image_of_the_probe() -> None:
     recording = watertank_recording(
         truth.probe_from_image, PROBE.fan, 0.05, EXACT, spec, np.random.default_rng(5)
     )
-    depth = (recording.wall_row_px.values - PROBE.fan.apex_px[1]) * PROBE.mm_per_px
+    depth = (recording.wall_row_px.values - PROBE.fan.apex_px[1]) * PROBE.mm_per_px[1]
     assert depth.mean() == pytest.approx(85.0, abs=1.0)
     assert np.ptp(depth) == pytest.approx(20.0, rel=0.25)
     assert np.unique(recording.wall_row_px.values).size > 0.9 * len(depth)

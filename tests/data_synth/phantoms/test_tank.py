@@ -40,7 +40,7 @@ def centroid_px(image: NDArray[np.uint8], around: FloatArray, reach: int = 8) ->
 
 def test_a_point_has_the_width_of_the_beam_and_the_pulse() -> None:
     depth = 60.0
-    fine = replace(PROBE, mm_per_px=0.1, rows=700, columns=201, apex_px=(100.0, 5.0))
+    fine = replace(PROBE, mm_per_px=(0.1, 0.1), rows=700, columns=201, apex_px=(100.0, 5.0))
     echoes = Echoes(np.array([[0.0, depth, 0.0]]), np.array([0.3 + 0j]))
     image = water_images(fine, [echoes], 1)[0].astype(np.float64)
     amplitude = 10 ** (image / GREY_PER_DB / 20)
@@ -48,7 +48,7 @@ def test_a_point_has_the_width_of_the_beam_and_the_pulse() -> None:
         (amplitude[605, :], float(PROBE.lateral_fwhm_mm(depth))),
         (amplitude[:, 100], PROBE.axial_fwhm_mm),
     ):
-        width = np.count_nonzero(profile > 0.5 * profile.max()) * fine.mm_per_px
+        width = np.count_nonzero(profile > 0.5 * profile.max()) * fine.mm_per_px[0]
         # interpolation between samples in decibels widens by up to half of one
         assert width == pytest.approx(fwhm, rel=0.08, abs=0.5 * PROBE.step_mm)
     assert np.unravel_index(image.argmax(), image.shape) == pytest.approx((605, 100), abs=2)
@@ -74,7 +74,7 @@ def test_nwire_images_are_of_the_recording_and_show_every_wire(seed: int) -> Non
         misses += [centroid_px(image, p) - p for p in pixels[apart.min(axis=1) > 22]]
     assert np.mean(np.concatenate(contrasts) > 100) > 0.97
     # a rough wire through a thick beam: its centroid scatters by a fraction of the beam, without a bias
-    error_mm = np.array(misses) * PROBE.mm_per_px
+    error_mm = np.array(misses) * PROBE.mm_per_px[1]
     assert np.median(np.abs(error_mm), axis=0).max() < 0.6
     assert np.abs(np.median(error_mm, axis=0)).max() < 0.3
 
@@ -115,7 +115,7 @@ def test_wall_lines_lie_on_the_wall_and_in_the_image() -> None:
         column = round(float(middle[0]))
         brightest = int(image[:, column].argmax())
         assert image[brightest, column] > 80
-        assert abs(brightest - middle[1]) * PROBE.mm_per_px < 1.5
+        assert abs(brightest - middle[1]) * PROBE.mm_per_px[1] < 1.5
 
 
 def test_watertank_images_show_the_floor_at_the_recorded_row() -> None:
@@ -127,13 +127,13 @@ def test_watertank_images_show_the_floor_at_the_recorded_row() -> None:
     assert video.images is not None
     column = round(PROBE.apex_px[0])
     brightest = video.images[:, :, column].argmax(axis=1)
-    assert np.abs(brightest - plain.wall_row_px.values).max() * PROBE.mm_per_px < 1.0
+    assert np.abs(brightest - plain.wall_row_px.values).max() * PROBE.mm_per_px[1] < 1.0
 
 
 def test_segmentation_noise_and_failures_are_as_stated() -> None:
     spec = WallSpec(frames=150, point_noise_mm=0.4, failed_share=0.1)
     made = wall_recording(IMAGE, PROBE, EXACT, spec, rng(5))
-    error = (made.recording.features_px - made.recording.exact_px) * PROBE.mm_per_px
+    error = (made.recording.features_px - made.recording.exact_px) * PROBE.mm_per_px[1]
     failed = np.isnan(error).all(axis=(1, 2))
     assert failed.mean() == pytest.approx(0.1, abs=0.075)
     assert np.nanstd(error) == pytest.approx(0.4, rel=0.09)

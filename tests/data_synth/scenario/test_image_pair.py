@@ -33,7 +33,7 @@ from data_synth.ultrasound.volume import MatrixProbe
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid, TrackedVolume, Volume
 
 ARRAY = MatrixProbe(sector=replace(MatrixProbe().sector, lines=24, samples=128), tall=24, voxel_mm=2.0)
-SECTOR = SectorProbe(lines=32, samples=128, rows=80, columns=86, mm_per_px=2.0, apex_px=(42.5, 1.5))
+SECTOR = SectorProbe(lines=32, samples=128, rows=80, columns=86, mm_per_px=(2.0, 2.0), apex_px=(42.5, 1.5))
 SYSTOLE = 0.375
 """Exact in binary, as phase errors are here: a phase reached by two ways is the same number."""
 

@@ -13,7 +13,7 @@ from data_synth.ultrasound.image_failure import (
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.core import InvalidInputError
 
-PROBE = SectorProbe(lines=64, samples=256, rows=160, columns=172, mm_per_px=1.0, apex_px=(85.5, 3.0))
+PROBE = SectorProbe(lines=64, samples=256, rows=160, columns=172, mm_per_px=(1.0, 1.0), apex_px=(85.5, 3.0))
 T_S = np.arange(8) / 2.0
 SECONDS = 4.0
 HEART = np.tile(np.arange(10, 18, dtype=np.uint8)[:, None, None], (1, PROBE.rows, PROBE.columns))

@@ -35,7 +35,7 @@ def test_without_faults_the_images_are_untouched() -> None:
 def depth_mm() -> FloatArray:
     row, column = np.mgrid[: PROBE.rows, : PROBE.columns]
     offset = np.stack([column - PROBE.apex_px[0], row - PROBE.apex_px[1]])
-    return np.asarray(np.hypot(*offset) * PROBE.mm_per_px)
+    return np.asarray(np.hypot(*offset) * PROBE.mm_per_px[1])
 
 
 @pytest.mark.parametrize("factor", [1.0, 5.0])
@@ -57,7 +57,7 @@ def test_clutter_has_its_level_and_its_decay(factor: float) -> None:
 def test_a_shadow_takes_its_loss_in_its_middle_and_leaves_the_rest() -> None:
     images = flat(5.0)
     out = degraded(images, PROBE, T_S, ImageSpec(shadows=1, shadow_db=20.0), rng())
-    row = round(PROBE.apex_px[1] + 100.0 / PROBE.mm_per_px)
+    row = round(PROBE.apex_px[1] + 100.0 / PROBE.mm_per_px[1])
     inside = images[0, row] > 0
     lost_db = (images[:, row][:, inside].astype(float) - out[:, row][:, inside]) / GREY_PER_DB
     np.testing.assert_allclose(lost_db.max(axis=1), 20.0, atol=0.6)

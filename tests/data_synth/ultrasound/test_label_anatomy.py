@@ -76,7 +76,7 @@ def test_blood_is_dark_and_myocardium_bright_in_the_image() -> None:
     image = simulate_frame(anatomy, probe, pose, np.zeros(probe.lines), seed=1, frame=0)
 
     def grey(depth_mm: float) -> float:
-        row = round(probe.apex_px[1] + depth_mm / probe.mm_per_px)
+        row = round(probe.apex_px[1] + depth_mm / probe.mm_per_px[1])
         return float(image[row - 6 : row + 6, 165:178].mean())
 
     assert grey(43.0) > grey(60.0) + 50

@@ -9,7 +9,7 @@ from data_synth.ultrasound.scan_conversion import PixelGrid, PolarGrid, ScanConv
 from dvf_ig.core import InvalidInputError
 
 POLAR = PolarGrid(65, 200, 20.0, 100.0, 0.6)
-PIXELS = PixelGrid(240, 260, 0.5, (129.5, -30.0))
+PIXELS = PixelGrid(240, 260, (0.5, 0.5), (129.5, -30.0))
 
 
 def test_angle_and_radius_are_reproduced() -> None:
@@ -49,7 +49,7 @@ def test_the_sector_fits_its_image(name: str) -> None:
     probe = PROBES[name]
     assert isinstance(probe, SectorProbe)
     line, _ = probe.pixel_lookup()
-    shown_mm2 = (line >= 0).sum() * probe.mm_per_px**2
+    shown_mm2 = (line >= 0).sum() * (probe.mm_per_px[0] * probe.mm_per_px[1])
     whole_mm2 = probe.half_angle_rad * (probe.polar.stop_mm**2 - probe.polar.start_mm**2)
     assert shown_mm2 == pytest.approx(whole_mm2, rel=0.01)
 

@@ -63,7 +63,7 @@ def test_sequence_is_bit_identical_at_any_thread_count() -> None:
 
 def test_persistence_averages_what_is_redrawn() -> None:
     """The variance of independent frames falls to (1 − w)/(1 + w) once the past has filled."""
-    probe = replace(PROBE, lines=32, samples=256, top_db=-20.0, rows=160, columns=172, mm_per_px=1.0)
+    probe = replace(PROBE, lines=32, samples=256, top_db=-20.0, rows=160, columns=172, mm_per_px=(1.0, 1.0))
     probe = replace(probe, apex_px=(86.0, 3.0))
     phases = np.zeros((10, probe.lines))
     blood = medium(Tissue.LV_BLOOD)

@@ -74,9 +74,9 @@ def test_curved_array_looks_from_its_face() -> None:
     image = simulate_frame(halves, probe, apex, np.zeros(probe.lines), seed=1, frame=0)
     column = round(probe.apex_px[0])
     profile = image[:, column - 10 : column + 10].mean(axis=1)
-    row = probe.apex_px[1] + (probe.face_radius_mm + 60.0) / probe.mm_per_px
+    row = probe.apex_px[1] + (probe.face_radius_mm + 60.0) / probe.mm_per_px[1]
     assert profile[int(row) - 40 : int(row) - 10].mean() > profile[int(row) + 10 : int(row) + 40].mean() + 60
-    start = probe.apex_px[1] + probe.face_radius_mm / probe.mm_per_px
+    start = probe.apex_px[1] + probe.face_radius_mm / probe.mm_per_px[1]
     assert abs(np.flatnonzero(profile)[0] - start) <= 2
     assert all(gate.passed for gate in point_gates(probe))
 
