@@ -111,9 +111,7 @@ def _looking(beams: FloatArray, hint: FloatArray) -> FloatArray:
     return np.stack([np.cross(beams, elevation), beams, elevation], axis=2)
 
 
-def central_view(
-    shape: HeartOutline, window: FloatArray, standoff_mm: float = CENTRAL_STANDOFF_MM
-) -> Rigid:
+def central_view(shape: HeartOutline, window: FloatArray, standoff_mm: float = CENTRAL_STANDOFF_MM) -> Rigid:
     """mr_from_plane looking from the middle of the window at the heart's centre."""
     rotation = _looking(-window[None], perpendicular(window, np.array([0.0, 0.0, 1.0])))[0]
     reach = float(shape.radius_mm(window[None])[0]) + standoff_mm

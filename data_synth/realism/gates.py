@@ -17,7 +17,13 @@ from dvf_ig.core import FloatArray, Rigid
 from .media import Medium, medium
 
 STANDARD = SectorProbe(
-    lines=192, samples=768, rows=512, columns=512, mm_per_px=(0.337, 0.337), apex_px=(255.5, 30.0), fine_lines=8
+    lines=192,
+    samples=768,
+    rows=512,
+    columns=512,
+    mm_per_px=(0.337, 0.337),
+    apex_px=(255.5, 30.0),
+    fine_lines=8,
 )
 """The scenarios' beam at the size for which a rate is stated: 192 lines of 768 samples to 512² pixels."""
 

@@ -33,9 +33,7 @@ class GroundTruth:
 
     def with_image(self, image: CalibratedImage) -> "GroundTruth":
         """The same room with a probe whose calibration is known."""
-        return replace(
-            self, probe_from_image=image.probe_from_image, probe_from_plane=image.probe_from_plane
-        )
+        return replace(self, probe_from_image=image.probe_from_image, probe_from_plane=image.probe_from_plane)
 
 
 def draw_ground_truth(

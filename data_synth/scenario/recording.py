@@ -53,7 +53,9 @@ def phantom_scenario(spec: ScenarioSpec, progress: Report | None = None) -> Scen
     ecg = synthetic_ecg(beats, spec.seconds, spec.options.ecg, child_rng(spec.seed, "ecg"))
     world = make_world(spec, anatomy, beats.r_peaks_s)
     _report_progress(progress, 0.12)
-    sweep = sweeping_path(world.outline, world.window, spec.options.sweep, world.rng("probe path"), world.standoff_mm)
+    sweep = sweeping_path(
+        world.outline, world.window, spec.options.sweep, world.rng("probe path"), world.standoff_mm
+    )
     name = f"four-chamber phantom, {spec.motion}, {spec.preset}, seed {spec.seed}"
     preop = cine_preop(anatomy, world.rng("preop"))
     return _assembled(name, world, preop, ecg, sweep, with_start=True, progress=progress)

@@ -69,7 +69,7 @@ def scenario(
         Path | None,
         typer.Option(
             "--probe-calibration",
-            help="ImageToProbe of a real probe, PLUS XML or JSON of `calibrate probe`; its image is simulated.",
+            help="A real probe's ImageToProbe (PLUS XML, or JSON of `calibrate probe`) to simulate.",
         ),
     ] = None,
     image_px: Annotated[

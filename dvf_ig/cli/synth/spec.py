@@ -113,9 +113,9 @@ def spec_text(file: SpecFile) -> str:
     options = {_KEYS.get(field, field): value for field, value in dataclasses.asdict(spec.options).items()}
     full = file.model_copy(update={"preset": spec.preset, "options": options})
     document = full.model_dump(mode="json", by_alias=True)
-    inputs = ("surfaces", "ecg", "probe_path") if file.anatomy == "phantom" else ()
+    inputs = {"surfaces", "ecg", "probe_path"} if file.anatomy == "phantom" else set()
     if file.probe_calibration is None:
-        inputs += ("probe_calibration", "image_px")
+        inputs |= {"probe_calibration", "image_px"}
     kept = {key: value for key, value in document.items() if key not in inputs}
     return _HEADER + yaml.safe_dump(kept, sort_keys=False, allow_unicode=True, default_flow_style=None)
 
