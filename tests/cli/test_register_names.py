@@ -13,7 +13,16 @@ from toy_lab import IMAGE, SESSION, sweep, write_calibration, write_lab
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import DvfModel, NotConvergedError, PoseStream, Rigid, Scenario, TrackedSequence
+from dvf_ig.core import (
+    DvfModel,
+    ImageMap,
+    NotConvergedError,
+    Points,
+    PoseStream,
+    Rigid,
+    Scenario,
+    TrackedSequence,
+)
 from dvf_ig.io import write_coordinate_definitions, write_poses, write_sequence, write_transform
 
 OPTIONS = ["--us", "one.igs.mha", "--model", "heart.npz", "--lag-s", "-0.065", "--ecg", "csv:ecg.csv"]
@@ -101,6 +110,7 @@ def assert_as_recorded(found: Scenario, *, relative: bool = True, tool: bool = T
         expected = held.inverse() @ plain if relative else plain
         np.testing.assert_allclose(stream.rotations, expected.rotations, rtol=0, atol=1e-9)
         np.testing.assert_allclose(stream.translations_mm, expected.translations_mm, rtol=0, atol=1e-9)
+    assert isinstance(found.probe, ImageMap)
     assert found.probe.rigid.target == "probe"
     np.testing.assert_allclose(found.probe.matrix, IMAGE, atol=1e-12)
 
@@ -139,7 +149,7 @@ def test_a_session_under_other_names(case: str, given: Given, files: Path) -> No
     calibration = SESSION["calibration"] | {"probe": "us_sensor.json"}
     found = replayed(given, files, **changed, calibration=calibration)
     assert_as_recorded(found)
-    assert found.tip is not None
+    assert isinstance(found.tip, Points)
     assert found.tip.frame == "tool"
 
 

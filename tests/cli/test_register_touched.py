@@ -1,6 +1,7 @@
 """Points touched on the heart as the only start of a registration, and as a check beside another start."""
 
 import json
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -91,8 +92,11 @@ def test_touched_points_alone_start_a_registration(lab: Path, heart: DvfModel) -
 
 
 def test_touched_points_check_another_start(lab: Path) -> None:
-    done = register("--start", "start.tfm", "--touched", "touched.csv@0")
+    shutil.copy(lab / "touched.csv", lab / "touched@bedside.csv")
+    named = register("--start", "start.tfm", "--touched", "touched@bedside.csv")
+    done = register("--start", "start.tfm", "--touched", "touched@bedside.csv@0")
     assert done.exit_code == 0, done.output
+    assert named.stdout == done.stdout
     assert "touched surface" in done.stdout
     assert "agrees with the pose)" in done.stdout
 
