@@ -101,7 +101,7 @@ def replay(
             with files_together(out, ("result.json", "report.html", *NAMES)) as new:
                 write_text(new / "report.html", report_html(done, result))
                 write_json(new / "result.json", {**result, **provenance_fields()})
-                frames = write_outputs(done.poses, done.ticks, new)
+                frames = write_outputs(done.poses, done.ticks, new, recorded.tracked_against)
         heading = ("", "estimate", "error against the truth" if done.scenario.truth is not None else "")
         emit(result, [heading, *table(result)], as_json=as_json)
         typer.echo(origin, err=True)

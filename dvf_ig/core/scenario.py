@@ -187,6 +187,8 @@ class Scenario:
         probe: of the image: tracked images of a phantom, or probe_from_image.
         latency: water-tank sweep, or lag_s.
         tool: tracker_from_tool of the live part; None where no tool was tracked.
+        tracked_against: what the poses of probe and tool are relative to, by its recorded name: the tracker,
+            or a reference marker. Every frame here calls it "tracker".
         tip: tracker_from_tool while pivoting, or the tip in frame "tool"; None where it is not known.
         start: coarse mr_from_tracker given by the operator; it takes precedence over landmarks.
         landmarks_mr, landmarks_tracker: the same anatomical points on the model and touched on the patient.
@@ -207,6 +209,7 @@ class Scenario:
     probe: NWireRecording | TargetRecording | ImageMap
     latency: LatencyRecording | float
     tool: PoseStream | None = None
+    tracked_against: str = "tracker"
     tip: PoseStream | Points | None = None
     start: Rigid | None = None
     landmarks_mr: Landmarks | None = None

@@ -1,6 +1,7 @@
 """What a replay leaves for other programs: pose (ITK, PLUS), poses over time (3D Slicer), and every tick."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,13 +54,16 @@ def require_own_outputs(folder: Path) -> None:
             )
 
 
-def write_outputs(poses: Sequence[tuple[float, Rigid]], ticks: Ticks, folder: Path) -> dict[str, str]:
+def write_outputs(
+    poses: Sequence[tuple[float, Rigid]], ticks: Ticks, folder: Path, tracked_against: str = "tracker"
+) -> dict[str, str]:
     """Write the last pose in use and the poses over time, where there was one, and the ticks.
 
     Args:
         poses: (time from which it was in use, mr_from_tracker) in order of time.
         ticks: of the replay.
         folder: holds nothing of a user's (see `require_own_outputs`).
+        tracked_against: what PLUS calls the frame that poses were relative to, for the files that it reads.
     Returns:
         what was written: name of the file, and the frame of what is in it.
     Raises:
@@ -71,9 +75,10 @@ def write_outputs(poses: Sequence[tuple[float, Rigid]], ticks: Ticks, folder: Pa
         for path in write_transforms(pose, folder / NAMES[0]):
             frames[path.name] = pose.name
         frames[f"{POSE}.json"] = pose.name
-        frames[write_registration(pose, folder / f"{POSE}.xml").name] = pose.name
-        write_pose_sequence(poses, folder / POSES)
-        frames[POSES] = "ras_from_tracker"
+        for_plus = [(from_s, replace(held, source=tracked_against)) for from_s, held in poses]
+        frames[write_registration(for_plus[-1][1], folder / f"{POSE}.xml").name] = for_plus[-1][1].name
+        write_pose_sequence(for_plus, folder / POSES)
+        frames[POSES] = f"ras_from_{tracked_against}"
     write_text(folder / TICKS, ticks_csv(ticks))
     frames[TICKS] = "tracker; tip_mr in mr"
     return frames

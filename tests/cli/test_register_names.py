@@ -110,6 +110,7 @@ def assert_as_recorded(found: Scenario, *, relative: bool = True, tool: bool = T
         expected = held.inverse() @ plain if relative else plain
         np.testing.assert_allclose(stream.rotations, expected.rotations, rtol=0, atol=1e-9)
         np.testing.assert_allclose(stream.translations_mm, expected.translations_mm, rtol=0, atol=1e-9)
+    assert found.tracked_against == ("reference" if relative else "tracker")
     assert isinstance(found.probe, ImageMap)
     assert found.probe.rigid.target == "probe"
     np.testing.assert_allclose(found.probe.matrix, IMAGE, atol=1e-12)

@@ -81,6 +81,13 @@ def test_the_last_pose_in_use_is_the_one_that_is_written(tmp_path: Path) -> None
     require_own_outputs(tmp_path)
 
 
+def test_what_plus_reads_names_the_marker_that_poses_are_relative_to(tmp_path: Path) -> None:
+    written = write_outputs([(2.0, POSE)], two_ticks(), tmp_path, "reference")
+    assert 'From="Reference" To="Mr"' in (tmp_path / "mr_from_tracker.xml").read_text()
+    assert "ReferenceToRasTransform =" in (tmp_path / "poses.seq.mha").read_text()
+    assert written["mr_from_tracker.tfm"] == "mr_from_tracker"
+
+
 def test_without_a_pose_there_is_no_file_of_one(tmp_path: Path) -> None:
     assert list(write_outputs([], two_ticks(), tmp_path)) == ["ticks.csv"]
 

@@ -1,5 +1,6 @@
 """What `dvf-ig register` writes and prints, and the exit code of a pose that must not be used."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,11 +11,12 @@ if TYPE_CHECKING:
 
 
 class Registered(NamedTuple):
-    """What was found, the pose it started from, and what its page shows of the input."""
+    """What was found, where it started, what its page shows of the input, and what PLUS calls "tracker"."""
 
     result: "RegistrationResult"
     start: "Rigid"
     shown: "RegisteredInput"
+    tracked_against: str = "tracker"
 
 
 class OutputFiles(NamedTuple):
@@ -51,7 +53,7 @@ class OutputFiles(NamedTuple):
         from dvf_ig.io import files_together, write_registration, write_sidecar, write_text, write_transforms
         from dvf_ig.replay.registration_page import registration_page
 
-        result, start, shown = registered
+        result, start, shown, tracked_against = registered
         pose = result.target_from_source
         page = registration_page(result, start, shown, self.transform, payload["seed"])
         transforms = [self.transform, *(self.transform.with_suffix(s) for s in (".h5", ".json"))]
@@ -59,7 +61,9 @@ class OutputFiles(NamedTuple):
         with files_together(self.transform.parent, tuple(path.name for path in every)) as new:
             written = [*write_transforms(pose, new / self.transform.name)]
             if name == "mr_from_tracker" and result.stop.usable:
-                written.append(write_registration(pose, new / self.plus_xml.name))
+                written.append(
+                    write_registration(replace(pose, source=tracked_against), new / self.plus_xml.name)
+                )
             write_sidecar(new / self.evidence.name, payload, "registration")
             write_text(new / self.page.name, page)
         for file in written:
@@ -72,7 +76,7 @@ def payload_of(registered: Registered, name: str, seed: int) -> dict[str, Any]:
     from dvf_ig.kernels.compiled import thread_count
     from dvf_ig.replay import evidence_of
 
-    result, start, shown = registered
+    result, start, shown, _ = registered
     return {
         name: result.target_from_source.matrix.tolist(),
         "start": start.matrix.tolist(),

@@ -42,4 +42,5 @@ def _register(
     with progress("register") as report:
         done = register_scenario(recorded, start, model=model, seed=seed, progress=report)
     typer.echo(origin, err=True)
-    return Registered(done.result, done.start, frames_shown(done, recorded.name, recorded.preop.mr))
+    shown = frames_shown(done, recorded.name, recorded.preop.mr)
+    return Registered(done.result, done.start, shown, recorded.tracked_against)

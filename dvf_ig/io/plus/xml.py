@@ -118,6 +118,8 @@ def write_coordinate_definitions(
 def write_registration(rigid: Rigid, path: Path | str, error_mm: float | None = None) -> Path:
     """Write mr_from_tracker for a PLUS configuration: TrackerToMr, and MrToRas.
 
+    Its source frame has to be the one that PLUS knows: "reference" where poses were relative to that marker.
+
     `Mr` is LPS, as everywhere here. PLUS and 3D Slicer speak RAS with one another: MrToRas lets PLUS answer
     with TrackerToRas, and tells the reader that Mr is not it.
 

@@ -135,6 +135,7 @@ def read_recordings(config: SessionConfig, folder: Path, named_by: str) -> Sessi
         probe=read_probe_source(calibration.probe, folder, names),
         latency=read_latency_source(calibration.latency, folder, names),
         tool=None if tool is None else replace(tool, target="tracker", source="tool"),
+        tracked_against=sweep.probe.target,
         tip=tip,
         start=start.start,
         landmarks_mr=start.landmarks_mr,
