@@ -245,7 +245,7 @@ SESSIONS: dict[str, tuple[dict[str, Any], str]] = {
         "calibration.tip: a force needs a tool tip: dvf-ig calibrate pivot",
     ),
     "no start": ({"start": {}}, "start: a registration needs a start: a coarse mr_from_tracker (.tfm), or"),
-    "no heart": ({"preop": None}, "preop: it is missing"),
+    "no heart": ({"preop": None}, "session.yaml lacks preop: a registration needs the heart"),
     "milliseconds": ({"calibration": {"latency": -65.0}}, "calibration.latency: the latency is -65 s"),
     "ultrasound as tool": (
         {"tool": "sweep.igs.mha"},
@@ -289,12 +289,12 @@ REPLAYS: dict[str, tuple[tuple[str, ...], int, str]] = {
     "two fixtures": (
         ("--config", "session.yaml", "--law", "guidance"),
         2,
-        "the SESSION.yaml describes the fixtures; leave out options of fixtures",
+        "the SESSION.yaml describes the fixtures; leave out --law",
     ),
     "a file of fixtures": (
         ("--config", "session.yaml", "--fixtures", "fixtures.yaml"),
         2,
-        "leave out options of",
+        "leave out --fixtures",
     ),
     "a file as folder": (("session.yaml",), 3, "it is a file (a SESSION.yaml is given as --config)"),
     "no such file": (
