@@ -48,7 +48,7 @@ def bench(
         _bench_session(session_s, model_file, out, seed, threads or 1, as_json=as_json)
         return
     with command(threads):
-        from dvf_ig.io import output_folder, read_model, write_json
+        from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
         from dvf_ig.io.json_file import plain
         from dvf_ig.study.bench.heart import bench_model
         from dvf_ig.study.bench.rows import BenchOptions, continuity_checks, run_bench
@@ -64,7 +64,7 @@ def bench(
         result = {**plain(done), "ratios": done.ratios(), "continuity": plain(checks), "seed": seed}
         if out is not None:
             with output_folder(out):
-                write_json(out / "bench.json", result)
+                write_json(out / "bench.json", {**result, **provenance_fields()})
         emit(result, [*_rows(done), *_continuity_rows(checks)], as_json=as_json)
         if out is not None:
             wrote(out / "bench.json")
@@ -74,7 +74,7 @@ def _bench_session(
     seconds: float, model_file: Path | None, out: Path | None, seed: int, threads: int, *, as_json: bool
 ) -> None:
     with command(threads):
-        from dvf_ig.io import output_folder, read_model, write_json
+        from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
         from dvf_ig.io.json_file import plain
         from dvf_ig.study.bench.endless import round_of
         from dvf_ig.study.bench.session import bench_scenario, bench_setup, run_session
@@ -90,7 +90,7 @@ def _bench_session(
         result = {**plain(done), **factors, "seed": seed, "threads": threads}
         if out is not None:
             with output_folder(out):
-                write_json(out / "bench.json", result)
+                write_json(out / "bench.json", {**result, **provenance_fields()})
         emit(result, _session_rows(done), as_json=as_json)
         if out is not None:
             wrote(out / "bench.json")

@@ -74,7 +74,8 @@ fixtures:
 
 def test_the_guide_s_example_is_read(tmp_path: Path, curve: Path) -> None:
     page = Path(__file__).resolve().parents[2] / "dvf_ig/docs/guide/own-recordings.md"
-    (example,) = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    examples = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    (example,) = (text for text in examples if "law: path" in text)
     options, retiming = read_fixtures(written(tmp_path, example))
     assert (options.cap_n, retiming) == (0.6, "two-segment")
     assert options.fixtures[0] == FixtureOptions(Sigmoid(depth_mm=2.0), name="epicardium")

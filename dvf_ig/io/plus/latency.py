@@ -1,5 +1,6 @@
 """Temporal-calibration recordings in PLUS's files: tracker, video, and the line seen in each video frame."""
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -9,7 +10,9 @@ import numpy as np
 from dvf_ig.core.arrays import FloatArray, IntArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.scenario import LatencyRecording
+from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.signal import Trace
+from dvf_ig.core.stream import PoseStream
 from dvf_ig.io.reading import reading
 
 from .feature_points import tracked_probe
@@ -51,6 +54,13 @@ def read_line_table(xml: Path | str, column_px: float | None = None) -> tuple[In
         return index[order], rows[order]
 
 
+def _probe(sequence: TrackedSequence, names: ProbeNames) -> PoseStream:
+    if names.reference is None:
+        with suppress(InvalidInputError):
+            return names.stream(sequence, "tracker")
+    return tracked_probe(sequence, names)
+
+
 def read_latency_recording(
     tracker_sequence: Path | str,
     video_sequence: Path | str,
@@ -60,15 +70,16 @@ def read_latency_recording(
     """Tracker poses and the depth of the tank floor at the image's centre column.
 
     Args:
-        tracker_sequence: PLUS sequence with the probe tracked against the reference sensor or the tracker.
+        tracker_sequence: PLUS sequence with the tracked probe.
         video_sequence: PLUS sequence whose time stamps are the video clock; it may lack images.
         line_table: PLUS line-segmentation results of that video.
-        names: of probe and reference in the tracker's sequence; here they are "probe" and "tracker".
+        names: of probe and reference in the tracker's sequence; here they are "probe" and "tracker". Unless a
+            reference is named, poses are taken against the tracker, whose own motion is none.
     Raises:
         UnreadableFileError: one cannot be read, or the table has more frames than the video.
     """
     with reading(Path(tracker_sequence), "a sequence with a tracked probe"):
-        found = tracked_probe(read_sequence(tracker_sequence), names)
+        found = _probe(read_sequence(tracker_sequence), names)
         probe = replace(found, target="tracker", source="probe")
     video, kept, frames = read_indexed_sequence(video_sequence)
     if not video.has_timestamps:

@@ -7,7 +7,7 @@ import pytest
 
 from dvf_ig.core import InvalidInputError, PhaseState, Scenario
 from dvf_ig.replay import Replay
-from dvf_ig.session import EcgSamples, Session, ToolPose, TrackedFrame
+from dvf_ig.session import EcgSamples, EcgSource, Session, ToolPose, TrackedFrame
 from dvf_ig.session.heart_clock import HeartClock
 from dvf_ig.study.bench.endless import OUT_OF_SIGHT_S, Round, round_of
 from dvf_ig.study.bench.session import run_session
@@ -36,7 +36,7 @@ def test_rounds_follow_each_other_without_a_gap(recorded: Round) -> None:
 
 
 def test_the_rhythm_goes_on_at_the_seam(recorded: Round) -> None:
-    clock, states = HeartClock(recorded.rate_hz), []
+    clock, states = HeartClock(EcgSource(recorded.rate_hz)), []
     until_s = recorded.begin_s + 3 * recorded.seconds
     for t_s, event in takewhile(lambda timed: timed[0] < until_s, recorded.events()):
         if isinstance(event, EcgSamples):

@@ -27,6 +27,7 @@ def toy_pair(spec: Any) -> SimpleNamespace:
         labels=VolumeSeries(mr.grid, codes, mr.timing),
         label_names=((1, "wall"), (2, "blood")),
         organ_labels=(1, 2),
+        blood_labels=(2,),
     )
     points = SimpleNamespace(points=TARGETS)
     return SimpleNamespace(
