@@ -24,6 +24,7 @@ ONE_INTERVENTION = {"scenario", "replay", "written"}
 """Fixtures that take long to make: the tests that share them run in one process."""
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Tests of one file, and all that share the intervention, stay in one process where several work."""
     for item in items:

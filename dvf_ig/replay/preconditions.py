@@ -4,6 +4,7 @@ from collections.abc import Sized
 
 import numpy as np
 
+from dvf_ig.cardiac import stream_recording
 from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Scenario, TriggerTimes
 from dvf_ig.session import recording_checks
 
@@ -34,12 +35,13 @@ def require_replayable(scenario: Scenario) -> None:
     """Raise what keeps a recording from being replayed, as far as it shows without a model or calibrations.
 
     Raises:
-        InvalidInputError: no start, or probe or tool was never tracked.
+        InvalidInputError: no start, too few heart beats, or probe or tool was never tracked.
         NoOverlapError: ECG and tool share less than a second.
     """
     require_start(scenario)
     require_tracked_poses(scenario)
     tick_times(scenario)
+    require_heart_beats(stream_recording(scenario.ecg)[0], scenario)
 
 
 def require_registrable(scenario: Scenario) -> None:
