@@ -1,0 +1,45 @@
+"""Which hearts are for what: three sealed lists, written before anything was tuned on them.
+
+The unit of a claim is the heart (Efron and Tibshirani 1993, ch. 8: resample what varies independently). What
+is tuned is tuned on TUNING; limits, probabilities and bounds are fitted on THRESHOLD; figures that are stated
+come from REPORTED alone. A limit that is changed after a look at reported hearts makes them tuning hearts:
+new ones are named here then.
+"""
+
+from dataclasses import dataclass
+
+from dvf_ig.core import InvalidInputError
+
+
+@dataclass(frozen=True, slots=True)
+class HeartList:
+    """Hearts of one purpose.
+
+    Attributes:
+        name: as the command line names it.
+        first_world: seeds of hearts of the first synthetic world.
+        second_world: seeds of hearts of the second; it is never tuned on.
+        patients: of `acdc-cine`, whose real cines are the MR.
+    """
+
+    name: str
+    first_world: range
+    second_world: range
+    patients: tuple[str, ...]
+
+
+TUNING = HeartList("tuning", range(1001, 1061), range(0), ("002", "003"))
+THRESHOLD = HeartList("threshold", range(2001, 2201), range(0), ("008", "009"))
+REPORTED = HeartList("reported", range(3001, 3081), range(4001, 4061), ("012", "016", "018"))
+HEART_LISTS = {chosen.name: chosen for chosen in (TUNING, THRESHOLD, REPORTED)}
+
+
+def heart_list(name: str) -> HeartList:
+    """The list of that name.
+
+    Raises:
+        InvalidInputError: there is none.
+    """
+    if name not in HEART_LISTS:
+        raise InvalidInputError(f"there is no list of hearts '{name}'; choose from {', '.join(HEART_LISTS)}")
+    return HEART_LISTS[name]
