@@ -7,7 +7,7 @@ from config_runs import errors, run, write
 from toy_lab import SESSION
 
 from dvf_ig.io.scenario.read import read_scenario_session
-from dvf_ig.io.session_file.draft import SessionDraft
+from dvf_ig.io.session_file.schema import SessionDraft
 from dvf_ig.io.session_file.read import read_session_config
 from dvf_ig.io.session_file.schema import SessionConfig
 
