@@ -100,9 +100,7 @@ class MovingSurface:
         return low.astype(np.int64), ((low + 1) % len(self.phases)).astype(np.int64), weight
 
 
-def tool_truth(
-    surface: MovingSurface, clock: BeatClock, t_s: FloatArray, tip_mr_mm: FloatArray
-) -> ToolTruth:
+def tool_truth(surface: MovingSurface, clock: BeatClock, t_s: FloatArray, tip_mr_mm: FloatArray) -> ToolTruth:
     """Contact of the tip at every tick."""
     phase = clock.model_phase(t_s)
     distance, gradient = surface.distance(tip_mr_mm, phase)

@@ -1,1 +1,1 @@
-"""A second synthetic world that shares no table of values with the first: made to report, never to tune on."""
+"""A second synthetic world, with no table of the first: made to report, never to tune on."""

@@ -1,4 +1,4 @@
-"""Cine MR of the second world: contiguous slices from many breath-holds, and labels as an observer draws them."""
+"""Cine MR of the second world: slices from many breath-holds, and labels as an observer draws them."""
 
 from dataclasses import dataclass
 
@@ -14,12 +14,14 @@ from data_synth.threads import for_each
 from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, VolumeSeries, read_only_arrays
 
 from .clock import CycleLaw
-from .random_fields import grid_noise
+from .random_fields import grid_noise, wide_noise
 from .ranges import Drawn
 from .resting_heart import HeartMotion, RestingHeart
 from .tissue_fields import TissueFields
 
 MARGIN_MM = 16.0
+KEY_PHASES = 4
+"""Phases at which contours are drawn; between them they are interpolated."""
 _PROFILE = ((-0.33, 0.25), (0.0, 0.5), (0.33, 0.25))
 """Slice profile: offset as a share of the thickness, and weight."""
 _FWHM_PER_SIGMA = 2.3548
@@ -45,14 +47,14 @@ def cine(heart: RestingHeart, fields: TissueFields, law: CycleLaw, drawn: Drawn)
     count = round(drawn["mr.phases"])
     errors = slice_errors(grid, count, law, drawn)
     shading = _shading(grid, drawn)
-    warp = _ContourErrors(grid, heart, fields, drawn)
+    warp = _ContourErrors(grid, fields, drawn)
     motion = heart.contracting(1.0)
     image = np.empty((count, *grid.shape), dtype=np.int16)
     labels = np.empty((count, *grid.shape), dtype=np.uint8)
 
     def acquire(i: int) -> None:
         material = _material(grid, motion, errors, i)
-        signal = _signal(fields, motion, grid, material, drawn["mr.slice_mm"]) * shading
+        signal = _signal(fields, grid, material, drawn["mr.slice_mm"]) * shading
         image[i] = _measured(signal, grid, drawn, child_rng(drawn.seed, f"second world mr noise {i}"))
         labels[i] = warp.labels(material, i)
 
@@ -105,9 +107,7 @@ def _material(grid: Grid, motion: HeartMotion, errors: SliceErrors, i: int) -> F
     return out
 
 
-def _signal(
-    fields: TissueFields, motion: HeartMotion, grid: Grid, material: FloatArray, slice_mm: float
-) -> NDArray[np.float32]:
+def _signal(fields: TissueFields, grid: Grid, material: FloatArray, slice_mm: float) -> NDArray[np.float32]:
     """Signal over the slice's thickness; strain within a slice's half is left out."""
     reference = fields.reference
     total = np.zeros(grid.shape, dtype=np.float32)
@@ -133,16 +133,18 @@ def _measured(
 
 def _shading(grid: Grid, drawn: Drawn) -> NDArray[np.float32]:
     rng = child_rng(drawn.seed, "second world coils")
-    noise = grid_noise(grid.shape, grid.spacing_mm, drawn["mr.bias_length_mm"], rng)
+    noise = wide_noise(grid.shape, grid.spacing_mm, drawn["mr.bias_length_mm"], rng)
     return np.asarray(np.exp(np.clip(drawn["mr.bias"] * noise, -1.2, 1.2)), dtype=np.float32)
 
 
 class _ContourErrors:
     """How an observer's contours miss the boundaries: noise, bias, and the valve plane too high or low."""
 
-    def __init__(self, grid: Grid, heart: RestingHeart, fields: TissueFields, drawn: Drawn) -> None:
+    def __init__(self, grid: Grid, fields: TissueFields, drawn: Drawn) -> None:
         self.grid, self.fields, self.drawn = grid, fields, drawn
+        self.count = round(drawn["mr.phases"])
         self.common = self._noise("always")
+        self.own = [self._noise(str(key)) for key in range(KEY_PHASES)]
         axis, base = _valve_plane(fields)
         self.axis, self.base = axis, base
 
@@ -152,12 +154,16 @@ class _ContourErrors:
         length = self.drawn["labels.noise_length_mm"]
         parts = [grid_noise(self.grid.shape, self.grid.spacing_mm, length, rng) for _ in range(3)]
         field = np.stack(parts, axis=-1)
-        return np.asarray(field - field.mean(axis=(0, 1, 2)))
+        return np.asarray(field - field.mean(axis=(0, 1, 2)), dtype=np.float32)
 
     def labels(self, material: FloatArray, i: int) -> NDArray[np.uint8]:
         """Labels of image i."""
         kept = self.drawn["labels.noise_kept"]
-        noise = kept * self.common + np.sqrt(1.0 - kept**2) * self._noise(str(i))
+        place_in_cycle = KEY_PHASES * i / self.count
+        first, share = int(place_in_cycle), place_in_cycle % 1.0
+        own = (1 - share) * self.own[first] + share * self.own[(first + 1) % KEY_PHASES]
+        own *= np.sqrt((1.0 - kept**2) / ((1 - share) ** 2 + share**2))
+        noise = kept * self.common + own
         place = (material + self.drawn["labels.noise_mm"] * noise).reshape(-1, 3)
         near = np.exp(-0.5 * (((place - self.base) @ self.axis) / self.drawn["labels.basal_reach_mm"]) ** 2)
         inside = place - (self.drawn["labels.basal_mm"] * near)[:, None] * self.axis
@@ -174,7 +180,7 @@ class _ContourErrors:
 
 
 def _valve_plane(fields: TissueFields) -> tuple[FloatArray, FloatArray]:
-    """Unit axis from the left ventricle to its atrium, and a point of the plane between them, end-diastole."""
+    """Unit axis from the left ventricle to its atrium, and a point of the plane between them."""
     reference = fields.reference
     blood = {}
     for chamber in (Tissue.LV_BLOOD, Tissue.LA_BLOOD):

@@ -40,7 +40,7 @@ class CycleLaw:
         x = np.stack([np.zeros_like(rr), systole * squeeze, (systole + filling) * squeeze, np.ones_like(rr)])
         y1, y2 = self.es_fraction, self.es_fraction + (1.0 - self.es_fraction) * self.filling_share
         y = np.array([0.0, y1, y2, 1.0])
-        return np.clip(_periodic_cubic(phi, x, y), 0.0, np.nextafter(1.0, 0.0))
+        return np.asarray(np.clip(_periodic_cubic(phi, x, y), 0.0, np.nextafter(1.0, 0.0)))
 
 
 def _periodic_cubic(phi: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:

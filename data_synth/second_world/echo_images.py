@@ -1,4 +1,4 @@
-"""From the echoes of scan lines to what the second world's scanner shows: bloom, gain, drop-out, S-shaped grey."""
+"""From scan lines' echoes to images of the second world: bloom, reverberation, gain, drop-out, grey curve."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -62,7 +62,9 @@ class Display:
     def grey(self, level_db: Echoes, t_s: float) -> Echoes:
         """(lines, samples) grey levels 0…255 of echoes in dB re muscle, taken at a time."""
         probe, drawn = self.probe, self.values
-        shown = 20 * np.log10(np.maximum(self._bloomed(10 ** (level_db / 20)), 1e-8)) + self.gain_db
+        shown = (
+            20 * np.log10(np.maximum(self._bloomed(10 ** (level_db / np.float32(20))), 1e-8)) + self.gain_db
+        )
         for dropout in self.dropouts:
             shown -= dropout.at(t_s)
         floor_db = probe.top_db - probe.dynamic_range_db

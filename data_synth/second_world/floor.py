@@ -19,8 +19,8 @@ class RigidFloor:
     Attributes:
         changed_rms_mm: RMS distance of the heart's moving surface from that of the MR after its best rigid
             fit: mismatch, volume load, contractility and dyssynchrony.
-        pose_mm, pose_deg: mean error at the targets, and angle, of the pose that fits every point of the heart
-            in every image to its own place in the MR. Those parts of it come from distorted fields, drift, speed
+        pose_mm, pose_deg: mean error at the targets, and angle, of the pose that fits every point of the
+            heart in every image to its own place in the MR. It comes from the distorted field, drift, speed
             of sound, calibration and lag, and from what of the change the images happen to show.
         residual_mm: RMS distance of these points at that pose.
     """

@@ -145,8 +145,6 @@ def constant_path(pose: Rigid) -> PosePath:
     return path
 
 
-
-
 def _beats(seconds: float, drawn: Drawn) -> Beats:
     spec = RhythmSpec(
         rate_bpm=((0.0, drawn["rhythm.rate_bpm"]),),

@@ -22,7 +22,7 @@ def drawn_probe(drawn: Drawn) -> SectorProbe:
     depth, half = drawn[f"{kind}.depth_mm"], np.deg2rad(drawn[f"{kind}.half_angle_deg"])
     frequency, pixel = drawn[f"{kind}.frequency_mhz"], drawn["probe.mm_per_px"]
     columns = 2 * int(np.ceil(depth * np.sin(half) / pixel + MARGIN_PX))
-    share = drawn["image.tgc_muscle_share"]
+    share = drawn[f"{kind}.tgc_muscle_share"]
     return SectorProbe(
         lines=round(2 * np.rad2deg(half) * drawn["probe.lines_per_deg"]),
         samples=8 * round(depth / 0.28 / 8),
@@ -52,5 +52,5 @@ def drawn_probe(drawn: Drawn) -> SectorProbe:
 
 
 def insonified(probe: SectorProbe, sound_speed: float) -> SectorProbe:
-    """The depth that the scanner's lines truly reach where sound is faster by `sound_speed` than it assumes."""
+    """How deep the lines truly reach where sound is faster by `sound_speed` than the scanner assumes."""
     return replace(probe, depth_mm=probe.depth_mm * (1.0 + sound_speed))

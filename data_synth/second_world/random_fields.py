@@ -24,6 +24,24 @@ def grid_noise(
     return np.asarray(out / np.sqrt((out**2).mean()), dtype=np.float32)
 
 
+def wide_noise(
+    shape: tuple[int, ...], spacing_mm: FloatArray | float, length_mm: float, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """`grid_noise` of a length of many nodes: drawn at every third of its length, linear in between."""
+    spacing = np.broadcast_to(np.asarray(spacing_mm, dtype=np.float64), (len(shape),))
+    stride = np.maximum(np.floor(length_mm / 3.0 / spacing), 1.0)
+    few = tuple(int(np.ceil((n - 1) / k)) + 2 for n, k in zip(shape, stride, strict=True))
+    out = grid_noise(few, spacing * stride, length_mm, rng)
+    for axis, count in enumerate(shape):
+        place = np.arange(count) / stride[axis]
+        first = place.astype(int)
+        weight = (
+            (place - first).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(len(shape))])
+        )
+        out = (1 - weight) * out.take(first, axis) + weight * out.take(first + 1, axis)
+    return np.asarray(out, dtype=np.float32)
+
+
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class GridField:

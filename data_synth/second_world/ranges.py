@@ -67,8 +67,8 @@ HEART: dict[str, Range] = {
     "heart.effusion_mm": Range(-8.0, 10.0),
     "heart.pericardium_mm": Range(0.8, 2.0),
     # trabeculae in the blood of the ventricles: depth of their layer and share of it that is muscle
-    "heart.trabeculae_mm": Range(1.5, 7.0),
-    "heart.trabeculae_share": Range(0.15, 0.55),
+    "heart.trabeculae_mm": Range(1.5, 6.0),
+    "heart.trabeculae_share": Range(0.15, 0.45),
     "heart.trabeculae_width_mm": Range(1.2, 2.5),
 }
 
@@ -145,7 +145,10 @@ SCANNER: dict[str, Range] = {
     "image.time_gain_length_mm": Range(18.0, 40.0),
     "image.line_gain_db": _graded(0.2, 3.0),
     # time-gain compensation makes up for this mixture of muscle and blood
-    "image.tgc_muscle_share": Range(0.35, 0.65),
+    "epicardial.tgc_muscle_share": Range(0.35, 0.65),
+    "narrow.tgc_muscle_share": Range(0.35, 0.65),
+    "tee.tgc_muscle_share": Range(0.15, 0.4),
+    "ice.tgc_muscle_share": Range(0.15, 0.4),
     "image.persistence": Range(0.0, 0.55),
     "image.noise_db": Range(-98.0, -76.0, graded=True),
     "image.specular_db": Range(14.0, 28.0),

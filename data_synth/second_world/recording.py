@@ -1,4 +1,4 @@
-"""One intervention of the second world: every recording, with its truth and what no registration can remove."""
+"""One intervention of the second world: every recording, its truth, and what no registration can remove."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ from dvf_ig.core import (
     CycleTiming,
     FloatArray,
     InvalidInputError,
-    LatencyRecording,
     Landmarks,
+    LatencyRecording,
     NWireRecording,
     Points,
     PoseStream,
@@ -70,7 +70,7 @@ class SecondWorldSpec:
 
     seed: int = 5001
     quality: Quality = "calm"
-    motion: MotionPreset = "physiological"
+    motion: MotionPreset = "paper5mm"
     seconds: float = 60.0
     us_rate_hz: float = 12.0
 
@@ -162,9 +162,7 @@ def _tool(room: OperatingRoom, seconds: float) -> tuple[PoseStream, ToolTruth]:
     tip = tip_path(room.surface, room.clock, sites, seconds, spec, rng)
     ticks_s = np.arange(round(seconds * TICK_HZ)) / TICK_HZ
     contact = tool_truth(room.surface, room.clock, ticks_s, tip(ticks_s))
-    true_pose = composed(
-        constant_path(room.mr_from_tracker.inverse()), tool_path(tip, access, room.tip, rng)
-    )
+    true_pose = composed(constant_path(room.mr_from_tracker.inverse()), tool_path(tip, access, room.tip, rng))
     sensor = tool_sensor(room.drawn)
     true_s, stamp_s = sampling_times(sensor, 0.0, seconds, rng)
     read = room.field.read(true_pose)

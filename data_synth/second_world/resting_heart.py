@@ -1,4 +1,4 @@
-"""A heart as the second world takes it: shapes at end-diastole, and a motion that can be weaker or stronger."""
+"""A heart as the second world takes it: shapes at end-diastole, and a motion of any strength."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

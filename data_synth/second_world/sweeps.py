@@ -49,6 +49,10 @@ def _place(heart: RestingHeart, reference: ReferenceMap, drawn: Drawn) -> tuple[
     miss = rng.standard_normal(3)
     aim = middle + drawn["sweep.aim_mm"] * miss / np.linalg.norm(miss)
     standoff = drawn[f"{kind}.standoff_mm"]
+    if kind in ("ice", "tee"):
+        # from behind or within, the ventricles are what is looked for
+        ventricles = 0.5 * (_chamber(reference, Tissue.LV_BLOOD) + _chamber(reference, Tissue.RV_BLOOD))
+        aim = aim + 0.5 * (ventricles - middle)
     if kind == "ice":
         return _chamber(reference, Tissue.RA_BLOOD), aim
     if kind == "tee":

@@ -1,4 +1,4 @@
-"""The second world's tissue around one heart: fat, effusion, trabeculae, regional echo, and labels as drawn."""
+"""Tissue in and around a heart of the second world: fat, effusion, trabeculae, regional echo, labels."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from data_synth.threads import for_each
 from dvf_ig.core import FloatArray, read_only_arrays
 
 from .properties import BLOODS, EFFUSION, MUSCLES, TRABECULA, property_table
-from .random_fields import grid_noise
+from .random_fields import wide_noise
 from .ranges import Drawn
 from .resting_heart import RestingHeart
 
@@ -93,7 +93,7 @@ def tissue_fields(heart: RestingHeart, drawn: Drawn) -> TissueFields:
 
 def _patches(shape: tuple[int, ...], axes: list[FloatArray], heart: RestingHeart, drawn: Drawn) -> _Patches:
     def noise(length_mm: float, stream: str) -> NDArray[np.float32]:
-        return grid_noise(shape, SPACING_MM, length_mm, child_rng(drawn.seed, f"second world {stream}"))
+        return wide_noise(shape, SPACING_MM, length_mm, child_rng(drawn.seed, f"second world {stream}"))
 
     patchy = 1.0 + 0.8 * noise(drawn["heart.fat_patch_mm"], "fat")
     fat = np.clip(drawn["heart.fat_mean_mm"] * patchy, 0.0, drawn["heart.fat_most_mm"])
@@ -123,6 +123,7 @@ class _Painter:
         self.edge_mm = 1.2 * SPACING_MM
         self.pericardium_mm = drawn["heart.pericardium_mm"]
         self.trabeculae_mm = drawn["heart.trabeculae_mm"]
+        self.trabecula_mm = 2.0 * drawn["heart.trabeculae_width_mm"]
         self.blood_bias_mm = drawn["labels.blood_bias_mm"]
         self.outer_bias_mm = drawn["labels.outer_bias_mm"]
 
@@ -155,7 +156,9 @@ class _Painter:
             codes[layer > 0] = tissue
             labels[layer + self._bias_mm(tissue) > 0] = tissue
             if tissue in _TRABECULATED:
-                ridge = np.minimum(patches.trabeculae[kept], self.trabeculae_mm - layer)
+                # ridges stand on the wall and taper into the blood
+                taper = 1.5 * layer / self.trabeculae_mm - 0.5
+                ridge = patches.trabeculae[kept] - self.trabecula_mm * np.maximum(taper, 0.0)
                 self._paint(rows, TRABECULA, np.minimum(ridge, layer))
         for tissue, layer in self.shapes.inside_ultrasound_only(points):
             signal = rows[:, -1].copy()
