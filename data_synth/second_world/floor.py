@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray
+from dvf_ig.core import FloatArray, Landmarks, Rigid
 
 from .operating_room import OperatingRoom
 from .rigid_fit import best_rigid
@@ -33,15 +33,21 @@ class RigidFloor:
 
 def rigid_floor(room: OperatingRoom, taken_s: FloatArray) -> RigidFloor:
     """Of images taken at (n,) times; free of noise that averages out."""
-    seen, meant = matched_points(room, taken_s)
-    best = best_rigid(seen, meant, "mr", "tracker")
-    rest = best.apply_array(seen) - meant
-    targets = room.heart.targets.points.xyz_mm
-    there = room.mr_from_tracker.inverse().apply_array(targets)
-    off = np.linalg.norm(best.apply_array(there) - targets, axis=1)
-    turned = best @ room.mr_from_tracker.inverse()
+    matched = matched_points(room, taken_s)
+    return floor_of(*matched, room.heart.targets, room.mr_from_tracker, room.changed_rms_mm)
+
+
+def floor_of(
+    seen_mm: FloatArray, meant_mm: FloatArray, targets: Landmarks, planted: Rigid, changed_rms_mm: float
+) -> RigidFloor:
+    """From (n, 3) points as images place them, frame "tracker", and where the MR has them, frame "mr"."""
+    best = best_rigid(seen_mm, meant_mm, "mr", "tracker")
+    rest = best.apply_array(seen_mm) - meant_mm
+    there = planted.inverse().apply(targets.points).xyz_mm
+    off = np.linalg.norm(best.apply_array(there) - targets.points.xyz_mm, axis=1)
+    turned = best @ planted.inverse()
     return RigidFloor(
-        room.changed_rms_mm,
+        changed_rms_mm,
         float(off.mean()),
         float(np.rad2deg(turned.angle_rad)),
         float(np.sqrt((rest**2).sum(axis=1).mean())),

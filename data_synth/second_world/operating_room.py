@@ -89,7 +89,7 @@ def operating_room(heart: RestingHeart, seconds: float, drawn: Drawn) -> Operati
     )
     probe = drawn_probe(drawn)
     mr_from_plane, window = sweep(heart, fields.reference, drawn)
-    mr_from_tracker = _planted(heart, drawn)
+    mr_from_tracker = planted_pose(heart, drawn)
     probe_from_plane = _mount(drawn)
     sensor = composed(mr_from_plane, constant_path(probe_from_plane.inverse()))
     tracked = composed(constant_path(mr_from_tracker.inverse()), sensor)
@@ -156,7 +156,8 @@ def _beats(seconds: float, drawn: Drawn) -> Beats:
     return beat_series(spec, -3.0, seconds + 3.0, child_rng(drawn.seed, "second world rhythm"))
 
 
-def _planted(heart: RestingHeart, drawn: Drawn) -> Rigid:
+def planted_pose(heart: RestingHeart, drawn: Drawn) -> Rigid:
+    """mr_from_tracker: any rotation, the heart at the drawn distance."""
     rng = child_rng(drawn.seed, "second world planted")
     turn = Rotation.random(rng=rng).as_matrix()
     direction = rng.standard_normal(3)
@@ -171,13 +172,18 @@ def _mount(drawn: Drawn) -> Rigid:
 
 
 def _calibrated(probe_from_plane: Rigid, probe: SectorProbe, drawn: Drawn) -> ImageMap:
-    """The calibration as its phantom gave it: off by what was drawn, at the middle of the image."""
+    """The calibration as its phantom gave it."""
+    return image_map(miscalibrated(probe_from_plane, probe.depth_mm, drawn), probe)
+
+
+def miscalibrated(probe_from_plane: Rigid, depth_mm: float, drawn: Drawn) -> Rigid:
+    """A mounting, off by what was drawn at the middle of the image."""
     rng = child_rng(drawn.seed, "second world calibration")
     turn_rad, shift_mm = random_displacement(
         rng, shift_mm=drawn["calibration.shift_mm"], turn_deg=drawn["calibration.turn_deg"]
     )
-    middle = probe_from_plane.apply_array(np.array([[0.0, 0.5 * probe.depth_mm, 0.0]]))[0]
-    return image_map(probe_from_plane.perturbed_left(turn_rad, shift_mm, middle), probe)
+    middle = probe_from_plane.apply_array(np.array([[0.0, 0.5 * depth_mm, 0.0]]))[0]
+    return probe_from_plane.perturbed_left(turn_rad, shift_mm, middle)
 
 
 def _tip(drawn: Drawn) -> Points:

@@ -18,7 +18,11 @@ def probe_kind(drawn: Drawn) -> str:
 
 def drawn_probe(drawn: Drawn) -> SectorProbe:
     """The scanner as it believes itself to be: depths of its images hold at its own speed of sound."""
-    kind = probe_kind(drawn)
+    return sector_of(probe_kind(drawn), drawn)
+
+
+def sector_of(kind: str, drawn: Drawn) -> SectorProbe:
+    """A scanner of one kind."""
     depth, half = drawn[f"{kind}.depth_mm"], np.deg2rad(drawn[f"{kind}.half_angle_deg"])
     frequency, pixel = drawn[f"{kind}.frequency_mhz"], drawn["probe.mm_per_px"]
     columns = 2 * int(np.ceil(depth * np.sin(half) / pixel + MARGIN_PX))

@@ -194,6 +194,9 @@ PROBE: dict[str, Range] = {
     "ice.frequency_mhz": Range(4.5, 8.0),
     "ice.aperture_mm": Range(8.0, 12.0),
     "ice.standoff_mm": Range(0.0, 0.0),
+    # a matrix array for gated 3-D images: its lines, in either direction, and its voxels
+    "matrix.lines": Range(44.0, 68.0),
+    "matrix.voxel_mm": Range(0.8, 1.2),
     "probe.bandwidth_share": Range(0.4, 0.7),
     "probe.focus_share": Range(0.4, 0.75),
     "probe.slice_height_mm": Range(8.0, 14.0),

@@ -174,7 +174,9 @@ def _image_times(room: OperatingRoom, spec: SecondWorldSpec) -> FloatArray:
     step_s = 1.0 / spec.us_rate_hz
     taken_s = np.arange(0.1, spec.seconds - 0.1, step_s)
     jitter = room.drawn["calibration.video_jitter_s"] * room.rng("video").standard_normal(len(taken_s))
-    return np.asarray(np.round(taken_s + np.clip(jitter, -0.2 * step_s, 0.2 * step_s), 6))
+    taken_s += np.clip(jitter, -0.2 * step_s, 0.2 * step_s)
+    # stamps are written with six digits: what they say is when images were taken
+    return np.asarray(np.round(taken_s - room.lag_s, 6) + room.lag_s)
 
 
 def _ultrasound(

@@ -38,13 +38,15 @@ def sweep_way(drawn: Drawn) -> str:
 
 def sweep(heart: RestingHeart, reference: ReferenceMap, drawn: Drawn) -> tuple[PosePath, FloatArray]:
     """mr_from_plane over time, and (3,) the direction from the heart's centre to the probe."""
-    eye, aim = _place(heart, reference, drawn)
+    eye, aim = probe_place(probe_kind(drawn), heart, reference, drawn)
     return _swept(eye, aim, sweep_way(drawn), drawn), (eye - aim) / np.linalg.norm(eye - aim)
 
 
-def _place(heart: RestingHeart, reference: ReferenceMap, drawn: Drawn) -> tuple[FloatArray, FloatArray]:
-    """Where the fan's apex is, and what it looks at."""
-    kind, rng = probe_kind(drawn), child_rng(drawn.seed, "second world window")
+def probe_place(
+    kind: str, heart: RestingHeart, reference: ReferenceMap, drawn: Drawn
+) -> tuple[FloatArray, FloatArray]:
+    """Where the fan's apex is with a kind of probe, and what it looks at: (3,) each, frame "mr"."""
+    rng = child_rng(drawn.seed, "second world window")
     middle = heart.ed_vertices_mm.mean(axis=0)
     miss = rng.standard_normal(3)
     aim = middle + drawn["sweep.aim_mm"] * miss / np.linalg.norm(miss)
