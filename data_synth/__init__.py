@@ -51,6 +51,13 @@ from .scenario.presets import ScenarioSpec as ScenarioSpec
 from .scenario.presets import preset_name as preset_name
 from .scenario.recording import phantom_scenario as phantom_scenario
 from .scenario.recording import surface_scenario as surface_scenario
+from .second_world.floor import RigidFloor as RigidFloor
+from .second_world.gated_volumes import SecondWorldPair as SecondWorldPair
+from .second_world.gated_volumes import second_world_pair as second_world_pair
+from .second_world.recording import SecondWorldRecording as SecondWorldRecording
+from .second_world.recording import SecondWorldSpec as SecondWorldSpec
+from .second_world.recording import second_world_recording as second_world_recording
+from .second_world.recording import second_world_scenario as second_world_scenario
 from .seeds import child_rng as child_rng
 from .seeds import child_seed as child_seed
 from .signals.ecg import EcgSpec as EcgSpec

@@ -6,7 +6,6 @@ from typing import Protocol
 
 import numpy as np
 
-from data_synth.heart.clock import HeartClock
 from data_synth.kernels.closest_triangle import Mesh, signed_distances
 from dvf_ig.core import FloatArray, IntArray, InvalidInputError, ToolTruth, read_only_arrays
 
@@ -16,6 +15,18 @@ MAX_INTERPOLATION_ERROR_MM = 0.005
 FIRST_SAMPLES = 48
 SMALLEST_STEP = 1.0 / 3072
 _CLUSTER = 24
+
+
+class BeatClock(Protocol):
+    """The part of a true clock that contact and tool paths need."""
+
+    def phi(self, t_s: FloatArray) -> FloatArray:
+        """Fraction of the running RR interval, in [0, 1)."""
+        ...
+
+    def model_phase(self, t_s: FloatArray) -> FloatArray:
+        """Where in the pre-operative cycle the heart is, in [0, 1)."""
+        ...
 
 
 class MovingMesh(Protocol):
@@ -89,9 +100,7 @@ class MovingSurface:
         return low.astype(np.int64), ((low + 1) % len(self.phases)).astype(np.int64), weight
 
 
-def tool_truth(
-    surface: MovingSurface, clock: HeartClock, t_s: FloatArray, tip_mr_mm: FloatArray
-) -> ToolTruth:
+def tool_truth(surface: MovingSurface, clock: BeatClock, t_s: FloatArray, tip_mr_mm: FloatArray) -> ToolTruth:
     """Contact of the tip at every tick."""
     phase = clock.model_phase(t_s)
     distance, gradient = surface.distance(tip_mr_mm, phase)

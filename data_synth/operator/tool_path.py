@@ -7,12 +7,11 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from data_synth.heart.clock import HeartClock
 from data_synth.signals.smooth_noise import smooth_noise
 from data_synth.signals.tracker import PosePath
 from dvf_ig.core import FloatArray, Points, read_only_arrays
 
-from .contact import MovingSurface
+from .contact import BeatClock, MovingSurface
 from .contact_sites import Site
 from .hand import minimum_jerk, perpendicular, tremor
 
@@ -72,7 +71,7 @@ class TipPath:
 
 def tip_path(
     surface: MovingSurface,
-    clock: HeartClock,
+    clock: BeatClock,
     sites: list[Site],
     seconds: float,
     spec: ToolSpec,
@@ -106,7 +105,7 @@ def tip_path(
 
 def _visit(
     surface: MovingSurface,
-    clock: HeartClock,
+    clock: BeatClock,
     site: Site,
     t_s: FloatArray,
     touch_s: float,

@@ -25,6 +25,20 @@ PRESET_NAMES = (
 """Written out: the synthetic world itself is loaded only where a scenario is made."""
 
 
+class World(StrEnum):
+    """Which synthetic world."""
+
+    first = "first"
+    second = "second"
+
+
+class Quality(StrEnum):
+    """Which part of its graded ranges the second world draws."""
+
+    calm = "calm"
+    poor_image = "poor-image"
+
+
 class Anatomy(StrEnum):
     """Whose heart beats."""
 
@@ -43,6 +57,13 @@ def scenario(
     print_spec: Annotated[
         bool, typer.Option("--print-spec", help="Print the YAML of this scenario and make nothing.")
     ] = False,
+    world: Annotated[
+        World | None,
+        typer.Option("--world", help="The first (default), or the second: other tables, only to report."),
+    ] = None,
+    quality: Annotated[
+        Quality | None, typer.Option("--quality", help="Second world only: calm (default) or poor-image.")
+    ] = None,
     anatomy: Annotated[
         Anatomy | None,
         typer.Option("--anatomy", help="The four-chamber phantom (default), or real surfaces."),
@@ -121,6 +142,8 @@ def scenario(
         from .spec import scenario_spec, spec_text
 
         given = {
+            "world": None if world is None else world.value,
+            "quality": None if quality is None else quality.value,
             "anatomy": None if anatomy is None else anatomy.value,
             "surfaces": None if surfaces is None else str(surfaces),
             "ecg": ecg,
@@ -140,6 +163,11 @@ def scenario(
             "mismatch_mm": mismatch_mm,
         }
         file = _with_options(spec_file, given)
+        if file.world == "second" or file.quality is not None:
+            from .second_world import second_scenario
+
+            second_scenario(file, out, print_spec=print_spec, as_json=as_json)
+            return
         spec = scenario_spec(file)
         if print_spec:
             print(spec_text(file), end="")

@@ -28,6 +28,8 @@ class SpecFile(BaseModel):
     """The content of a specification file.
 
     Attributes:
+        world: which synthetic world; `quality` belongs to the second, which takes seed, motion, seconds and
+            us_rate_hz besides.
         anatomy: whose heart beats; the three inputs belong to "surfaces".
         probe_calibration, image_px: file with a real probe's image calibration, and its image's columns and
             rows; both or neither.
@@ -39,6 +41,8 @@ class SpecFile(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
     schema_: Literal["dvf_ig.scenario-spec/1"] = Field(default="dvf_ig.scenario-spec/1", alias="schema")
+    world: Literal["first", "second"] = "first"
+    quality: Literal["calm", "poor-image"] | None = None
     anatomy: Literal["phantom", "surfaces"] = "phantom"
     surfaces: str | None = None
     ecg: str | None = None
@@ -141,6 +145,7 @@ def spec_text(file: SpecFile) -> str:
     document = full.model_dump(mode="json", by_alias=True)
     inputs = {"surfaces", "ecg", "probe_path"} if file.anatomy == "phantom" else set()
     inputs |= {key for key in _SEEDS if document[key] is None}
+    inputs |= {"world", "quality"}
     if file.probe_calibration is None:
         inputs |= {"probe_calibration", "image_px"}
     kept = {key: value for key, value in document.items() if key not in inputs}

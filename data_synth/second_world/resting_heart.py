@@ -1,0 +1,85 @@
+"""A heart as the second world takes it: shapes at end-diastole, and a motion of any strength."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from data_synth.heart.anatomy import MARGIN_MM, phantom_anatomy
+from data_synth.heart.motion import MotionPreset
+from data_synth.heart.reference import ReferenceShapes
+from dvf_ig.core import FloatArray, IntArray, Landmarks, read_only_arrays
+
+
+class HeartMotion(Protocol):
+    """χ and its inverse, frame "mr"; phases are one for all points or one for each."""
+
+    def push_forward(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
+        """(n, 3) positions of (n, 3) end-diastolic points."""
+        ...
+
+    def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
+        """(n, 3) end-diastolic positions of (n, 3) points."""
+        ...
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class RestingHeart:
+    """The pre-operative heart, frame "mr".
+
+    Attributes:
+        name: which heart.
+        shapes: implicit shapes at end-diastole.
+        contracting: its motion with a factor on the contraction; 1 is the pre-operative one.
+        ed_vertices_mm, triangles: (v, 3), (m, 3) epicardial surface at end-diastole.
+        rr_s, es_fraction: timing of its motion.
+        targets, landmarks: where errors are declared, and what a stylus could touch.
+    """
+
+    name: str
+    shapes: ReferenceShapes
+    contracting: Callable[[float], HeartMotion]
+    ed_vertices_mm: FloatArray
+    triangles: IntArray
+    rr_s: float
+    es_fraction: float
+    targets: Landmarks
+    landmarks: Landmarks
+
+    @property
+    def box_mm(self) -> FloatArray:
+        """(2, 3) heart box."""
+        return box_of(self.ed_vertices_mm)
+
+    @property
+    def wide_box_mm(self) -> FloatArray:
+        """(2, 3) the box with what lies around the heart."""
+        return box_of(self.ed_vertices_mm, MARGIN_MM)
+
+
+def box_of(points_mm: FloatArray, margin_mm: float = 0.0) -> FloatArray:
+    """(2, 3) lower and upper corner."""
+    return np.stack([points_mm.min(axis=0) - margin_mm, points_mm.max(axis=0) + margin_mm])
+
+
+def four_chamber_heart(motion: MotionPreset, seed: int) -> RestingHeart:
+    """The four-chamber phantom as the anatomy of this world."""
+    heart = phantom_anatomy(motion=motion, mismatch_mm=0.0, seed=seed)
+    resting = heart.resting_motion
+
+    def contracting(factor: float) -> HeartMotion:
+        return replace(resting, scale=resting.scale * factor)
+
+    return RestingHeart(
+        f"four-chamber phantom {seed}",
+        heart.shapes,
+        contracting,
+        heart.ed_vertices_mm,
+        heart.triangles,
+        heart.rr_s,
+        heart.es_fraction,
+        heart.targets(),
+        heart.landmarks(),
+    )

@@ -1,0 +1,85 @@
+"""`dvf-ig synth scenario --world second`: one intervention of the world that serves to report alone."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+import yaml
+
+from dvf_ig.cli.shell import emit, progress, wrote
+
+if TYPE_CHECKING:
+    from data_synth import SecondWorldRecording, SecondWorldSpec
+
+    from .spec import SpecFile
+
+_KEYS = {"schema_", "world", "quality", "motion", "seconds", "seed", "us_rate_hz"}
+
+
+def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_json: bool) -> None:
+    """Make, write and describe it.
+
+    Raises:
+        typer.BadParameter: an option of the first world, or nowhere to write.
+    """
+    from data_synth import SecondWorldSpec, second_world_recording
+
+    if file.world != "second":
+        raise typer.BadParameter("--quality belongs to --world second; the first world takes --preset")
+    default = type(file)()
+    foreign = [key for key in type(file).model_fields if key not in _KEYS]
+    if any(getattr(file, key) != getattr(default, key) for key in foreign):
+        raise typer.BadParameter(
+            "--world second takes --quality, --motion, --seconds, --seed, --us-rate-hz only"
+        )
+    spec = SecondWorldSpec(file.seed, file.quality or "calm", _motion(file), file.seconds, file.us_rate_hz)
+    if print_spec:
+        print(_text(spec), end="")
+        return
+    if out is None:
+        raise typer.BadParameter("give a folder to write with -o, or --print-spec")
+    from dvf_ig.io import ScenarioNotes, write_scenario
+    from dvf_ig.report import preview_png
+
+    with progress("scenario of the second world") as report:
+        made = second_world_recording(spec, progress=report)
+    notes = ScenarioNotes((), _text(spec, made), preview_png(made.scenario))
+    write_scenario(made.scenario, out, notes)
+    facts = _facts(made, out)
+    emit(facts, [(key.replace("_", " "), str(value)) for key, value in facts.items()], as_json=as_json)
+    wrote(out, "mr, tracker")
+
+
+def _motion(file: "SpecFile") -> Any:
+    """Motion as given; the recording's specification checks it."""
+    return file.motion
+
+
+def _text(spec: "SecondWorldSpec", made: "SecondWorldRecording | None" = None) -> str:
+    """YAML from which the scenario can be made again; of a made one, with what was drawn as comments."""
+    text = yaml.safe_dump(
+        {"schema": "dvf_ig.scenario-spec/1", "world": "second", **asdict(spec)}, sort_keys=False
+    )
+    if made is None:
+        return text
+    floor = [f"#   {name}: {value:.4g}\n" for name, value in asdict(made.floor).items()]
+    drawn = [f"#   {name}: {value:.5g}\n" for name, value in made.drawn.table().items()]
+    head = f"# probe {made.probe}, sweep {made.sweep}\n# what no rigid registration can remove:\n"
+    return text + head + "".join(floor) + "# drawn:\n" + "".join(drawn)
+
+
+def _facts(made: "SecondWorldRecording", out: Path) -> dict[str, Any]:
+    """What was made, as JSON."""
+    scenario = made.scenario
+    return {
+        "scenario": str(out),
+        "name": scenario.name,
+        "preset": scenario.preset,
+        "patient_id": scenario.preop.patient_id,
+        "seed": scenario.seed,
+        "us_frames": len(scenario.ultrasound),
+        "probe": made.probe,
+        "sweep": made.sweep,
+        "rigid_floor": asdict(made.floor),
+    }
