@@ -32,7 +32,6 @@ class RegistrationOptions:
         candidates: most poses that are refined on fine slices.
         min_overlap: least share of the slices inside the model's volume.
         limits: what the evidence may be.
-        half_volumes: whether half-volumes are registered on their own as a check.
     """
 
     starts: int = 12
@@ -44,7 +43,6 @@ class RegistrationOptions:
     candidates: int = 3
     min_overlap: float = 0.35
     limits: Limits = SLICE_LIMITS
-    half_volumes: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,15 +1,12 @@
 """Judgement of a registered pose: the evidence for it, and whether it may be used."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from dvf_ig.core import Rigid, Stop, mean_displacement_mm
-from dvf_ig.registration.evidence.checks import (
-    Evidence,
-    phase_disagreement_mm,
-    split_half_disagreement_mm,
-    wrong_pose_z_score,
-)
-from dvf_ig.registration.evidence.half_volumes import half_volume_disagreement_mm
+from dvf_ig.registration.evidence.checks import Evidence, wrong_pose_z_score
+from dvf_ig.registration.evidence.parts import part_disagreements
 from dvf_ig.registration.evidence.phase_offset import phase_offset
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.slices import within
@@ -38,11 +35,18 @@ def gather_evidence(
         rng: draws the wrong poses.
     """
     best = refined.best.pose
+    covered = within(data.coarse.slices, data.coarse.model.grid, best)
+    parts = part_disagreements(
+        covered,
+        lambda part: replace(data.coarse, slices=part).metric(options, threads),
+        best,
+        data.center_mm,
+    )
     return Evidence(
         z_score=wrong_pose_z_score(coarse, PoseChart(best, data.center_mm), rng),
-        split_half_mm=split_half_disagreement_mm(fused.curvature),
-        phase_mm=phase_disagreement_mm(fused.curvature, data.fine.slices.model_phase),
-        half_volume_mm=_half_volumes(data, best, options, threads) if options.half_volumes else None,
+        split_half_mm=parts.split_half_mm,
+        phase_mm=parts.phase_mm,
+        half_volume_mm=parts.half_volume_mm,
         boundary_mm=_boundary_distance_mm(data, best, fused),
         phase_offset=None if data.rr_s is None else phase_offset(coarse, fused.pose, data.rr_s),
     )
@@ -55,22 +59,6 @@ def _boundary_distance_mm(data: RegistrationData, pose: Rigid, fused: Fused) -> 
     if fused.boundary is None:
         return float("inf")
     return mean_displacement_mm(pose, fused.boundary.pose, data.center_mm)
-
-
-def _half_volumes(
-    data: RegistrationData, pose: Rigid, options: RegistrationOptions, threads: SliceThreads
-) -> float:
-    """On the coarse slices, as far as they lie within the model's volume."""
-    covered = within(data.coarse.slices, data.coarse.model.grid, pose)
-    return half_volume_disagreement_mm(
-        covered,
-        data.coarse.model,
-        pose,
-        data.center_mm,
-        patch_mm=options.patch_mm,
-        pitch_mm=data.coarse.pitch_mm,
-        threads=threads,
-    )
 
 
 def second_best(data: RegistrationData, refined: Refined, pose: Rigid) -> float:

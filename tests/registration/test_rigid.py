@@ -106,7 +106,7 @@ def test_same_seed_same_bits() -> None:
 
 
 def test_same_bits_at_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    levels, options = _levels(speckle=0.3), RegistrationOptions(starts=1, half_volumes=True)
+    levels, options = _levels(speckle=0.3), RegistrationOptions(starts=1)
     results = []
     for threads in (1, 2):
         monkeypatch.setattr("dvf_ig.registration.lc2.threads.thread_count", lambda n=threads: n)

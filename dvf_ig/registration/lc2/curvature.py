@@ -1,15 +1,14 @@
-"""Second-order expansion of LC2's cost about a pose, and the optimum of a subset of the slices by it.
+"""Second-order expansion of LC2's cost about a pose.
 
 The gradient of LC2 is exact (`kernels.lc2_step`), so differences of it give the curvature at a third of the
-price of differences of the score. The gradient of a subset, divided by its share of the curvature, is the
-step to the subset's own optimum, with no search of its own.
+price of differences of the score.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, Rigid, mean_displacement_mm, read_only_arrays
+from dvf_ig.core import FloatArray, read_only_arrays
 from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm
 
 from .lc2 import Lc2
@@ -52,21 +51,6 @@ class Curvature:
         if not np.isfinite(total).all() or np.linalg.eigvalsh(total).min() <= 0:
             return np.full((6, 6), np.nan)
         return covariance_from_mm(np.asarray(np.linalg.inv(total)))
-
-    def subset_optimum(self, subset: BoolArray) -> Rigid:
-        """The optimum of a subset (s,) of the slices, to first order."""
-        share = float(self.cost[subset].sum() / self.cost.sum())
-        own = self.gradient[subset].sum(axis=0) - share * self.gradient.sum(axis=0)
-        step = -np.linalg.solve(self.hessian, own) / share
-        return self.chart.pose(step.astype(np.float64))
-
-    def disagreement_mm(self, subset: BoolArray, other: BoolArray) -> float:
-        """Mean distance over the heart between the optima of two subsets; inf where there is no minimum."""
-        if not self.definite or not subset.any() or not other.any():
-            return float("inf")
-        return mean_displacement_mm(
-            self.subset_optimum(subset), self.subset_optimum(other), self.chart.center_mm
-        )
 
 
 def curvature_about(metric: Lc2, chart: PoseChart) -> Curvature:
