@@ -6,6 +6,7 @@ from .blending import blending
 from .calibration import calibration
 from .distance import distance_maps
 from .gating import gating
+from .hearts import hearts
 from .options import TrialsCommand
 from .registration import add_registration_commands
 from .replay import replay
@@ -21,5 +22,6 @@ app.command("gating")(gating)
 app.command("retiming")(retiming)
 app.command("training")(training)
 app.command("replay")(replay)
+app.command("hearts")(hearts)
 add_registration_commands(app)
 app.command("calibration", cls=TrialsCommand)(calibration)
