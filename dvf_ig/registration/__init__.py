@@ -1,6 +1,7 @@
 """ECG-gated rigid US/MR registration: from gated, tracked slices to `mr_from_tracker` with its evidence."""
 
 from .accuracy import pose_difference as pose_difference
+from .accuracy import predicted_error_mm as predicted_error_mm
 from .accuracy import target_errors_mm as target_errors_mm
 from .boundary.fit import EPICARDIUM_FIT as EPICARDIUM_FIT
 from .boundary.fit import Boundary as Boundary
@@ -20,6 +21,7 @@ from .data import RegistrationData as RegistrationData
 from .data import RegistrationOptions as RegistrationOptions
 from .evidence.checks import Evidence as Evidence
 from .evidence.checks import Limits as Limits
+from .evidence.image_statistics import ImageStatistics as ImageStatistics
 from .evidence.least_constrained import LeastConstrained as LeastConstrained
 from .evidence.least_constrained import least_constrained_direction as least_constrained_direction
 from .evidence.phase_offset import PhaseOffset as PhaseOffset

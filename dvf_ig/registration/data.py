@@ -32,6 +32,8 @@ class RegistrationOptions:
         candidates: most poses that are refined on fine slices.
         min_overlap: least share of the slices inside the model's volume.
         limits: what the evidence may be.
+        kind: of images, by which the evidence was calibrated ("sweep", "volumes"); None: no probability is
+            stated.
     """
 
     starts: int = 12
@@ -43,6 +45,7 @@ class RegistrationOptions:
     candidates: int = 3
     min_overlap: float = 0.35
     limits: Limits = SLICE_LIMITS
+    kind: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

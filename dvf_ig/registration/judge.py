@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from dvf_ig.core import Rigid, Stop, mean_displacement_mm
+from dvf_ig.registration.evidence.assessment import Assessment, Table, assess
 from dvf_ig.registration.evidence.checks import Evidence, wrong_pose_z_score
+from dvf_ig.registration.evidence.image_statistics import ImageStatistics
 from dvf_ig.registration.evidence.parts import part_disagreements
 from dvf_ig.registration.evidence.phase_offset import phase_offset
 from dvf_ig.registration.lc2.lc2 import Lc2
@@ -80,7 +82,7 @@ def stop_of(
     overlap: float,
     options: RegistrationOptions,
 ) -> Stop:
-    """How the registration ended: the first reason against the pose, or CONVERGED.
+    """How the registration ended: the first check that is against the pose, or CONVERGED.
 
     Args:
         moved_mm: mean distance over the heart from the start.
@@ -92,10 +94,33 @@ def stop_of(
         return Stop.POOR_MATCH
     if evidence.phase_offset is not None and evidence.phase_offset.suspicious:
         return Stop.PHASE_OFFSET
-    if not refined.best.converged or moved_mm > options.bound_mm:
+    if moved_mm > options.bound_mm:
+        return Stop.MOVED_TOO_FAR
+    if not refined.best.converged:
         return Stop.MAX_ITERATIONS
     if not np.isfinite(fused.covariance).all():
         return Stop.WEAK_GEOMETRY
     if evidence.worst_test_ratio(options.limits) > 1.0:
         return Stop.DISAGREEMENT
     return Stop.CONVERGED
+
+
+def assessed(
+    stop: Stop, table: Table | None, features: dict[str, float | None], statistics: ImageStatistics
+) -> tuple[Stop, Assessment]:
+    """What may be said of the error, and how the registration ended in the light of it.
+
+    Of a pose that a check refused no bound is stated, and no more than the share of successes among refused
+    ones. Where nothing was calibrated for the kind of images, the checks' own limits decide.
+    """
+    found = assess(table, features, statistics)
+    if not stop.usable:
+        if table is None or found.success_probability is None:
+            return stop, replace(found, success_probability=None, tre_bound_mm=None)
+        chance = min(found.success_probability, table.refused_probability)
+        return stop, replace(found, success_probability=chance, tre_bound_mm=None)
+    if table is not None and found.outside:
+        return Stop.OUTSIDE_CALIBRATION, found
+    if found.doubtful:
+        return Stop.DOUBTFUL, replace(found, tre_bound_mm=None)
+    return stop, found

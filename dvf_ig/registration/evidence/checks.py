@@ -88,13 +88,3 @@ def wrong_pose_z_score(metric: Lc2, chart: PoseChart, rng: np.random.Generator) 
     displacements = random_displacements(rng, WRONG_POSES, WRONG_MM)
     wrong = np.array([metric.score(chart.pose(xi)).similarity for xi in displacements])
     return float((metric.score(chart.base).similarity - wrong.mean()) / max(float(wrong.std()), 1e-12))
-
-
-LOGISTIC_SLOPE = 10.0
-"""In the worst test ratio: tuning seeds have 0.3 to 1.0 below 2 mm of error, and above 1 beyond 3 mm."""
-
-
-def success_probability(worst_test_ratio: float) -> float:
-    """Chance that the mean error over the heart is below 2 mm, from the worst test of one registration."""
-    exponent = min(max(LOGISTIC_SLOPE * (worst_test_ratio - 1.0), -30.0), 30.0)
-    return 1.0 / (1.0 + math.exp(exponent))

@@ -155,6 +155,7 @@ class Lc2:
         pitch_mm: float,
         density_width_mm: float | None = None,
         threads: SliceThreads | None = None,
+        patches: Patches | None = None,
     ) -> None:
         """LC2 of a slice set against a model, at any pose.
 
@@ -163,13 +164,16 @@ class Lc2:
             patch_mm: edge of a patch; pitch_mm: of a pixel.
             density_width_mm: see `patches_of`.
             threads: of the caller, who closes them; without any all slices run on the calling thread.
+            patches: of the slices, in place of all that `patches_of` finds.
         """
         self._slices = slices
         self._model = model
         self._threads = threads
         self._phases = model.nearest_phase(slices.model_phase)
         radius = max(2, round(patch_mm / pitch_mm / 2))
-        patches = patches_of(slices, radius, density_width_mm)
+        if patches is None:
+            patches = patches_of(slices, radius, density_width_mm)
+        self.patches = patches
         self._patch_pixels = (2 * radius + 1) ** 2
         self._patched = PatchedSlices(
             slices.images, slices.masks, patches.first, patches.boxes, patches.moments

@@ -13,7 +13,6 @@ from dvf_ig.registration.evidence.checks import (
     SLICE_LIMITS,
     VOLUME_LIMITS,
     Evidence,
-    success_probability,
     wrong_pose_z_score,
 )
 from dvf_ig.registration.evidence.half_volumes import half_space
@@ -141,15 +140,6 @@ def test_the_worst_test_decides() -> None:
     assert untested.worst_test_ratio(VOLUME_LIMITS) == pytest.approx(0.5)
     assert replace(good, half_volume_mm=float("nan")).worst_test_ratio(VOLUME_LIMITS) == np.inf
     assert replace(good, phase_mm=100.0).worst_test_ratio(SLICE_LIMITS) < 1.0
-
-
-def test_probability_falls_with_the_worst_test_and_is_even_at_the_limit() -> None:
-    chances = [success_probability(ratio) for ratio in (0.0, 0.5, 0.9, 1.0, 1.1, 2.0, np.inf)]
-    assert all(0.0 <= chance <= 1.0 for chance in chances)
-    assert chances == sorted(chances, reverse=True)
-    assert chances[3] == 0.5
-    assert chances[0] > 0.999
-    assert chances[-1] < 1e-9
 
 
 def test_half_volumes_hold_each_pixel_once() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Grid, Points, Rigid, mean_displacement_mm
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Grid, Points, Rigid
 from dvf_ig.registration import LandmarkPrior, Lc2, ModelChannels, PoseChart, channels_from_mr
 from dvf_ig.registration.lc2.curvature import STEP_MM, Curvature, curvature_about
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
@@ -84,40 +84,6 @@ def bowls(centers: FloatArray, weights: FloatArray, matrix: FloatArray) -> Curva
 def spd(rng: np.random.Generator) -> FloatArray:
     root = rng.normal(size=(6, 6))
     return np.asarray(root @ root.T + 2.0 * np.eye(6))
-
-
-def test_a_subset_has_its_own_optimum() -> None:
-    rng = np.random.default_rng(4)
-    wanted = np.array([[1.0, -0.5, 0.2, 0.6, -0.8, 1.2], [-0.4, 0.3, 0.9, -1.1, 0.2, 0.5]])
-    weights = np.array([3.0, 3.0, 2.0, 4.0])
-    centers = np.stack([wanted[0], wanted[0], wanted[1], wanted[1]])
-    # the whole is at its optimum where the weighted mean of the optima is nought
-    centers -= weights @ centers / weights.sum()
-    found = bowls(centers, weights, spd(rng))
-    part = np.array([True, True, False, False])
-    for chosen, center in ((part, centers[0]), (~part, centers[2])):
-        np.testing.assert_allclose(found.chart.coordinates(found.subset_optimum(chosen)), center, atol=1e-9)
-    apart = mean_displacement_mm(found.chart.pose(centers[0]), found.chart.pose(centers[2]), CENTER_MM)
-    assert found.disagreement_mm(part, ~part) == pytest.approx(apart, rel=1e-9)
-    all_of_it = np.ones(4, dtype=np.bool_)
-    np.testing.assert_allclose(found.subset_optimum(all_of_it).matrix, toy_pose().matrix, atol=1e-12)
-
-
-def test_what_the_subsets_have_in_common_is_no_disagreement() -> None:
-    rng = np.random.default_rng(5)
-    weights, matrix, part = rng.uniform(1, 2, 8), spd(rng), np.arange(8) % 2 == 0
-    alike = bowls(np.tile(rng.normal(size=6), (8, 1)), weights, matrix)
-    assert alike.disagreement_mm(part, ~part) < 1e-9
-    # what pulls the whole, as where landmarks hold it off its optimum, is not the subset's own optimum
-    np.testing.assert_allclose(alike.subset_optimum(part).matrix, toy_pose().matrix, atol=1e-9)
-
-
-def test_no_minimum_and_no_subset_disagree_without_bound() -> None:
-    weights, part = np.ones(4), np.arange(4) % 2 == 0
-    saddle = bowls(np.zeros((4, 6)), weights, np.diag([1.0, 1, 1, 1, 1, -0.1]))
-    assert not saddle.definite
-    assert saddle.disagreement_mm(part, ~part) == np.inf
-    assert bowls(np.zeros((4, 6)), weights, np.eye(6)).disagreement_mm(part & ~part, part) == np.inf
 
 
 def six_landmarks(sigma_mm: float, reach_mm: float) -> LandmarkPrior:
