@@ -10,6 +10,7 @@ from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.slices import SliceSet
 from dvf_ig.registration.lc2.threads import SliceThreads
 
+from .placement import PlacementUncertainty
 from .start import LandmarkPrior
 
 BOUNDARY_SHARE = 0.35
@@ -79,6 +80,8 @@ class RegistrationData:
         boundary: boundary points in the slices, none where they show none, and the model's surface, where
             that is known.
         prior: touched landmarks that the pose must also agree with, weighted by their spread.
+        placement: what calibrations and clocks leave open of where the slices lie; None where they are one
+            image, which needs neither.
         rr_s: usual length of the beats in which the slices were taken; None for an organ that does not beat.
     """
 
@@ -88,6 +91,7 @@ class RegistrationData:
     boundary: Boundary | None = None
     prior: LandmarkPrior | None = None
     rr_s: float | None = None
+    placement: PlacementUncertainty | None = None
 
     @property
     def visible_boundary(self) -> Boundary | None:

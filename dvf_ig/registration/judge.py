@@ -11,8 +11,6 @@ from dvf_ig.registration.evidence.image_statistics import ImageStatistics
 from dvf_ig.registration.evidence.parts import part_disagreements
 from dvf_ig.registration.evidence.phase_offset import phase_offset
 from dvf_ig.registration.lc2.lc2 import Lc2
-from dvf_ig.registration.lc2.slices import within
-from dvf_ig.registration.lc2.threads import SliceThreads
 
 from .data import RegistrationData, RegistrationOptions
 from .fuse import Fused
@@ -27,8 +25,6 @@ def gather_evidence(
     fused: Fused,
     *,
     rng: np.random.Generator,
-    options: RegistrationOptions,
-    threads: SliceThreads,
 ) -> Evidence:
     """What the pose is tested by.
 
@@ -37,13 +33,7 @@ def gather_evidence(
         rng: draws the wrong poses.
     """
     best = refined.best.pose
-    covered = within(data.coarse.slices, data.coarse.model.grid, best)
-    parts = part_disagreements(
-        covered,
-        lambda part: replace(data.coarse, slices=part).metric(options, threads),
-        best,
-        data.center_mm,
-    )
+    parts = part_disagreements(fused.covered, fused.metric_of, best, data.center_mm)
     return Evidence(
         z_score=wrong_pose_z_score(coarse, PoseChart(best, data.center_mm), rng),
         split_half_mm=parts.split_half_mm,

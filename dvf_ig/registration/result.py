@@ -17,8 +17,8 @@ class RegistrationResult:
     Attributes:
         target_from_source: the pose; the frames are in the value.
         stop: how it ended.
-        success_probability: chance that the mean error over the heart is below 2 mm; None where `outside` says
-            why none can be stated (see `evidence.assessment`).
+        success_probability: chance that the mean error over the heart is below 2 mm (see
+            `evidence.assessment`); None where `outside` says why none can be stated, or it was refused.
         tre_bound_mm: in 95 of 100 hearts the largest error over the targets of the heart box is below this;
             None where that cannot be stated, and of a pose that is not usable.
         covariance: (6, 6) rad², mm²; rotation vector then translation, left perturbation about `center_mm`.
@@ -64,4 +64,4 @@ class RegistrationResult:
             return self.evidence.phase_offset.sentence
         if self.stop is Stop.OUTSIDE_CALIBRATION:
             return f"{self.outside}; the pose may be shown, not guided by"
-        return self.stop.value
+        return str(self.stop.value)

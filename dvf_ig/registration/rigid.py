@@ -60,9 +60,9 @@ def register_rigid(
             threads=threads,
             report_progress=lambda x: report_progress(0.6 + 0.2 * x),
         )
-        fused = fuse(data, refined, opts)
+        fused = fuse(data, refined, opts, threads)
         report_progress(0.95)
-        evidence = gather_evidence(data, coarse, refined, fused, rng=rng, options=opts, threads=threads)
+        evidence = gather_evidence(data, coarse, refined, fused, rng=rng)
         overlap = refined.whole.score(fused.pose).overlap
         moved_mm = mean_displacement_mm(start, fused.pose, data.center_mm)
         similarity = refined.inside.score(fused.pose).similarity

@@ -66,7 +66,7 @@ def test_what_does_not_exist_for_the_input_is_not_checked() -> None:
     }
     assert outcomes["Parts of the cycle"] is Outcome.SHOWN
     assert outcomes["Overlap"] is outcomes["Interleaved halves"] is Outcome.PASSED
-    assert named(with_evidence(phase_mm=0.0), "Parts of the cycle").outcome is Outcome.NOT_CHECKED
+    assert named(with_evidence(phase_mm=None), "Parts of the cycle").outcome is Outcome.NOT_CHECKED
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,8 @@ def test_the_numbers_are_those_of_the_result() -> None:
         "0.499 at the start, 0.612 registered",
         "the best pose found elsewhere has 0.322",
         "12.3 mm, turned by 5.7°",
-        "above 0.99",
+        "<td>1.00</td>",
+        "2.0 mm at 95 %",
         "shifts 0.40, 0.40, 0.40 mm; turns about these axes 0.57, 0.57, 0.57°",
         "weakest: 0.4 mm",
         "No grey-level MR was given.",

@@ -37,8 +37,8 @@ FEATURES = (
     "unexplained",
     "predicted_mm",
 )
-"""Names of the features, in the order of a table's weights; each is the worse the larger it is: of the z-score
-its inverse, "unexplained" is 1 − LC2."""
+"""In the order of a table's weights; each is the worse the larger it is: of the z-score its inverse, and
+"unexplained" is 1 − LC2."""
 LARGEST = 1e3
 TABLES = "calibrated.json"
 NAMES = {
@@ -190,14 +190,19 @@ def _tables() -> dict[str, Table]:
 
 def table_from_json(held: dict[str, Any]) -> Table:
     """A table from its JSON: arrays as lists, an infinite quantile as null."""
-    arrays = ("weights", "low", "high", "missing", "predicted", "probability")
     quantile = held["bound_quantile"]
     return Table(
-        **{name: np.array(held[name], dtype=np.float64) for name in arrays},
-        **{
-            name: held[name]
-            for name in ("hearts", "intercept", "refused_probability", "largest", "outside_p")
-        },
+        hearts=held["hearts"],
+        intercept=held["intercept"],
+        weights=np.array(held["weights"]),
+        low=np.array(held["low"]),
+        high=np.array(held["high"]),
+        missing=np.array(held["missing"]),
+        predicted=np.array(held["predicted"]),
+        probability=np.array(held["probability"]),
+        refused_probability=held["refused_probability"],
         bound_quantile=math.inf if quantile is None else quantile,
+        largest=held["largest"],
         ranges={name: (low, high) for name, (low, high) in held["ranges"].items()},
+        outside_p=held["outside_p"],
     )

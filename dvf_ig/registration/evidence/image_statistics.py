@@ -1,4 +1,4 @@
-"""What the slices of a registration are like, to tell images unlike all that its evidence was calibrated on."""
+"""What the slices of a registration are like: images unlike all that was calibrated are told by it."""
 
 from dataclasses import asdict, dataclass
 

@@ -53,3 +53,22 @@ def _clustered(influence: FloatArray, key: IntArray) -> FloatArray:
     sums = np.zeros((count, influence.shape[1]))
     np.add.at(sums, group.ravel(), influence)
     return np.asarray(count / max(count - 1, 1) * sums.T @ sums)
+
+
+def blended_influence(
+    lc2: FloatArray,
+    cell: IntArray,
+    number: IntArray,
+    boundary: FloatArray,
+    boundary_cell: IntArray,
+    share: float,
+) -> tuple[FloatArray, IntArray, IntArray]:
+    """Influences on a pose that went a share of the way from LC2's to the boundary's, cells and slices.
+
+    Points of the boundary belong to no slice of their own: slice −1.
+    """
+    return (
+        np.vstack([(1.0 - share) * lc2, share * boundary]),
+        np.vstack([cell, boundary_cell]),
+        np.concatenate([number, np.full(len(boundary), -1, dtype=np.int64)]),
+    )

@@ -11,11 +11,9 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
 
-from .channels import ModelChannels
 from .density_weights import patch_centers_mm
 from .lc2 import Lc2, Patches
 from .slices import SliceSet
-from .threads import SliceThreads
 
 
 @read_only_arrays
@@ -35,25 +33,13 @@ class BlockGradients:
     gradient: FloatArray
 
 
-def block_gradients(
-    slices: SliceSet,
-    model: ModelChannels,
-    patches: Patches,
-    pose: Rigid,
-    center_mm: FloatArray,
-    *,
-    block_mm: float,
-    patch_mm: float,
-    pitch_mm: float,
-    threads: SliceThreads | None,
-) -> BlockGradients:
-    """Evaluate every block of every slice at a pose.
+def block_gradients(metric: Lc2, pose: Rigid, center_mm: FloatArray, *, block_mm: float) -> BlockGradients:
+    """Evaluate every block of every slice of a metric at a pose.
 
     Args:
-        patches: of the slices.
         block_mm: edge of a block of space.
-        patch_mm, pitch_mm: as the patches were made with.
     """
+    slices, patches = metric.slices, metric.patches
     owner = np.repeat(np.arange(len(slices)), np.diff(patches.first))
     cell = np.floor(patch_centers_mm(slices, patches.first, patches.boxes) / block_mm).astype(np.int64)
     keys, part = np.unique(np.column_stack([owner, cell]), axis=0, return_inverse=True)
@@ -63,15 +49,11 @@ def block_gradients(
     boxes = patches.boxes[order]
     corner = np.column_stack([np.minimum.reduceat(boxes[:, k], first[:-1]) for k in (0, 2)])
     boxes = boxes - np.repeat(corner, counts, axis=0)[:, [0, 0, 1, 1]]
-    metric = Lc2(
+    parts = metric.with_patches(
         _cut(slices, keys[:, 0], corner, boxes[:, [1, 3]].max(axis=0)),
-        model,
-        patch_mm=patch_mm,
-        pitch_mm=pitch_mm,
-        threads=threads,
-        patches=Patches(first, boxes, patches.moments[order]),
+        Patches(first, boxes, patches.moments[order]),
     )
-    found = metric.cost_gradient(pose, center_mm)
+    found = parts.cost_gradient(pose, center_mm)
     return BlockGradients(keys[:, 1:], keys[:, 0], found.cost, found.gradient)
 
 

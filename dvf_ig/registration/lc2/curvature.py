@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, read_only_arrays
-from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm
+from dvf_ig.registration.pose_chart import PoseChart
 
 from .lc2 import Lc2
-from .optimise import PosePrior
 
 STEP_MM = 0.5
 
@@ -33,24 +32,13 @@ class Curvature:
     gradient: FloatArray
     hessian: FloatArray
 
-    @property
-    def definite(self) -> bool:
-        """Whether the pose is a minimum in every direction."""
-        return bool(np.isfinite(self.hessian).all() and np.linalg.eigvalsh(self.hessian).min() > 0)
-
-    def covariance(self, information: float, prior: PosePrior | None) -> FloatArray:
-        """(6, 6) inverse curvature of −log posterior, rad² and mm²; NaN where that has no minimum.
+    def scaled(self, information: float) -> FloatArray:
+        """(6, 6) curvature of −log likelihood.
 
         Args:
             information: number of observations in −n/2·log(1 − S).
-            prior: what the pose was also constrained by.
         """
-        total = information * self.hessian / (2.0 * max(float(self.cost.sum()), 1e-12))
-        if prior is not None:
-            total = total + prior.normal_equations(self.chart.base, self.chart.center_mm)[0]
-        if not np.isfinite(total).all() or np.linalg.eigvalsh(total).min() <= 0:
-            return np.full((6, 6), np.nan)
-        return covariance_from_mm(np.asarray(np.linalg.inv(total)))
+        return np.asarray(information * self.hessian / (2.0 * max(float(self.cost.sum()), 1e-12)))
 
 
 def curvature_about(metric: Lc2, chart: PoseChart) -> Curvature:

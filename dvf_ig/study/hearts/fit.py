@@ -27,11 +27,11 @@ LEAST_HEARTS = 20
 """Of one kind, below which nothing is fitted."""
 CONFIDENCE = 0.95
 GOOD_REFUSED = 0.04
-"""Share of poses below SUCCESS_MM that the prediction may refuse: with the checks' own limits, at most 5 %."""
+"""Share of poses below SUCCESS_MM that the prediction may refuse: with the checks' limits, at most 5 %."""
 HUBER = 1.345
 """Residuals beyond so many standard deviations count linearly (Huber 1981)."""
 RIDGE = 0.02
-"""Of the weights, in squared standard deviations of the features: checks that say the same share their weight."""
+"""Of the weights, in squared standard deviations of a feature: checks that say alike share their weight."""
 RANGE_MARGIN = 0.25
 """Of the range of an image statistic over the hearts, beyond either end."""
 JUDGED_LATER = ("DOUBTFUL", "OUTSIDE_CALIBRATION", "CONVERGED")

@@ -60,8 +60,8 @@ def heart_trial(settings: Settings, number: int) -> Line:
     """One heart of a list.
 
     Args:
-        settings: `world`, `images` ("sweep": a tracked sweep, "volumes": gated 3-D images), `quality` (a preset of the
-            scenario), `disturbed`.
+        settings: `world`, `images` ("sweep": a tracked sweep, "volumes": gated 3-D images), `quality` (a
+            preset of the scenario), `disturbed`.
         number: seed of the heart.
     """
     rng = child_rng(number, "heart trial")
