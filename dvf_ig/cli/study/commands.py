@@ -4,6 +4,7 @@ import typer
 
 from .blending import blending
 from .calibration import calibration
+from .constants import constants
 from .distance import distance_maps
 from .gating import gating
 from .hearts import hearts
@@ -23,5 +24,6 @@ app.command("retiming")(retiming)
 app.command("training")(training)
 app.command("replay")(replay)
 app.command("hearts")(hearts)
+app.command("constants")(constants)
 add_registration_commands(app)
 app.command("calibration", cls=TrialsCommand)(calibration)

@@ -27,8 +27,8 @@ from .sandwich import BLOCK_MM, blended_influence, lc2_influence, sandwich
 UNSEEN_MM = 0.39
 """Standard deviation per coordinate of what every block shares: the rigid part of the difference between
 patient and pre-operative images, the bias of LC2. With it the squared error by the covariance, 6 where it
-is right, is 5.6 on average in calm and 6.7 in poor images: 25 sweeps of tuning seeds 1001 and 1002, with 8 fields
-of mismatch of 1.2 to 3.2 mm."""
+is right, is 5.6 on average in calm and 6.7 in poor images: 25 sweeps of tuning seeds 1001 and 1002, with 8
+fields of mismatch of 1.2 to 3.2 mm."""
 
 
 def blocks_of(
