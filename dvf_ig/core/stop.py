@@ -8,11 +8,16 @@ class Stop(Enum):
 
     CONVERGED = "converged"
     MAX_ITERATIONS = "stopped at the iteration limit; the estimate may still be moving"
+    MOVED_TOO_FAR = "the pose moved further from its start than a registration may; start closer and repeat"
     LOW_OVERLAP = "too little of the ultrasound falls on the model; sweep more of the heart or start closer"
     WEAK_GEOMETRY = "the data leave a direction undetermined; add views from other angles"
     AMBIGUOUS = "another pose explains the data about as well; add data or a start that tells them apart"
     POOR_MATCH = "image and model do not agree at the best pose found; do not guide by it"
     PHASE_OFFSET = "ECG and ultrasound disagree on the heart's phase; check the ECG's clock and latency"
+    DOUBTFUL = "the checks together make a good pose too unlikely; do not guide by it"
+    OUTSIDE_CALIBRATION = (
+        "the images are unlike all that the checks were calibrated on; the pose may be shown, not guided by"
+    )
     DISAGREEMENT = "independent checks of the pose disagree; do not guide by it"
 
     @property

@@ -1,6 +1,7 @@
 """ECG-gated rigid US/MR registration: from gated, tracked slices to `mr_from_tracker` with its evidence."""
 
 from .accuracy import pose_difference as pose_difference
+from .accuracy import predicted_error_mm as predicted_error_mm
 from .accuracy import target_errors_mm as target_errors_mm
 from .boundary.fit import EPICARDIUM_FIT as EPICARDIUM_FIT
 from .boundary.fit import Boundary as Boundary
@@ -20,6 +21,7 @@ from .data import RegistrationData as RegistrationData
 from .data import RegistrationOptions as RegistrationOptions
 from .evidence.checks import Evidence as Evidence
 from .evidence.checks import Limits as Limits
+from .evidence.image_statistics import ImageStatistics as ImageStatistics
 from .evidence.least_constrained import LeastConstrained as LeastConstrained
 from .evidence.least_constrained import least_constrained_direction as least_constrained_direction
 from .evidence.phase_offset import PhaseOffset as PhaseOffset
@@ -49,6 +51,8 @@ from .lc2.slices import slices_of_volume as slices_of_volume
 from .lc2.slices import subsample as subsample
 from .lc2.threads import SliceThreads as SliceThreads
 from .pair import register_pair as register_pair
+from .placement import UNKNOWN_PLACEMENT as UNKNOWN_PLACEMENT
+from .placement import PlacementUncertainty as PlacementUncertainty
 from .pose_chart import PoseChart as PoseChart
 from .pose_chart import covariance_to_mm as covariance_to_mm
 from .result import RegistrationResult as RegistrationResult
@@ -63,6 +67,7 @@ from .surface_points.fit import RunnerUp as RunnerUp
 from .surface_points.fit import SurfacePointFit as SurfacePointFit
 from .surface_points.fit import start_from_surface_points as start_from_surface_points
 from .surface_points.touched import TouchedPoints as TouchedPoints
+from .tracking.covariance_intersection import covariance_intersection as covariance_intersection
 from .tracking.pose_estimate import BeatMeasurement as BeatMeasurement
 from .tracking.pose_estimate import PoseEstimate as PoseEstimate
 from .tracking.pose_estimate import measure_beat as measure_beat

@@ -10,6 +10,7 @@ from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.slices import SliceSet
 from dvf_ig.registration.lc2.threads import SliceThreads
 
+from .placement import PlacementUncertainty
 from .start import LandmarkPrior
 
 BOUNDARY_SHARE = 0.35
@@ -32,7 +33,8 @@ class RegistrationOptions:
         candidates: most poses that are refined on fine slices.
         min_overlap: least share of the slices inside the model's volume.
         limits: what the evidence may be.
-        half_volumes: whether half-volumes are registered on their own as a check.
+        kind: of images, by which the evidence was calibrated ("sweep", "volumes"); None: no probability is
+            stated.
     """
 
     starts: int = 12
@@ -44,7 +46,7 @@ class RegistrationOptions:
     candidates: int = 3
     min_overlap: float = 0.35
     limits: Limits = SLICE_LIMITS
-    half_volumes: bool = False
+    kind: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +80,8 @@ class RegistrationData:
         boundary: boundary points in the slices, none where they show none, and the model's surface, where
             that is known.
         prior: touched landmarks that the pose must also agree with, weighted by their spread.
+        placement: what calibrations and clocks leave open of where the slices lie; None where they are one
+            image, which needs neither.
         rr_s: usual length of the beats in which the slices were taken; None for an organ that does not beat.
     """
 
@@ -87,6 +91,7 @@ class RegistrationData:
     boundary: Boundary | None = None
     prior: LandmarkPrior | None = None
     rr_s: float | None = None
+    placement: PlacementUncertainty | None = None
 
     @property
     def visible_boundary(self) -> Boundary | None:

@@ -1,19 +1,16 @@
 """Judgement of a registered pose: the evidence for it, and whether it may be used."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from dvf_ig.core import Rigid, Stop, mean_displacement_mm
-from dvf_ig.registration.evidence.checks import (
-    Evidence,
-    phase_disagreement_mm,
-    split_half_disagreement_mm,
-    wrong_pose_z_score,
-)
-from dvf_ig.registration.evidence.half_volumes import half_volume_disagreement_mm
+from dvf_ig.registration.evidence.assessment import Assessment, Table, assess
+from dvf_ig.registration.evidence.checks import Evidence, wrong_pose_z_score
+from dvf_ig.registration.evidence.image_statistics import ImageStatistics
+from dvf_ig.registration.evidence.parts import part_disagreements
 from dvf_ig.registration.evidence.phase_offset import phase_offset
 from dvf_ig.registration.lc2.lc2 import Lc2
-from dvf_ig.registration.lc2.slices import within
-from dvf_ig.registration.lc2.threads import SliceThreads
 
 from .data import RegistrationData, RegistrationOptions
 from .fuse import Fused
@@ -28,8 +25,6 @@ def gather_evidence(
     fused: Fused,
     *,
     rng: np.random.Generator,
-    options: RegistrationOptions,
-    threads: SliceThreads,
 ) -> Evidence:
     """What the pose is tested by.
 
@@ -38,11 +33,12 @@ def gather_evidence(
         rng: draws the wrong poses.
     """
     best = refined.best.pose
+    parts = part_disagreements(fused.covered, fused.metric_of, best, data.center_mm)
     return Evidence(
         z_score=wrong_pose_z_score(coarse, PoseChart(best, data.center_mm), rng),
-        split_half_mm=split_half_disagreement_mm(fused.curvature),
-        phase_mm=phase_disagreement_mm(fused.curvature, data.fine.slices.model_phase),
-        half_volume_mm=_half_volumes(data, best, options, threads) if options.half_volumes else None,
+        split_half_mm=parts.split_half_mm,
+        phase_mm=parts.phase_mm,
+        half_volume_mm=parts.half_volume_mm,
         boundary_mm=_boundary_distance_mm(data, best, fused),
         phase_offset=None if data.rr_s is None else phase_offset(coarse, fused.pose, data.rr_s),
     )
@@ -55,22 +51,6 @@ def _boundary_distance_mm(data: RegistrationData, pose: Rigid, fused: Fused) -> 
     if fused.boundary is None:
         return float("inf")
     return mean_displacement_mm(pose, fused.boundary.pose, data.center_mm)
-
-
-def _half_volumes(
-    data: RegistrationData, pose: Rigid, options: RegistrationOptions, threads: SliceThreads
-) -> float:
-    """On the coarse slices, as far as they lie within the model's volume."""
-    covered = within(data.coarse.slices, data.coarse.model.grid, pose)
-    return half_volume_disagreement_mm(
-        covered,
-        data.coarse.model,
-        pose,
-        data.center_mm,
-        patch_mm=options.patch_mm,
-        pitch_mm=data.coarse.pitch_mm,
-        threads=threads,
-    )
 
 
 def second_best(data: RegistrationData, refined: Refined, pose: Rigid) -> float:
@@ -92,7 +72,7 @@ def stop_of(
     overlap: float,
     options: RegistrationOptions,
 ) -> Stop:
-    """How the registration ended: the first reason against the pose, or CONVERGED.
+    """How the registration ended: the first check that is against the pose, or CONVERGED.
 
     Args:
         moved_mm: mean distance over the heart from the start.
@@ -104,10 +84,33 @@ def stop_of(
         return Stop.POOR_MATCH
     if evidence.phase_offset is not None and evidence.phase_offset.suspicious:
         return Stop.PHASE_OFFSET
-    if not refined.best.converged or moved_mm > options.bound_mm:
+    if moved_mm > options.bound_mm:
+        return Stop.MOVED_TOO_FAR
+    if not refined.best.converged:
         return Stop.MAX_ITERATIONS
     if not np.isfinite(fused.covariance).all():
         return Stop.WEAK_GEOMETRY
     if evidence.worst_test_ratio(options.limits) > 1.0:
         return Stop.DISAGREEMENT
     return Stop.CONVERGED
+
+
+def assessed(
+    stop: Stop, table: Table | None, features: dict[str, float | None], statistics: ImageStatistics
+) -> tuple[Stop, Assessment]:
+    """What may be said of the error, and how the registration ended in the light of it.
+
+    Of a pose that a check refused no bound is stated, and no more than the share of successes among refused
+    ones. Where nothing was calibrated for the kind of images, the checks' own limits decide.
+    """
+    found = assess(table, features, statistics)
+    if not stop.usable:
+        if table is None or found.success_probability is None:
+            return stop, replace(found, success_probability=None, tre_bound_mm=None)
+        chance = min(found.success_probability, table.refused_probability)
+        return stop, replace(found, success_probability=chance, tre_bound_mm=None)
+    if table is not None and found.outside:
+        return Stop.OUTSIDE_CALIBRATION, found
+    if found.doubtful:
+        return Stop.DOUBTFUL, replace(found, tre_bound_mm=None)
+    return stop, found

@@ -74,7 +74,7 @@ def apply_pair_check(result: RegistrationResult, statistic: float) -> Registrati
     return replace(
         result,
         stop=Stop.DISAGREEMENT if result.stop.usable and not statistic <= MAX_STATISTIC else result.stop,
-        success_probability=result.success_probability * (1.0 - another_patient),
+        success_probability=1.0 - another_patient,
         evidence=replace(result.evidence, pair_statistic=statistic),
     )
 

@@ -1,9 +1,10 @@
 """A registered pose with its evidence."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dvf_ig.core import FloatArray, Rigid, Stop, read_only_arrays
 from dvf_ig.registration.evidence.checks import Evidence
+from dvf_ig.registration.evidence.image_statistics import ImageStatistics
 
 from .data import RegistrationOptions
 
@@ -16,10 +17,15 @@ class RegistrationResult:
     Attributes:
         target_from_source: the pose; the frames are in the value.
         stop: how it ended.
-        success_probability: chance that the mean error over the heart is below 2 mm (see `evidence.checks`).
+        success_probability: chance that the mean error over the heart is below 2 mm (see
+            `evidence.assessment`); None where `outside` says why none can be stated, or it was refused.
+        tre_bound_mm: in 95 of 100 hearts the largest error over the targets of the heart box is below this;
+            None where that cannot be stated, and of a pose that is not usable.
         covariance: (6, 6) rad², mm²; rotation vector then translation, left perturbation about `center_mm`.
         center_mm: (3,) centre of the heart box in the target frame.
         evidence: what the pose was tested by.
+        statistics: of the slices, and how they lie to the model.
+        outside: why neither probability nor bound can be stated; empty where they are.
         similarity, start_similarity: LC2 at the result and at the start pose.
         overlap: share of the slices inside the model's volume.
         second_best: LC2 of the best candidate more than 4 mm away; 0 if there was none.
@@ -30,10 +36,13 @@ class RegistrationResult:
 
     target_from_source: Rigid
     stop: Stop
-    success_probability: float
+    success_probability: float | None
+    tre_bound_mm: float | None
     covariance: FloatArray
     center_mm: FloatArray
     evidence: Evidence
+    statistics: ImageStatistics
+    outside: str
     similarity: float
     start_similarity: float
     overlap: float
@@ -44,9 +53,15 @@ class RegistrationResult:
     slices: int
     options: RegistrationOptions
 
+    def refused(self, stop: Stop) -> "RegistrationResult":
+        """The same pose, refused by what lies outside of the images, as touched landmarks."""
+        return replace(self, stop=stop, success_probability=None, tre_bound_mm=None)
+
     @property
     def sentence(self) -> str:
         """How it ended, as a user reads it."""
         if self.stop is Stop.PHASE_OFFSET and self.evidence.phase_offset is not None:
             return self.evidence.phase_offset.sentence
-        return self.stop.value
+        if self.stop is Stop.OUTSIDE_CALIBRATION:
+            return f"{self.outside}; the pose may be shown, not guided by"
+        return str(self.stop.value)

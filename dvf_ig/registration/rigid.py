@@ -12,13 +12,15 @@ from collections.abc import Callable
 import numpy as np
 
 from dvf_ig.core import Rigid, mean_displacement_mm
-from dvf_ig.registration.evidence.checks import success_probability
+from dvf_ig.registration.evidence.assessment import features_of, table_of
+from dvf_ig.registration.evidence.image_statistics import image_statistics
 from dvf_ig.registration.lc2.threads import SliceThreads
 
+from .accuracy import predicted_error_mm
 from .candidates import find_candidates
 from .data import RegistrationData, RegistrationOptions
 from .fuse import fuse
-from .judge import gather_evidence, second_best, stop_of
+from .judge import assessed, gather_evidence, second_best, stop_of
 from .refine import refine
 from .result import RegistrationResult
 
@@ -58,21 +60,36 @@ def register_rigid(
             threads=threads,
             report_progress=lambda x: report_progress(0.6 + 0.2 * x),
         )
-        fused = fuse(data, refined, opts)
+        fused = fuse(data, refined, opts, threads)
         report_progress(0.95)
-        evidence = gather_evidence(data, coarse, refined, fused, rng=rng, options=opts, threads=threads)
+        evidence = gather_evidence(data, coarse, refined, fused, rng=rng)
         overlap = refined.whole.score(fused.pose).overlap
         moved_mm = mean_displacement_mm(start, fused.pose, data.center_mm)
-        stop = stop_of(refined, fused, evidence, moved_mm=moved_mm, overlap=overlap, options=opts)
+        similarity = refined.inside.score(fused.pose).similarity
+        statistics = image_statistics(
+            data.coarse.slices,
+            similarity=similarity,
+            overlap=overlap,
+            information=refined.inside.information,
+        )
+        stop, assessment = assessed(
+            stop_of(refined, fused, evidence, moved_mm=moved_mm, overlap=overlap, options=opts),
+            table_of(opts.kind),
+            features_of(evidence, similarity, predicted_error_mm(fused.covariance)),
+            statistics,
+        )
         report_progress(1.0)
         return RegistrationResult(
             target_from_source=fused.pose,
             stop=stop,
-            success_probability=success_probability(evidence.worst_test_ratio(opts.limits)),
+            success_probability=assessment.success_probability,
+            tre_bound_mm=assessment.tre_bound_mm,
             covariance=fused.covariance,
             center_mm=data.center_mm,
             evidence=evidence,
-            similarity=refined.inside.score(fused.pose).similarity,
+            statistics=statistics,
+            outside=assessment.outside,
+            similarity=similarity,
             start_similarity=refined.inside.score(start).similarity,
             overlap=overlap,
             second_best=second_best(data, refined, fused.pose),

@@ -1,6 +1,6 @@
 """One registration on the whole of a recording, offline: every R peak and every gated frame at once."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
@@ -89,5 +89,5 @@ def register_scenario(
     touched = touched_disagreement(scenario, result.target_from_source, heart.model)
     off_mm = landmark_disagreement_mm(result.target_from_source, landmarks, heart.center_mm)
     if result.stop.usable and (off_mm is not None or (touched is not None and not touched.agrees)):
-        result = replace(result, stop=Stop.DISAGREEMENT)
+        result = result.refused(Stop.DISAGREEMENT)
     return Registration(result, pose, landmarks, touched, frames, recording)

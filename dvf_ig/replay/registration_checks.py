@@ -71,7 +71,6 @@ def _z_score(result: RegistrationResult) -> Check:
 
 def _disagreements(result: RegistrationResult) -> list[Check]:
     evidence, limits = result.evidence, result.options.limits
-    several_phases = evidence.phase_mm != 0.0
     return [
         _at_most(
             "Interleaved halves",
@@ -82,7 +81,7 @@ def _disagreements(result: RegistrationResult) -> list[Check]:
         _at_most(
             "Parts of the cycle",
             "distance between the poses that one third of the heart's cycle and the rest would choose",
-            evidence.phase_mm if several_phases else None,
+            evidence.phase_mm,
             limits.phase_mm,
         ),
         _at_most(

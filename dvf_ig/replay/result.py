@@ -173,6 +173,8 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
     offset = result.evidence.phase_offset
     return {
         "success_probability": result.success_probability,
+        "tre_bound_mm": result.tre_bound_mm,
+        "outside": result.outside,
         "covariance": result.covariance.tolist() if finite else None,
         "covariance_about_mm": result.center_mm.tolist(),
         "weakness": least_constrained_direction(result.covariance).sentence(),
@@ -188,6 +190,7 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
         "phase_offset_s": None if offset is None else offset.offset_s,
         "pair_statistic": _finite(result.evidence.pair_statistic),
         "moved_mm": result.moved_mm,
+        "image_statistics": result.statistics.values(),
         "slices": result.slices,
         "seconds": round(result.seconds, 3),
     }

@@ -62,6 +62,16 @@ def _phase_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     return rows
 
 
+def _stated(attempt: dict[str, Any]) -> str:
+    """What a registration says of its error."""
+    chance, bound = attempt["success_probability"], attempt["tre_bound_mm"]
+    if chance is None:
+        return "no probability stated"
+    return f"success probability {chance:.2f}" + (
+        f", error below {bound:.1f} mm" if bound is not None else ""
+    )
+
+
 def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     attempts: Sequence[dict[str, Any]] = result["registrations"]
     usable = [a for a in attempts if a["usable"]]
@@ -72,7 +82,7 @@ def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     if usable:
         text = (
             f"{len(usable)} of {len(attempts)} usable, in use from {usable[0]['ready_s']:.1f} s, "
-            f"success probability {usable[-1]['success_probability']:.2f}"
+            f"{_stated(usable[-1])}"
         )
         refused = [a for a in attempts if not a["usable"]]
         if refused:

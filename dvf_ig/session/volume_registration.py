@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -102,7 +101,7 @@ def register_gated_volumes(
     )
     off_mm = landmark_disagreement_mm(result.target_from_source, landmarks, heart.center_mm)
     disagrees = off_mm is not None and result.stop.usable
-    return replace(result, stop=Stop.DISAGREEMENT) if disagrees else result
+    return result.refused(Stop.DISAGREEMENT) if disagrees else result
 
 
 def _target(volumes: Sequence[TrackedVolume], heart: Heart, mr: VolumeSeries | None) -> VolumeTarget:

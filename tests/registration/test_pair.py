@@ -109,6 +109,7 @@ def test_recovers_a_brain(seed: int, start_mm: float) -> None:
     result = register_pair(ultrasound, mr, start, rng=np.random.default_rng(0), clock=perf_counter)
     assert result.stop is Stop.CONVERGED
     assert target_errors_mm(result.target_from_source, true_pose(), at).mean() < 0.3  # a third of a voxel
+    assert result.success_probability is not None
     assert result.success_probability > 0.9
 
 
@@ -117,6 +118,7 @@ def test_another_brain_is_not_called_a_success() -> None:
     start = displaced(true_pose(), targets(ultrasound, true_pose()), 4.0, 1)
     result = register_pair(ultrasound, mr, start, rng=np.random.default_rng(0), clock=perf_counter)
     assert not result.stop.usable
+    assert result.success_probability is not None
     assert result.success_probability < 0.5
 
 

@@ -92,7 +92,7 @@ def test_recovers_a_10_mm_8_degree_displacement(seed: int) -> None:
     # speckle of 0.3 per 1.5 mm pixel on 12 slices leaves about 0.2 mm; three times that is allowed
     assert _tre(result.target_from_source).mean() < 0.6
     assert result.similarity > result.start_similarity
-    assert result.success_probability > 0.5
+    assert result.success_probability is None, "nothing was calibrated for toys"
     assert np.linalg.eigvalsh(result.covariance).min() > 0
 
 
@@ -106,7 +106,7 @@ def test_same_seed_same_bits() -> None:
 
 
 def test_same_bits_at_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    levels, options = _levels(speckle=0.3), RegistrationOptions(starts=1, half_volumes=True)
+    levels, options = _levels(speckle=0.3), RegistrationOptions(starts=1)
     results = []
     for threads in (1, 2):
         monkeypatch.setattr("dvf_ig.registration.lc2.threads.thread_count", lambda n=threads: n)
@@ -121,7 +121,7 @@ def test_same_bits_at_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> No
 def test_noise_instead_of_a_heart_is_not_called_a_success() -> None:
     result = _register(_levels(speckle=0.0, matching=False), _displaced(5, 3, 1))
     assert not result.stop.usable
-    assert result.success_probability < 0.5
+    assert result.tre_bound_mm is None
 
 
 def test_slices_beside_the_model_are_low_overlap() -> None:
@@ -168,7 +168,6 @@ def test_slices_that_show_none_of_the_models_boundary_end_in_disagreement() -> N
     )
     assert result.stop is Stop.DISAGREEMENT
     assert result.evidence.boundary_mm == np.inf
-    assert result.success_probability < 0.01
     assert _tre(result.target_from_source).mean() < 1.0
 
 

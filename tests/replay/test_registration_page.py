@@ -66,7 +66,7 @@ def test_what_does_not_exist_for_the_input_is_not_checked() -> None:
     }
     assert outcomes["Parts of the cycle"] is Outcome.SHOWN
     assert outcomes["Overlap"] is outcomes["Interleaved halves"] is Outcome.PASSED
-    assert named(with_evidence(phase_mm=0.0), "Parts of the cycle").outcome is Outcome.NOT_CHECKED
+    assert named(with_evidence(phase_mm=None), "Parts of the cycle").outcome is Outcome.NOT_CHECKED
 
 
 @pytest.mark.parametrize(
@@ -150,12 +150,12 @@ def test_landmarks_overlap_distance_and_geometry_have_their_rows() -> None:
 def test_the_page_says_why_and_what_failed() -> None:
     text = page(good())
     assert "It converged, and passed all 5 checks that its kind of input allows." in text
-    bad = replace(with_evidence(split_half_mm=4.1), stop=Stop.DISAGREEMENT, success_probability=0.31)
+    bad = with_evidence(split_half_mm=4.1).refused(Stop.DISAGREEMENT)
     text = page(bad)
     assert "✕ REFUSED" in text
     assert "Independent checks of the pose disagree; do not guide by it." in text
     assert "Failed: interleaved halves (4.10 mm, needed at most 4 mm)." in text
-    assert "0.31 by the checks that have a limit in mm; but refused" in text
+    assert "not stated of a refused pose" in text
 
 
 def test_the_numbers_are_those_of_the_result() -> None:
@@ -165,7 +165,8 @@ def test_the_numbers_are_those_of_the_result() -> None:
         "0.499 at the start, 0.612 registered",
         "the best pose found elsewhere has 0.322",
         "12.3 mm, turned by 5.7°",
-        "above 0.99",
+        "<td>1.00</td>",
+        "2.0 mm at 95 %",
         "shifts 0.40, 0.40, 0.40 mm; turns about these axes 0.57, 0.57, 0.57°",
         "weakest: 0.4 mm",
         "No grey-level MR was given.",

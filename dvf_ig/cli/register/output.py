@@ -112,6 +112,7 @@ def rows_of(registered: Registered, name: str) -> list[tuple[str, str]]:
     import numpy as np
 
     from dvf_ig.registration import least_constrained_direction
+    from dvf_ig.replay.registration_page import stated_rows
 
     result, touched = registered.result, registered.shown.touched
     sd = np.sqrt(np.diag(result.covariance))
@@ -119,7 +120,7 @@ def rows_of(registered: Registered, name: str) -> list[tuple[str, str]]:
     return [
         (name, " ".join(f"{v:.3f}" for v in result.target_from_source.matrix[:3].ravel())),
         ("outcome", result.sentence),
-        ("success probability", f"{result.success_probability:.2f}"),
+        *stated_rows(result),
         ("moved from start", f"{result.moved_mm:.1f} mm"),
         ("similarity", f"{result.start_similarity:.3f} at the start, {result.similarity:.3f} now"),
         *_checks(result),
@@ -136,11 +137,11 @@ def _checks(result: "RegistrationResult") -> list[tuple[str, str]]:
     evidence = result.evidence
     disagreements = (
         ("interleaved halves disagree by", evidence.split_half_mm),
-        ("parts of the cycle disagree by", evidence.phase_mm or None),
+        ("parts of the cycle disagree by", evidence.phase_mm),
         ("half-volumes disagree by", evidence.half_volume_mm),
         ("boundary and LC2 disagree by", evidence.boundary_mm),
     )
-    return [(name, f"{value:.2f} mm") for name, value in disagreements if value is not None]
+    return [(name, "not determined" if value is None else f"{value:.2f} mm") for name, value in disagreements]
 
 
 def _triple(values: Any) -> str:
@@ -152,7 +153,7 @@ def require_usable(registered: Registered) -> None:
 
     result, touched = registered.result, registered.shown.touched
     sentence = f"the registration must not be used: {result.sentence}"
-    if result.stop is Stop.MAX_ITERATIONS:
+    if result.stop in (Stop.MAX_ITERATIONS, Stop.MOVED_TOO_FAR):
         raise NotConvergedError(sentence)
     if result.stop is Stop.LOW_OVERLAP:
         raise NoOverlapError(sentence)

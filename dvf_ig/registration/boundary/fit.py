@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, read_only_arrays, require_same_frame
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, IntArray, Rigid, read_only_arrays, require_same_frame
 from dvf_ig.core.rigid import nearest_rotation
 from dvf_ig.kernels.boundary import (
     RIGHT,
@@ -108,7 +108,7 @@ class BoundaryFit:
     evaluations: int
 
 
-class _Problem:
+class BoundaryProblem:
     """Points and target as the kernels want them, with one buffer; serves one thread."""
 
     def __init__(self, boundary: Boundary, center_mm: FloatArray) -> None:
@@ -168,11 +168,11 @@ def fit_boundary(
     require_same_frame(boundary.points.frame, start.source, "boundary registration")
     require_same_frame(boundary.target.frame, start.target, "boundary registration")
     opts = options or BoundaryFitOptions()
-    problem = _Problem(boundary, center_mm)
+    problem = BoundaryProblem(boundary, center_mm)
     return _fit_of(problem, start, _descend(problem, start, opts), opts)
 
 
-def _descend(problem: _Problem, start: Rigid, opts: BoundaryFitOptions) -> _End:
+def _descend(problem: BoundaryProblem, start: Rigid, opts: BoundaryFitOptions) -> _End:
     pose, offset, used, converged = start.matrix[:3], opts.expected_offset_mm, 0, False
     for level, sigma in enumerate(opts.sigmas_mm):
         last = level == len(opts.sigmas_mm) - 1
@@ -198,7 +198,7 @@ def _moved(pose: FloatArray, xi_mm: FloatArray, center_mm: FloatArray) -> FloatA
 
 def _step(sums: FloatArray, offset_mm: float, size: int, opts: BoundaryFitOptions) -> FloatArray:
     """(7,) Gauss–Newton step of the first `size` unknowns, the others 0; none where nothing matches."""
-    matrix, right = _normal_matrix(sums), sums[RIGHT:SHARE]
+    matrix, right = normal_matrix(sums), sums[RIGHT:SHARE]
     curvature = matrix[:size, :size].copy()
     downhill = -right[:size]
     if size == UNKNOWNS:
@@ -213,7 +213,7 @@ def _step(sums: FloatArray, offset_mm: float, size: int, opts: BoundaryFitOption
     return step * min(1.0, opts.cap_mm / max(length, 1e-12))
 
 
-def _fit_of(problem: _Problem, start: Rigid, end: _End, opts: BoundaryFitOptions) -> BoundaryFit:
+def _fit_of(problem: BoundaryProblem, start: Rigid, end: _End, opts: BoundaryFitOptions) -> BoundaryFit:
     sigma = opts.sigmas_mm[-1]
     sums = problem.sums(end.pose, end.offset_mm, sigma)
     distance, agreement = np.empty((2, len(problem.points.points)))
@@ -234,14 +234,14 @@ def _fit_of(problem: _Problem, start: Rigid, end: _End, opts: BoundaryFitOptions
     )
 
 
-def _normal_matrix(sums: FloatArray) -> FloatArray:
+def normal_matrix(sums: FloatArray) -> FloatArray:
     """(7, 7) JᵀωJ."""
     return sums[:RIGHT].reshape(UNKNOWNS, UNKNOWNS)
 
 
 def _covariance(sums: FloatArray, opts: BoundaryFitOptions) -> FloatArray:
     """Of the pose with the offset unknown: inverse curvature times the variance of one observation."""
-    matrix = _normal_matrix(sums)
+    matrix = normal_matrix(sums)
     size = UNKNOWNS if opts.free_offset_mm > 0 else UNKNOWNS - 1
     curvature = matrix[:size, :size]
     weight = float(matrix[6, 6])
@@ -249,6 +249,35 @@ def _covariance(sums: FloatArray, opts: BoundaryFitOptions) -> FloatArray:
         return np.full((6, 6), np.nan)
     variance = POINTS_PER_OBSERVATION * float(sums[SQUARES]) / weight
     return covariance_from_mm(np.asarray((variance * np.linalg.inv(curvature))[:6, :6], dtype=np.float64))
+
+
+def boundary_influence(
+    boundary: Boundary,
+    fit: BoundaryFit,
+    center_mm: FloatArray,
+    group: IntArray,
+    options: BoundaryFitOptions | None = None,
+) -> FloatArray:
+    """(groups, 6) first-order influence of each group of points on the fitted pose; see `evidence.sandwich`.
+
+    Args:
+        group: (n,) number of each point's group, 0 to groups − 1.
+    """
+    opts = options or BoundaryFitOptions()
+    sigma, pose = opts.sigmas_mm[-1], fit.pose.matrix[:3]
+    size = UNKNOWNS if opts.free_offset_mm > 0 else UNKNOWNS - 1
+    whole = BoundaryProblem(boundary, center_mm).sums(pose, fit.offset_mm, sigma).copy()
+    curvature = normal_matrix(whole)[:size, :size]
+    right = np.stack(
+        [
+            BoundaryProblem(replace(boundary, points=boundary.points.subset(group == g)), center_mm)
+            .sums(pose, fit.offset_mm, sigma)[RIGHT:SHARE][:size]
+            .copy()
+            for g in range(int(group.max()) + 1)
+        ]
+    )
+    right = right - right.mean(axis=0)
+    return np.asarray(-np.linalg.solve(curvature, right.T).T[:, :6])
 
 
 def boundary_starts(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
+from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError, read_only_arrays
 from dvf_ig.registration.lc2.slices import SliceSet, subsample
 
 FULL_CONTRAST = 0.2
@@ -59,7 +59,10 @@ class BoundaryPoints:
 
     def subsampled(self, count: int) -> "BoundaryPoints":
         """At most `count` of the points, evenly spread."""
-        keep = subsample(len(self), count)
+        return self.subset(subsample(len(self), count))
+
+    def subset(self, keep: IntArray | BoolArray) -> "BoundaryPoints":
+        """Some of the points."""
         return BoundaryPoints(
             self.frame, self.points_mm[keep], self.normals[keep], self.model_phase[keep], self.weights[keep]
         )

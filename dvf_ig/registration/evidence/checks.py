@@ -1,12 +1,10 @@
-"""Whether a registered pose may be used: its tests, their limits, and the success probability from them."""
+"""What a registered pose is tested by, and what each test may be in a registration that may guide."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray
-from dvf_ig.registration.lc2.curvature import Curvature
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.pose_chart import PoseChart, random_displacements
 
@@ -14,7 +12,6 @@ from .phase_offset import PhaseOffset
 
 WRONG_POSES = 24
 WRONG_MM = 20.0
-PHASE_GROUPS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,15 +32,16 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What a registered pose was tested by, one value a test.
+    """What a registered pose was tested by, one value a test; None where one could not be made.
 
     Attributes:
         z_score: standard deviations by which LC2 stands above wrong poses WRONG_MM away.
         split_half_mm: mean distance over the heart between the optima of two interleaved halves of the
             slices.
-        phase_mm: the largest such distance between one part of the cycle and the rest.
-        half_volume_mm: RMS distance of the optima of half-volumes from that of all; None where it was not
-            tested.
+        phase_mm: the largest such distance between one part of the cycle and the rest; None where the slices
+            are of fewer phases than parts.
+        half_volume_mm: RMS distance of the optima of half-volumes from that of all; None where the slices lie
+            in too little of space.
         boundary_mm: mean distance over the heart between the poses of LC2 and of the boundary; None where the
             model's surface was not given, inf where the slices show no boundary.
         phase_offset: how much later in the cycle the slices fit than the ECG says; None where nothing beats.
@@ -52,7 +50,7 @@ class Evidence:
 
     z_score: float
     split_half_mm: float
-    phase_mm: float
+    phase_mm: float | None = None
     half_volume_mm: float | None = None
     boundary_mm: float | None = None
     phase_offset: PhaseOffset | None = None
@@ -60,15 +58,15 @@ class Evidence:
 
     def worst_test_ratio(self, limits: Limits) -> float:
         """The worst test as a share of its limit: above 1 the pose must not guide."""
-        ratios = [
-            limits.z_score / max(self.z_score, 1e-9),
-            self.split_half_mm / limits.split_half_mm,
-            self.phase_mm / limits.phase_mm,
-        ]
-        if self.half_volume_mm is not None:
-            ratios.append(self.half_volume_mm / limits.half_volume_mm)
-        if self.boundary_mm is not None:
-            ratios.append(self.boundary_mm / limits.boundary_mm)
+        ratios = [limits.z_score / max(self.z_score, 1e-9)]
+        for value, limit in (
+            (self.split_half_mm, limits.split_half_mm),
+            (self.phase_mm, limits.phase_mm),
+            (self.half_volume_mm, limits.half_volume_mm),
+            (self.boundary_mm, limits.boundary_mm),
+        ):
+            if value is not None:
+                ratios.append(value / limit)
         return float(max(ratio if math.isfinite(ratio) else math.inf for ratio in ratios))
 
 
@@ -79,14 +77,6 @@ VOLUME_LIMITS = Limits(z_score=5.5, split_half_mm=2.0, phase_mm=1.22, half_volum
 wrong local optima (z-score above 6.9, below 4.5; boundary up to 2.1 mm, above 7), changed motion (phase up to
 1.1 mm, above 1.4), and 5 mm of deformation (half-volumes up to 2.2 mm, above 2.3 where the error exceeds
 3 mm)."""
-LOGISTIC_SLOPE = 10.0
-"""In the worst test ratio: tuning seeds have 0.3 to 1.0 below 2 mm of error, and above 1 beyond 3 mm."""
-
-
-def success_probability(worst_test_ratio: float) -> float:
-    """Chance that the mean error over the heart is below 2 mm, from the worst test of one registration."""
-    exponent = min(max(LOGISTIC_SLOPE * (worst_test_ratio - 1.0), -30.0), 30.0)
-    return 1.0 / (1.0 + math.exp(exponent))
 
 
 def wrong_pose_z_score(metric: Lc2, chart: PoseChart, rng: np.random.Generator) -> float:
@@ -98,24 +88,3 @@ def wrong_pose_z_score(metric: Lc2, chart: PoseChart, rng: np.random.Generator) 
     displacements = random_displacements(rng, WRONG_POSES, WRONG_MM)
     wrong = np.array([metric.score(chart.pose(xi)).similarity for xi in displacements])
     return float((metric.score(chart.base).similarity - wrong.mean()) / max(float(wrong.std()), 1e-12))
-
-
-def split_half_disagreement_mm(curvature: Curvature) -> float:
-    """Disagreement of every second slice with the rest."""
-    even = np.arange(len(curvature.cost)) % 2 == 0
-    return curvature.disagreement_mm(even, ~even)
-
-
-def phase_disagreement_mm(curvature: Curvature, model_phase: FloatArray) -> float:
-    """The largest disagreement of one part of the cycle with the rest; 0 where there is one phase only."""
-    groups = phase_groups(model_phase)
-    return max((curvature.disagreement_mm(group, ~group) for group in groups), default=0.0)
-
-
-def phase_groups(model_phase: FloatArray) -> tuple[BoolArray, ...]:
-    """(s,) masks of parts of the cycle with about equally many slices; none where there are fewer phases."""
-    if len(np.unique(model_phase)) < PHASE_GROUPS:
-        return ()
-    rank = np.searchsorted(np.sort(model_phase), model_phase, side="left")
-    group = rank * PHASE_GROUPS // len(model_phase)
-    return tuple(group == g for g in range(PHASE_GROUPS) if (group == g).any())

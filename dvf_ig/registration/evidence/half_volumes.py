@@ -53,38 +53,7 @@ def half_volume_disagreements_mm(
     return np.array(apart)
 
 
-def half_volume_disagreement_mm(
-    slices: SliceSet,
-    model: ModelChannels,
-    pose: Rigid,
-    center_mm: FloatArray,
-    *,
-    patch_mm: float,
-    pitch_mm: float,
-    threads: SliceThreads | None = None,
-) -> float:
-    """RMS over six half-spaces of the distance there between their own optima and that of all slices.
-
-    Args:
-        pose: near the optimum; all slices and each half are optimised from it.
-        center_mm: (3,) where space is cut, across each axis of the target frame.
-    Returns:
-        mm; NaN where no half has enough pixels.
-    """
-    metric = Lc2(slices, model, patch_mm=patch_mm, pitch_mm=pitch_mm, threads=threads)
-    whole = optimise(metric, pose, center_mm, None, HALF_OPTIMISER).pose
-    apart = half_volume_disagreements_mm(
-        _half_spaces(slices, whole, center_mm),
-        model,
-        whole,
-        patch_mm=patch_mm,
-        pitch_mm=pitch_mm,
-        threads=threads,
-    )
-    return float(np.sqrt(np.mean(np.square(apart)))) if len(apart) else float("nan")
-
-
-def _half_spaces(slices: SliceSet, pose: Rigid, center_mm: FloatArray) -> Iterator[HalfVolume]:
+def half_spaces(slices: SliceSet, pose: Rigid, center_mm: FloatArray) -> Iterator[HalfVolume]:
     """Both sides of the centre along each axis of the target frame, as far as they hold enough pixels."""
     corners = 0.5 * HEART_RADIUS_MM * np.vstack([np.eye(3), -np.eye(3)])
     source_from_target = pose.inverse()

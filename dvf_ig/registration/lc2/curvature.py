@@ -1,19 +1,17 @@
-"""Second-order expansion of LC2's cost about a pose, and the optimum of a subset of the slices by it.
+"""Second-order expansion of LC2's cost about a pose.
 
 The gradient of LC2 is exact (`kernels.lc2_step`), so differences of it give the curvature at a third of the
-price of differences of the score. The gradient of a subset, divided by its share of the curvature, is the
-step to the subset's own optimum, with no search of its own.
+price of differences of the score.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, Rigid, mean_displacement_mm, read_only_arrays
-from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm
+from dvf_ig.core import FloatArray, read_only_arrays
+from dvf_ig.registration.pose_chart import PoseChart
 
 from .lc2 import Lc2
-from .optimise import PosePrior
 
 STEP_MM = 0.5
 
@@ -34,39 +32,13 @@ class Curvature:
     gradient: FloatArray
     hessian: FloatArray
 
-    @property
-    def definite(self) -> bool:
-        """Whether the pose is a minimum in every direction."""
-        return bool(np.isfinite(self.hessian).all() and np.linalg.eigvalsh(self.hessian).min() > 0)
-
-    def covariance(self, information: float, prior: PosePrior | None) -> FloatArray:
-        """(6, 6) inverse curvature of −log posterior, rad² and mm²; NaN where that has no minimum.
+    def scaled(self, information: float) -> FloatArray:
+        """(6, 6) curvature of −log likelihood.
 
         Args:
             information: number of observations in −n/2·log(1 − S).
-            prior: what the pose was also constrained by.
         """
-        total = information * self.hessian / (2.0 * max(float(self.cost.sum()), 1e-12))
-        if prior is not None:
-            total = total + prior.normal_equations(self.chart.base, self.chart.center_mm)[0]
-        if not np.isfinite(total).all() or np.linalg.eigvalsh(total).min() <= 0:
-            return np.full((6, 6), np.nan)
-        return covariance_from_mm(np.asarray(np.linalg.inv(total)))
-
-    def subset_optimum(self, subset: BoolArray) -> Rigid:
-        """The optimum of a subset (s,) of the slices, to first order."""
-        share = float(self.cost[subset].sum() / self.cost.sum())
-        own = self.gradient[subset].sum(axis=0) - share * self.gradient.sum(axis=0)
-        step = -np.linalg.solve(self.hessian, own) / share
-        return self.chart.pose(step.astype(np.float64))
-
-    def disagreement_mm(self, subset: BoolArray, other: BoolArray) -> float:
-        """Mean distance over the heart between the optima of two subsets; inf where there is no minimum."""
-        if not self.definite or not subset.any() or not other.any():
-            return float("inf")
-        return mean_displacement_mm(
-            self.subset_optimum(subset), self.subset_optimum(other), self.chart.center_mm
-        )
+        return np.asarray(information * self.hessian / (2.0 * max(float(self.cost.sum()), 1e-12)))
 
 
 def curvature_about(metric: Lc2, chart: PoseChart) -> Curvature:

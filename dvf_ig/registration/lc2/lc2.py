@@ -155,6 +155,7 @@ class Lc2:
         pitch_mm: float,
         density_width_mm: float | None = None,
         threads: SliceThreads | None = None,
+        patches: Patches | None = None,
     ) -> None:
         """LC2 of a slice set against a model, at any pose.
 
@@ -163,13 +164,17 @@ class Lc2:
             patch_mm: edge of a patch; pitch_mm: of a pixel.
             density_width_mm: see `patches_of`.
             threads: of the caller, who closes them; without any all slices run on the calling thread.
+            patches: of the slices, in place of all that `patches_of` finds.
         """
-        self._slices = slices
+        self.slices = slices
         self._model = model
         self._threads = threads
+        self._sizes = (patch_mm, pitch_mm)
         self._phases = model.nearest_phase(slices.model_phase)
         radius = max(2, round(patch_mm / pitch_mm / 2))
-        patches = patches_of(slices, radius, density_width_mm)
+        if patches is None:
+            patches = patches_of(slices, radius, density_width_mm)
+        self.patches = patches
         self._patch_pixels = (2 * radius + 1) ** 2
         self._patched = PatchedSlices(
             slices.images, slices.masks, patches.first, patches.boxes, patches.moments
@@ -181,10 +186,17 @@ class Lc2:
         self._last_equations: tuple[Rigid, FloatArray, NormalEquations] | None = None
         self._index_from_mm = np.ascontiguousarray(np.linalg.inv(model.grid.axes_mm))
 
+    def with_patches(self, slices: SliceSet, patches: Patches) -> "Lc2":
+        """The same metric of other slices, by patches that were found already."""
+        patch_mm, pitch_mm = self._sizes
+        return Lc2(
+            slices, self._model, patch_mm=patch_mm, pitch_mm=pitch_mm, threads=self._threads, patches=patches
+        )
+
     def per_slice(self, target_from_source: Rigid) -> FloatArray:
         """(s, 3) weighted score, weight and overlap of each slice."""
         model, _ = self._placed(target_from_source)
-        out = np.empty((len(self._slices), 3))
+        out = np.empty((len(self.slices), 3))
         self._run(lc2_slices, (self._patched, model, self._values, self._tables, out))
         return out
 
@@ -197,8 +209,8 @@ class Lc2:
     def similarity_at_shift(self, target_from_source: Rigid, shift: float) -> float:
         """Similarity if every slice belonged `shift` of a cycle later in the model's cycle than was taken."""
         model, _ = self._placed(target_from_source)
-        phases = self._model.nearest_phase((self._slices.model_phase + shift) % 1.0)
-        out = np.empty((len(self._slices), 3))
+        phases = self._model.nearest_phase((self.slices.model_phase + shift) % 1.0)
+        out = np.empty((len(self.slices), 3))
         self._run(lc2_slices, (self._patched, model._replace(phases=phases), self._values, self._tables, out))
         return float(out[:, SLICE_SCORE].sum() / max(out[:, SLICE_WEIGHT].sum(), 1e-300))
 
@@ -232,21 +244,21 @@ class Lc2:
 
         Patches that fit into the slices without sharing pixels, over PATCHES_PER_OBSERVATION.
         """
-        return float(self._slices.masks.sum()) / self._patch_pixels / PATCHES_PER_OBSERVATION
+        return float(self.slices.masks.sum()) / self._patch_pixels / PATCHES_PER_OBSERVATION
 
     def _step_sums(self, target_from_source: Rigid, center_mm: FloatArray) -> FloatArray:
         """(s, STEP_SUMS) of `lc2_normal_slices`."""
         model, mm_from_pixel = self._placed(target_from_source)
         mm_from_pixel[:, :, 2] += self._model.grid.origin_mm - center_mm
         motion = RigidMotion(mm_from_pixel, self._index_from_mm, HEART_RADIUS_MM)
-        out = np.empty((len(self._slices), STEP_SUMS))
+        out = np.empty((len(self.slices), STEP_SUMS))
         self._run(lc2_normal_slices, (self._patched, model, motion, self._scratch(), out))
         return out
 
     def _scratch(self) -> StepScratch:
         """Made when a step is first asked for: a metric that only scores needs a third of the memory."""
         if self._step_scratch is None:
-            s, rows, cols = self._slices.images.shape
+            s, rows, cols = self.slices.images.shape
             gradients = np.empty((s, rows, cols, 6))
             coefficients = np.empty((s, rows + 1, cols + 1, COEFFICIENT_SUMS))
             self._step_scratch = StepScratch(self._values, gradients, self._tables, coefficients)
@@ -254,9 +266,9 @@ class Lc2:
 
     def _placed(self, target_from_source: Rigid) -> tuple[PlacedModel, FloatArray]:
         """The model at a pose, and (s, 3, 3) mm from its grid's origin from (column, row, 1)."""
-        require_same_frame(self._slices.frame, target_from_source.source, "registration pose")
+        require_same_frame(self.slices.frame, target_from_source.source, "registration pose")
         require_same_frame(self._model.grid.frame, target_from_source.target, "registration pose")
-        mm_from_pixel = target_from_source.rotation @ self._slices.frame_from_pixel
+        mm_from_pixel = target_from_source.rotation @ self.slices.frame_from_pixel
         mm_from_pixel[:, :, 2] += target_from_source.translation_mm - self._model.grid.origin_mm
         index_from_pixel = np.ascontiguousarray(self._index_from_mm @ mm_from_pixel)
         return PlacedModel(self._model.values, self._phases, index_from_pixel), mm_from_pixel
@@ -264,6 +276,6 @@ class Lc2:
     def _run(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
         """A kernel over all slices."""
         if self._threads is None:
-            kernel(*arguments, 0, len(self._slices))
+            kernel(*arguments, 0, len(self.slices))
         else:
-            self._threads.run(kernel, arguments, len(self._slices))
+            self._threads.run(kernel, arguments, len(self.slices))

@@ -45,7 +45,7 @@ class HeartGroup:
         bad_refused: of hearts with an error above FAILURE_MM; good_refused: of those below SUCCESS_MM.
         chi2_mean: of the squared error by the stated covariance, 6 where that is right.
         region_covers: of hearts whose true pose lies in the stated 95 % region.
-        bound_covers: of hearts whose mean error stays below `tre_bound_mm`.
+        bound_covers: of hearts whose largest error over the targets stays below `tre_bound_mm`.
         bound_median_mm: of the bounds.
         calibration_error: mean difference between stated probability and success over tenths of it.
         auc: chance that a success has a higher stated probability than a failure.
@@ -140,7 +140,7 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
         good_refused=_refused(good),
         chi2_mean=bootstrap(chi2_of, np.mean),
         region_covers=share_of(sum(x <= chi2.ppf(COVERAGE, 6) for x in chi2_of), len(chi2_of)),
-        bound_covers=share_of(sum(x["tre_mm"] <= x["tre_bound_mm"] for x in bounded), len(bounded)),
+        bound_covers=share_of(sum(x["tre_max_mm"] <= x["tre_bound_mm"] for x in bounded), len(bounded)),
         bound_median_mm=_median([line["tre_bound_mm"] for line in bounded]),
         calibration_error=calibration_error(
             [line["success_probability"] for line in stated], [line["tre_mm"] < SUCCESS_MM for line in stated]

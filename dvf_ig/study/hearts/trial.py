@@ -17,7 +17,14 @@ from data_synth import (
     phantom_scenario,
 )
 from dvf_ig.core import FloatArray, Points, Rigid, Scenario, read_only_arrays
-from dvf_ig.registration import PoseChart, RegistrationResult, covariance_to_mm, target_errors_mm
+from dvf_ig.registration import (
+    PoseChart,
+    RegistrationResult,
+    covariance_to_mm,
+    predicted_error_mm,
+    target_errors_mm,
+)
+from dvf_ig.registration.evidence.assessment import features_of
 from dvf_ig.replay import register_scenario
 from dvf_ig.study.registration.problem import GATED, volume_problem
 from dvf_ig.study.registration.trial import KnownTruth, start_with_error
@@ -144,6 +151,11 @@ def _measured(done: _Registered) -> Line:
         "stop": result.stop.name,
         "usable": result.stop.usable,
         "success_probability": result.success_probability,
+        "tre_bound_mm": result.tre_bound_mm,
+        "features": features_of(result.evidence, result.similarity, predicted_error_mm(result.covariance)),
+        "statistics": result.statistics.values(),
+        "offset_mm": _offset(result, done.known.truth),
+        "covariance_mm2": _listed(result.covariance),
         "similarity": result.similarity,
         "moved_mm": result.moved_mm,
         "overlap": result.overlap,
@@ -159,6 +171,16 @@ def _chi2(result: RegistrationResult, truth: Rigid) -> float | None:
         return None
     off = PoseChart(result.target_from_source, result.center_mm).coordinates(truth)
     return float(off @ np.linalg.solve(covariance_to_mm(result.covariance), off))
+
+
+def _offset(result: RegistrationResult, truth: Rigid) -> list[float]:
+    """The true pose in the coordinates of `PoseChart` about the result."""
+    return [float(v) for v in PoseChart(result.target_from_source, result.center_mm).coordinates(truth)]
+
+
+def _listed(covariance: FloatArray) -> list[list[float]] | None:
+    known = bool(np.isfinite(covariance).all())
+    return [[float(v) for v in row] for row in covariance_to_mm(covariance)] if known else None
 
 
 def _sigma_mm(covariance: FloatArray) -> float | None:

@@ -132,8 +132,8 @@ def _sigma_mm(covariance: FloatArray) -> float:
     return float(np.sqrt(variance.mean()))
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and np.isfinite(value) else None
 
 
 @lru_cache(maxsize=1)

@@ -1,0 +1,208 @@
+"""From evidence to a probability and a bound in mm, by tables that were fitted on hearts with a known truth.
+
+    x_j    the checks and the predicted error, as logarithms, so turned that larger is worse, cut where the
+           calibration had nothing; a check that could not be made counts as one that only just passed
+    μ      w₀ + Σ w_j x_j, all w_j >= 0: predicted logarithm of the largest target error
+    P      of a mean error below 2 mm: isotonic regression on μ
+    bound  exp(μ + q), q the split-conformal 95 % quantile of log(largest error) − μ, one heart one trial
+
+P and bound are cross-fitted by heart (`study.hearts.fit`). Of images whose statistics lie outside all that
+was calibrated neither is stated.
+Sources: Barlow 1972 (isotonic regression); Lei et al. 2018 (split conformal prediction, normalised).
+"""
+
+import json
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, read_only_arrays
+
+from .checks import Evidence
+from .image_statistics import ImageStatistics
+
+SUCCESS_MM = 2.0
+"""A pose whose mean target error is below this is a success."""
+FEATURES = (
+    "z_score",
+    "split_half_mm",
+    "phase_mm",
+    "half_volume_mm",
+    "boundary_mm",
+    "phase_offset_ratio",
+    "unexplained",
+    "predicted_mm",
+)
+"""In the order of a table's weights; each is the worse the larger it is: of the z-score its inverse, and
+"unexplained" is 1 − LC2."""
+LARGEST = 1e3
+TABLES = "calibrated.json"
+NAMES = {
+    "brightness": "the images' mean brightness",
+    "contrast": "the images' contrast",
+    "structure": "how smooth the images are",
+    "fill": "how much of the sector is lit",
+    "slices": "the number of slices",
+    "view_spread_deg": "the spread of the views (°)",
+    "extent_mm": "the extent of the sweep (mm)",
+    "similarity": "LC2",
+    "overlap": "the overlap with the model",
+    "information": "the amount of ultrasound",
+}
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """What was fitted for one kind of images.
+
+    Attributes:
+        hearts: that it was fitted on.
+        intercept, weights: w₀ and (f,) w_j >= 0.
+        low, high: (f,) limits between which a feature counts.
+        missing: (f,) what a check counts as that could not be made.
+        predicted: (k,) increasing μ; probability: (k,) decreasing P there, linear between them.
+        refused_probability: share of successes among poses that a check refused.
+        bound_quantile: q; inf where there were too few hearts for one.
+        largest: μ above which a pose must not guide.
+        ranges: lowest and highest value of each image statistic.
+        outside_p: at most this share of hearts like those calibrated lie outside of the ranges.
+    """
+
+    hearts: int
+    intercept: float
+    weights: FloatArray
+    low: FloatArray
+    high: FloatArray
+    missing: FloatArray
+    predicted: FloatArray
+    probability: FloatArray
+    refused_probability: float
+    bound_quantile: float
+    largest: float
+    ranges: dict[str, tuple[float, float]]
+    outside_p: float
+
+
+@dataclass(frozen=True, slots=True)
+class Assessment:
+    """What may be said of a pose's error.
+
+    Attributes:
+        success_probability: chance that the mean error over the targets is below SUCCESS_MM; None where the
+            images are unlike all that was calibrated, or nothing was calibrated for their kind.
+        tre_bound_mm: the largest error over the heart-box targets is below this in 95 of 100 hearts; None as
+            above, and of a refused pose.
+        outside: why neither can be stated, as a user reads it; empty otherwise.
+        doubtful: whether the evidence is worse than that of nearly all good poses.
+    """
+
+    success_probability: float | None
+    tre_bound_mm: float | None
+    outside: str = ""
+    doubtful: bool = False
+
+
+def features_of(evidence: Evidence, similarity: float, predicted_mm: float) -> dict[str, float | None]:
+    """Every feature by name; None where the check could not be made.
+
+    Args:
+        similarity: LC2 at the pose.
+        predicted_mm: RMS target error that the covariance predicts.
+    """
+    offset = evidence.phase_offset
+    return {
+        "z_score": 1.0 / max(evidence.z_score, 1e-3),
+        "split_half_mm": evidence.split_half_mm,
+        "phase_mm": evidence.phase_mm,
+        "half_volume_mm": evidence.half_volume_mm,
+        "boundary_mm": evidence.boundary_mm,
+        "phase_offset_ratio": None if offset is None else 1.0 + offset.log_likelihood_ratio,
+        "unexplained": 1.0 - similarity,
+        "predicted_mm": predicted_mm,
+    }
+
+
+def logarithms(features: dict[str, float | None]) -> FloatArray:
+    """(f,) x_j in the order of FEATURES, NaN where a check could not be made."""
+    return np.array([_logarithm(features[name]) for name in FEATURES])
+
+
+def _logarithm(value: float | None) -> float:
+    if value is None:
+        return math.nan
+    return math.log(min(max(value, 1.0 / LARGEST), LARGEST)) if not math.isnan(value) else math.log(LARGEST)
+
+
+def predicted_log_error(table: Table, logs: FloatArray) -> float:
+    """μ of the features' logarithms (f,)."""
+    known = np.clip(np.where(np.isnan(logs), table.missing, logs), table.low, table.high)
+    return float(table.intercept + table.weights @ known)
+
+
+def assess(table: Table | None, features: dict[str, float | None], statistics: ImageStatistics) -> Assessment:
+    """What may be said of the error of a pose that no check refused.
+
+    Args:
+        table: of the images' kind; None where nothing was calibrated for it.
+    """
+    if table is None:
+        return Assessment(None, None, "no probability was calibrated for images of this kind")
+    strange = _outside(table, statistics)
+    if strange:
+        return Assessment(None, None, strange)
+    error = predicted_log_error(table, logarithms(features))
+    bound = math.exp(error + table.bound_quantile) if math.isfinite(table.bound_quantile) else None
+    return Assessment(
+        float(np.interp(error, table.predicted, table.probability)), bound, doubtful=error > table.largest
+    )
+
+
+def _outside(table: Table, statistics: ImageStatistics) -> str:
+    """Names the statistic that lies furthest outside its range; empty where all lie within."""
+    worst, sentence = 0.0, ""
+    for name, value in statistics.values().items():
+        low, high = table.ranges[name]
+        beyond = max(low - value, value - high) / max(high - low, 1e-12)
+        if beyond > worst:
+            worst = beyond
+            sentence = (
+                f"outside what was calibrated: {NAMES[name]} is {value:.3g}, in {table.hearts} hearts it was "
+                f"{low:.3g} to {high:.3g}"
+            )
+    return sentence
+
+
+def table_of(kind: str | None) -> Table | None:
+    """The table of a kind of images ("sweep", "volumes", …); None where there is none."""
+    return None if kind is None else _tables().get(kind)
+
+
+@lru_cache(maxsize=1)
+def _tables() -> dict[str, Table]:
+    text = resources.files(__package__).joinpath(TABLES).read_text(encoding="utf-8")
+    return {kind: table_from_json(table) for kind, table in json.loads(text)["kinds"].items()}
+
+
+def table_from_json(held: dict[str, Any]) -> Table:
+    """A table from its JSON: arrays as lists, an infinite quantile as null."""
+    quantile = held["bound_quantile"]
+    return Table(
+        hearts=held["hearts"],
+        intercept=held["intercept"],
+        weights=np.array(held["weights"]),
+        low=np.array(held["low"]),
+        high=np.array(held["high"]),
+        missing=np.array(held["missing"]),
+        predicted=np.array(held["predicted"]),
+        probability=np.array(held["probability"]),
+        refused_probability=held["refused_probability"],
+        bound_quantile=math.inf if quantile is None else quantile,
+        largest=held["largest"],
+        ranges={name: (low, high) for name, (low, high) in held["ranges"].items()},
+        outside_p=held["outside_p"],
+    )

@@ -1,0 +1,75 @@
+"""LC2's gradient block by block of space and slice by slice: what a sandwich covariance is made of.
+
+Neighbouring patches share the difference between patient and pre-operative images, so that neither pixels nor
+patches are independent observations; blocks of some centimetres nearly are. Every slice is cut into its
+blocks, and their patches are evaluated as slices of their own.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
+
+from .density_weights import patch_centers_mm
+from .lc2 import Lc2, Patches
+from .slices import SliceSet
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockGradients:
+    """Cost and gradient of each block of each slice.
+
+    Attributes:
+        cell: (b, 3) which block of space, in steps of its edge in the slices' frame.
+        slice: (b,) of which slice.
+        cost: (b,); gradient: (b, 6) in the coordinates of `PoseChart`.
+    """
+
+    cell: IntArray
+    slice: IntArray
+    cost: FloatArray
+    gradient: FloatArray
+
+
+def block_gradients(metric: Lc2, pose: Rigid, center_mm: FloatArray, *, block_mm: float) -> BlockGradients:
+    """Evaluate every block of every slice of a metric at a pose.
+
+    Args:
+        block_mm: edge of a block of space.
+    """
+    slices, patches = metric.slices, metric.patches
+    owner = np.repeat(np.arange(len(slices)), np.diff(patches.first))
+    cell = np.floor(patch_centers_mm(slices, patches.first, patches.boxes) / block_mm).astype(np.int64)
+    keys, part = np.unique(np.column_stack([owner, cell]), axis=0, return_inverse=True)
+    order = np.argsort(part.ravel(), kind="stable")
+    counts = np.bincount(part.ravel(), minlength=len(keys))
+    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    boxes = patches.boxes[order]
+    corner = np.column_stack([np.minimum.reduceat(boxes[:, k], first[:-1]) for k in (0, 2)])
+    boxes = boxes - np.repeat(corner, counts, axis=0)[:, [0, 0, 1, 1]]
+    parts = metric.with_patches(
+        _cut(slices, keys[:, 0], corner, boxes[:, [1, 3]].max(axis=0)),
+        Patches(first, boxes, patches.moments[order]),
+    )
+    found = parts.cost_gradient(pose, center_mm)
+    return BlockGradients(keys[:, 1:], keys[:, 0], found.cost, found.gradient)
+
+
+def _cut(slices: SliceSet, owner: IntArray, corner: IntArray, size: IntArray) -> SliceSet:
+    """Windows of one size: of slice `owner` (b,) from row and column `corner` (b, 2) on."""
+    rows, columns = (int(n) for n in size)
+    pad = ((0, 0), (0, rows), (0, columns))
+    images, masks = np.pad(slices.images, pad), np.pad(slices.masks, pad)
+    row = corner[:, 0, None, None] + np.arange(rows)[None, :, None]
+    column = corner[:, 1, None, None] + np.arange(columns)[None, None, :]
+    number = owner[:, None, None]
+    maps = slices.frame_from_pixel[owner].copy()
+    maps[:, :, 2] += maps[:, :, 0] * corner[:, 1, None] + maps[:, :, 1] * corner[:, 0, None]
+    return replace(
+        slices.subset(owner),
+        images=np.ascontiguousarray(images[number, row, column]),
+        masks=np.ascontiguousarray(masks[number, row, column]),
+        frame_from_pixel=maps,
+    )

@@ -1,0 +1,192 @@
+"""Fit of what evidence says of a pose's error, on the lines of a study of hearts with their truth.
+
+The unit is the heart: its trials share one weight, and whatever is judged by is predicted by fits on other
+hearts (cross-fitting in FOLDS). Fitted are, for each kind of images, the tables of
+`registration.evidence.assessment`:
+
+1. log(largest error) ≈ w₀ + Σ w_j x_j with w_j >= 0, Huber's weights for the residuals;
+2. isotonic regression (pool adjacent violators) of success on the cross-fitted prediction;
+3. the split-conformal 95 % quantile of its residuals, one trial a heart;
+4. the prediction above which a pose is refused: 1 − GOOD_REFUSED of the good poses lie below;
+5. ranges of the image statistics.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.optimize import nnls
+
+from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError
+from dvf_ig.registration.evidence.assessment import FEATURES, SUCCESS_MM, logarithms
+from dvf_ig.study.trials import Line
+
+FOLDS = 5
+LEAST_HEARTS = 20
+"""Of one kind, below which nothing is fitted."""
+CONFIDENCE = 0.95
+GOOD_REFUSED = 0.04
+"""Share of poses below SUCCESS_MM that the prediction may refuse: with the checks' limits, at most 5 %."""
+HUBER = 1.345
+"""Residuals beyond so many standard deviations count linearly (Huber 1981)."""
+RIDGE = 0.02
+"""Of the weights, in squared standard deviations of a feature: checks that say alike share their weight."""
+RANGE_MARGIN = 0.25
+"""Of the range of an image statistic over the hearts, beyond either end."""
+JUDGED_LATER = ("DOUBTFUL", "OUTSIDE_CALIBRATION", "CONVERGED")
+"""Stops of poses that no check refused by its own limit: the others come before the tables."""
+
+
+def fit_tables(lines: Sequence[Line]) -> dict[str, Any]:
+    """The content of `calibrated.json`: a table for each kind of images with LEAST_HEARTS hearts or more.
+
+    Args:
+        lines: each with `heart`, `world`, `images`, `quality`, `disturbed`, `stop`, `tre_mm`, `tre_max_mm`,
+            `features` and `statistics` (by name); lines of trials that ended in an error are left out.
+    Raises:
+        InvalidInputError: no kind has enough hearts, or a line lacks a field.
+    """
+    done = [line for line in lines if "refused" not in line]
+    kinds = sorted({str(line["images"]) for line in done})
+    tables = {}
+    for kind in kinds:
+        of_kind = [line for line in done if line["images"] == kind]
+        if len({_heart(line) for line in of_kind}) >= LEAST_HEARTS:
+            tables[kind] = fit_table(of_kind)
+    if not tables:
+        raise InvalidInputError(
+            f"no kind of images has {LEAST_HEARTS} hearts; run the study on more of a list"
+        )
+    return {"schema": "dvf_ig.calibrated_evidence/1", "kinds": tables}
+
+
+def fit_table(lines: Sequence[Line]) -> dict[str, Any]:
+    """The table of one kind of images, as JSON holds it."""
+    try:
+        x = np.stack([logarithms(line["features"]) for line in lines])
+        error = np.array([line["tre_max_mm"] for line in lines], dtype=np.float64)
+        success = np.array([line["tre_mm"] < SUCCESS_MM for line in lines])
+        passed = np.array([line["stop"] in JUDGED_LATER for line in lines])
+    except KeyError as exc:
+        raise InvalidInputError(f"a line of the study has no '{exc.args[0]}'; run the study again") from exc
+    hearts = np.unique([_heart(line) for line in lines], return_inverse=True)[1].ravel()
+    weight = 1.0 / np.bincount(hearts)[hearts]
+    low, high, missing = feature_limits(x, success)
+    known = np.clip(np.where(np.isnan(x), missing, x), low, high)
+    target = np.log(np.clip(error, 0.1, 100.0))
+    predicted = cross_fitted(known, target, weight, hearts)
+    intercept, weights = fit_error(known, target, weight)
+    at, chance = isotonic(predicted[passed], success[passed], weight[passed])
+    good = passed & success
+    refused = ~passed
+    return {
+        "hearts": int(hearts.max()) + 1,
+        "trials": len(lines),
+        "features": list(FEATURES),
+        "intercept": intercept,
+        "weights": weights.tolist(),
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "missing": missing.tolist(),
+        "predicted": at.tolist(),
+        "probability": chance.tolist(),
+        "refused_probability": float((weight[refused & success].sum() + 1.0) / (weight[refused].sum() + 2.0)),
+        "bound_quantile": conformal_quantile((target - predicted)[passed], hearts[passed]),
+        "largest": float(np.quantile(predicted[good], 1.0 - GOOD_REFUSED)),
+        **_ranges([line["statistics"] for line in lines], int(hearts.max()) + 1),
+    }
+
+
+def _heart(line: Line) -> str:
+    return f"{line['world']} {line['heart']}"
+
+
+def feature_limits(x: FloatArray, success: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(f,) lowest and highest logarithm that counts, and what a check counts as that could not be made.
+
+    Below the tenth percentile of all better is not better; a check that was not made counts as a value that
+    nine in ten good poses stay below.
+    """
+    empty = np.isnan(x).all(axis=0)
+    safe = np.where(empty, 0.0, x)
+    low, high = np.nanpercentile(safe, [10.0, 99.5], axis=0)
+    missing = np.nanpercentile(np.where(success[:, None], safe, np.nan), 90.0, axis=0)
+    return low, high, np.clip(np.where(np.isnan(missing), high, missing), low, high)
+
+
+def fit_error(x: FloatArray, target: FloatArray, weight: FloatArray) -> tuple[float, FloatArray]:
+    """Intercept and non-negative weights of a robust regression.
+
+    Args:
+        x: (n, f); target: (n,); weight: (n,) of each trial.
+    """
+    scale = np.maximum(x.std(axis=0), 1e-6)
+    own, solved, offset = weight.copy(), np.zeros(x.shape[1]), 0.0
+    for _ in range(10):
+        mean_x, mean_y = np.average(x, axis=0, weights=own), float(np.average(target, weights=own))
+        root = np.sqrt(own / own.sum())
+        rows = np.vstack([root[:, None] * (x - mean_x) / scale, math.sqrt(RIDGE) * np.eye(x.shape[1])])
+        values = np.concatenate([root * (target - mean_y), np.zeros(x.shape[1])])
+        solved = nnls(rows, values)[0] / scale
+        offset = mean_y - float(mean_x @ solved)
+        apart = np.abs(target - offset - x @ solved)
+        spread = max(1.4826 * float(np.median(apart)), 1e-6)
+        own = weight * np.minimum(1.0, HUBER * spread / np.maximum(apart, 1e-12))
+    return offset, solved
+
+
+def cross_fitted(x: FloatArray, target: FloatArray, weight: FloatArray, hearts: IntArray) -> FloatArray:
+    """(n,) prediction for each trial from a fit on other hearts."""
+    fold = np.random.default_rng(0).permutation(int(hearts.max()) + 1)[hearts] % FOLDS
+    out = np.empty(len(target))
+    for k in range(FOLDS):
+        held = fold == k
+        offset, weights = fit_error(x[~held], target[~held], weight[~held])
+        out[held] = offset + x[held] @ weights
+    return out
+
+
+def isotonic(predicted: FloatArray, success: BoolArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(k,) increasing predictions and (k,) decreasing shares of success: pool adjacent violators.
+
+    One success at the worst and one failure at the best prediction are added: no share is 0 or 1.
+    """
+    order = np.argsort(predicted, kind="stable")
+    at = np.concatenate([[predicted.min()], predicted[order], [predicted.max()]])
+    value = np.concatenate([[0.0], success[order].astype(np.float64), [1.0]])
+    mass = np.concatenate([[1.0], weight[order], [1.0]])
+    blocks: list[list[float]] = []
+    for place, share, own in zip(at, value, mass, strict=True):
+        blocks.append([share * own, own, place * own])
+        while len(blocks) > 1 and blocks[-2][0] * blocks[-1][1] <= blocks[-1][0] * blocks[-2][1]:
+            last = blocks.pop()
+            blocks[-1] = [a + b for a, b in zip(blocks[-1], last, strict=True)]
+    sums = np.array(blocks)
+    return sums[:, 2] / sums[:, 1], sums[:, 0] / sums[:, 1]
+
+
+def conformal_quantile(residual: FloatArray, hearts: IntArray) -> float | None:
+    """The ⌈(n + 1)·0.95⌉-th smallest of n residuals, one trial a heart; None where n is too small.
+
+    Each heart's trials share one mass: a weighted quantile with the mass of one new heart at infinity.
+    """
+    share = 1.0 / np.bincount(hearts)[hearts]
+    order = np.argsort(residual)
+    reached = np.cumsum(share[order]) / (share.sum() + 1.0)
+    enough = np.flatnonzero(reached >= CONFIDENCE - 1e-12)
+    return float(residual[order][enough[0]]) if len(enough) else None
+
+
+def _ranges(statistics: Sequence[dict[str, float]], hearts: int) -> dict[str, Any]:
+    """Ranges with their margin, and the largest share of like hearts outside of any (by exchangeability)."""
+    names = list(statistics[0])
+    values = np.array([[held[name] for name in names] for held in statistics])
+    low, high = values.min(axis=0), values.max(axis=0)
+    margin = RANGE_MARGIN * np.maximum(high - low, 1e-9)
+    return {
+        "ranges": {
+            name: [float(a), float(b)] for name, a, b in zip(names, low - margin, high + margin, strict=True)
+        },
+        "outside_p": min(1.0, 2.0 * len(names) / (hearts + 1)),
+    }

@@ -1,0 +1,89 @@
+"""Covariance from blocks against closed forms, drawn errors and the toy heart."""
+
+import numpy as np
+import pytest
+from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
+
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid
+from dvf_ig.registration import Lc2, PlacementUncertainty, SliceSet, channels_from_mr
+from dvf_ig.registration.evidence.sandwich import blended_influence, sandwich
+from dvf_ig.registration.lc2.blocks import block_gradients
+from dvf_ig.registration.placement import clock_covariance_mm2, image_covariance_mm2
+
+MODEL = channels_from_mr(toy_mr(), smoothing_mm=3.0)
+SLICES = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
+
+
+def metric_of(slices: SliceSet) -> Lc2:
+    return Lc2(slices, MODEL, patch_mm=13.0, pitch_mm=3.0)
+
+
+def cells(count: int) -> np.ndarray:
+    return np.column_stack([np.arange(count), np.zeros(count), np.zeros(count)]).astype(np.int64)
+
+
+def test_blocks_add_up_to_the_gradient_of_all_and_lie_where_they_say() -> None:
+    metric = metric_of(SLICES)
+    whole = metric.cost_gradient(toy_pose(), CENTER_MM)
+    blocks = block_gradients(metric, toy_pose(), CENTER_MM, block_mm=30.0)
+    assert len(blocks.cost) > 3 * len(SLICES)
+    for number in range(len(SLICES)):
+        own = blocks.slice == number
+        np.testing.assert_allclose(blocks.cost[own].sum(), whole.cost[number], rtol=1e-9)
+        np.testing.assert_allclose(
+            blocks.gradient[own].sum(axis=0), whole.gradient[number], atol=1e-9 * np.abs(whole.gradient).max()
+        )
+    assert len(np.unique(np.column_stack([blocks.slice, blocks.cell]), axis=0)) == len(blocks.cost)
+
+
+def test_the_sandwich_finds_the_scatter_of_a_mean_whose_errors_share_cells_and_slices() -> None:
+    rng = np.random.default_rng(2)
+    cell, number = (a.ravel() for a in np.meshgrid(np.arange(15), np.arange(25)))
+    means, claims = [], []
+    for _ in range(200):
+        shared = rng.normal(size=(15, 6))[cell] + rng.normal(size=(25, 6))[number]
+        errors = shared + rng.normal(size=(len(cell), 6))
+        mean = errors.mean(axis=0)
+        means.append(mean)
+        pulls = (errors - mean) / len(cell)
+        claims.append(np.diag(sandwich(pulls, np.column_stack([cell, cell, cell]), number)))
+    assert np.mean(claims) == pytest.approx(np.var(means), rel=0.15)
+
+
+def test_blended_pulls_of_one_cell_add() -> None:
+    """LC2 and boundary that err alike in a cell err together: their spread is no smaller than either's."""
+    pulls = np.random.default_rng(3).normal(size=(12, 6))
+    own = cells(12)
+    together = blended_influence(pulls, own, np.arange(12), pulls, own, 0.35)
+    total = sum(np.outer(p, p) for p in pulls)
+    blended, place, _ = together
+    sums = np.stack([blended[(place == own[k]).all(axis=1)].sum(axis=0) for k in range(12)])
+    np.testing.assert_allclose(sums.T @ sums, total, rtol=1e-9)
+
+
+def image_covariance(turn_rad: float, shift_mm: float) -> PlacementUncertainty:
+    return PlacementUncertainty(np.diag([turn_rad**2] * 3 + [shift_mm**2] * 3), 0.01)
+
+
+def test_a_shifted_image_shifts_the_pose_as_much_where_all_planes_are_parallel() -> None:
+    parallel = SLICES.subset(np.zeros(6, dtype=np.int64))
+    found = image_covariance_mm2(parallel, np.ones(6), toy_pose(), CENTER_MM, image_covariance(0.0, 0.7))
+    np.testing.assert_allclose(found[3:, 3:], 0.49 * np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(found[:3], 0.0, atol=1e-9)
+
+
+def test_a_turned_image_turns_the_pose_and_shifts_it_by_its_lever() -> None:
+    parallel = SLICES.subset(np.zeros(6, dtype=np.int64))
+    rows, columns = SLICES.images.shape[1:]
+    middle = SLICES.frame_from_pixel[0] @ np.array([(columns - 1) / 2, (rows - 1) / 2, 1.0])
+    lever = float(np.linalg.norm(CENTER_MM - toy_pose().apply_array(middle[None])[0]))
+    found = image_covariance_mm2(parallel, np.ones(6), toy_pose(), CENTER_MM, image_covariance(0.01, 0.0))
+    np.testing.assert_allclose(np.diag(found)[:3], (0.01 * HEART_RADIUS_MM) ** 2, rtol=1e-9)
+    assert np.trace(found[3:, 3:]) == pytest.approx(2 * (0.01 * lever) ** 2, rel=1e-9)
+
+
+def test_a_still_heart_does_not_mind_the_clock() -> None:
+    curvature: FloatArray = np.eye(6)
+    pose: Rigid = toy_pose()
+    found = clock_covariance_mm2(SLICES, metric_of, pose, CENTER_MM, curvature, 0.02)
+    np.testing.assert_allclose(found, 0.0, atol=1e-12)
