@@ -65,6 +65,8 @@ from .surface_points.touched import TouchedPoints as TouchedPoints
 from .tracking.pose_estimate import BeatMeasurement as BeatMeasurement
 from .tracking.pose_estimate import PoseEstimate as PoseEstimate
 from .tracking.pose_estimate import measure_beat as measure_beat
+from .tracking.shift_detector import ShiftDetector as ShiftDetector
+from .tracking.shift_detector import ShiftTest as ShiftTest
 from .volumes import VOLUME_SMOOTHING_MM as VOLUME_SMOOTHING_MM
 from .volumes import VolumeTarget as VolumeTarget
 from .volumes import prepare_volumes as prepare_volumes

@@ -214,7 +214,7 @@ class Session:
             retiming=retiming_curve(phase.rr_s, model.timing.rr_s, model.es_fraction, self.setup.retiming)
             if phase.rr_s > 0
             else None,
-            covariance_mm2=None if estimate is None else estimate.covariance_mm2,
+            covariance_mm2=None if estimate is None else estimate.total_mm2,
             center_mm=heart.center_mm,
             pose_until_s=-inf if confirmation is None else confirmation.until_s,
         )
