@@ -325,7 +325,8 @@ class PoseTracker:
         if now is not was:
             if now is not None and self.confirmation is not None:
                 self.confirmation = self.confirmation.changed(now.tre_bound_mm)
-            self.history.updates.append(PoseUpdate(now_s, now.pose if now else None))
+            doubt = None if now else self.monitor.doubt
+            self.history.updates.append(PoseUpdate(now_s, now.pose if now else None, doubt))
             self._move(now, now_s)
 
     def _move(self, now: PoseEstimate | None, now_s: float) -> None:
