@@ -67,10 +67,11 @@ from .surface_points.fit import RunnerUp as RunnerUp
 from .surface_points.fit import SurfacePointFit as SurfacePointFit
 from .surface_points.fit import start_from_surface_points as start_from_surface_points
 from .surface_points.touched import TouchedPoints as TouchedPoints
-from .tracking.covariance_intersection import covariance_intersection as covariance_intersection
 from .tracking.pose_estimate import BeatMeasurement as BeatMeasurement
 from .tracking.pose_estimate import PoseEstimate as PoseEstimate
 from .tracking.pose_estimate import measure_beat as measure_beat
+from .tracking.shift_detector import ShiftDetector as ShiftDetector
+from .tracking.shift_detector import ShiftTest as ShiftTest
 from .volumes import VOLUME_SMOOTHING_MM as VOLUME_SMOOTHING_MM
 from .volumes import VolumeTarget as VolumeTarget
 from .volumes import prepare_volumes as prepare_volumes

@@ -8,6 +8,7 @@ from dvf_ig.core import Rigid
 from dvf_ig.registration import RegistrationResult
 
 from .beat_evaluation import BeatEvaluation
+from .doubt import Doubt
 from .gated_frames import GatedFrames
 from .refusal import Refused
 
@@ -54,10 +55,12 @@ class PoseUpdate:
     Attributes:
         from_s: when it took effect.
         pose: mr_from_tracker from then on; None where the pose in use was suspended.
+        doubt: why it was suspended; None where it was not.
     """
 
     from_s: float
     pose: Rigid | None
+    doubt: Doubt | None = None
 
 
 class SessionHistory:

@@ -259,13 +259,14 @@ class PoseTracker:
 
     def _take_beat(self, done: ComparedBeat, compared_with: PoseEstimate | None, now_s: float) -> None:
         """A beat's evaluation; anew where another pose is under test by now."""
-        confirmed_before = self.confirmation
+        before_s = None if self.confirmation is None else self.confirmation.confirmed_s
         if done.slices is not None:
             self._recent = [*self._recent[1 - REMEMBERED_BEATS :], done.slices]
             same = compared_with is self.monitor.under_test
             self._compare(done.slices, now_s, done.evaluation if same else None, evaluated=same)
-        if self.confirmation is confirmed_before and self.confirmation is not None and not done.irregular:
-            self.confirmation = self.confirmation.missed()
+        held = self.confirmation
+        if held is not None and held.confirmed_s == before_s and not done.irregular:
+            self.confirmation = held.missed()
 
     def _compare(
         self,
@@ -287,12 +288,14 @@ class PoseTracker:
             return
         evaluation = replace(evaluation, in_use=in_use)
         self.history.beats.append(evaluation)
-        self.monitor = before.after_beat(evaluation.measurement)
+        self.monitor = before.after_beat(evaluation.measurement, evaluation.begin_s)
         self._record_update(before, now_s)
         if self.monitor.in_use and confirms(evaluation.measurement):
-            self.confirmation = Confirmation(now_s)
+            self.confirmation = Confirmation(now_s, self.monitor.in_use.tre_bound_mm)
         if before.in_use and not self.monitor.in_use:
-            self._suspend(beat.end_s, evaluation.measurement.best, now_s)
+            doubt = self.monitor.doubt
+            elsewhere = None if doubt is None else doubt.pose
+            self._suspend(beat.end_s, elsewhere or evaluation.measurement.best, now_s)
         elif before.pending is None and self._beat_pose is not None:
             self._beat_pose = evaluation.measurement.best
         elif before.pending and self.monitor.in_use:
@@ -320,7 +323,10 @@ class PoseTracker:
     def _record_update(self, before: RegistrationMonitor, now_s: float) -> None:
         was, now = before.in_use, self.monitor.in_use
         if now is not was:
-            self.history.updates.append(PoseUpdate(now_s, now.pose if now else None))
+            if now is not None and self.confirmation is not None:
+                self.confirmation = self.confirmation.changed(now.tre_bound_mm)
+            doubt = None if now else self.monitor.doubt
+            self.history.updates.append(PoseUpdate(now_s, now.pose if now else None, doubt))
             self._move(now, now_s)
 
     def _move(self, now: PoseEstimate | None, now_s: float) -> None:
@@ -329,7 +335,7 @@ class PoseTracker:
             self.motion = None
         elif self.motion is None:
             self.motion = PoseMotion.still(now.pose)
-            self.confirmation = Confirmation(now_s)
+            self.confirmation = Confirmation(now_s, now.tre_bound_mm)
         else:
             held = self.motion.at(now_s)
             self.motion = PoseMotion.towards(held, now.pose, now_s, self.monitor.center_mm)

@@ -5,28 +5,40 @@ match the model well at some pose. What they do not leave alone is the place: la
 tool disagree at once, the next heart beat matches better at another pose, and after a slip no pose fits the
 views of several beats.
 
-    in use ── a beat that disagrees, a registration elsewhere, or two refused ones ──► suspended: no force
+    in use ── beats that disagree, a registration elsewhere, or two refused ones ──► suspended: no force
     suspended ── consecutive beats consistent with it, or with a registration made since ──► in use
+
+Beats disagree where the last of them, together, put the heart elsewhere (`ShiftDetector`), or where single
+ones fit another pose far better.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, Stop, mean_displacement_mm, read_only_arrays
-from dvf_ig.registration import BeatMeasurement, PoseEstimate
+from dvf_ig.registration import BeatMeasurement, PoseEstimate, ShiftDetector
 
+from .doubt import Doubt, DoubtCause
 from .refusal import Refusal, Refused
 
 LANDMARKS_MM = 4.0
 """Landmark fits of tuning seeds 101–106 lie 0.9 to 1.4 mm from the truth over the heart, good poses 2 mm."""
 JUMP_MM = 2.5
 """Repeated registrations of an undisturbed patient move by up to 1.2 mm."""
-SUSPEND_LOG_RATIO = 7.0
-"""Log-likelihood ratio of a beat's best pose against the pose in use that suspends the latter. On tuning seed
-101, calm and with poor images, 170 beats reach 4.4; of beats after a shift of 8 mm, 95 % lie above 9."""
+SHIFT_LIMIT = 34.0
+"""Statistic of `ShiftDetector` that suspends the pose in use: at most one false alarm in an hour of beats
+(4320) with poor images. There, on tuning hearts 1001–1004, 226 beats reach 26.4, and the exponential tail of
+the largest tenth (mean excess 2.9) puts one beat in 4320 above 34. Calm, 171 beats reach 12.3."""
+SHIFT_EXPLAINED = 17.0
+"""The same up to which beats bring a suspended pose back: the upper 1 % of χ² of six degrees."""
+SUSPEND_LOG_RATIO, SUSPEND_LOG_RATIO_ALONE = 7.0, 12.0
+"""Log-likelihood ratio of a beat's best pose against the pose in use, which two beats in a row or one alone
+must exceed to suspend it: all there is where LC2's optimum does not tell where the heart is (surface-only
+models). On tuning hearts 1001–1004, calm and with poor images, 1 of 530 beats exceeds 7 (by 1.1), none in a
+row; 8 mm off, calm, 95 % of beats lie above 9."""
 CONSISTENT_LOG_RATIO = 5.0
-"""The same up to which a beat confirms a pose: beats of good poses on tuning seeds reach 4.4."""
+"""The same up to which a beat confirms a pose: of these beats 1 in 530 lies above."""
 CONFIRMING_BEATS, MAX_CONFIRMING_BEATS = 3, 10
 """Consecutive beats that confirm a pose, and twice as many after each registration that beats contradicted: a
 patient who moved lies still again, but a slipped marker is wrong in another way from view to view."""
@@ -62,6 +74,9 @@ class RegistrationMonitor:
         needed_beats: so many of them bring it into use.
         refusals: registrations in a row that were refused by their own evidence while the pose was in use.
         phase_doubted: ECG and images disagree; no beat confirms a pose until a registration is usable again.
+        shift: the last beats against the pose under test.
+        contradicting: beats in a row whose log-likelihood ratio exceeds SUSPEND_LOG_RATIO.
+        doubt: why the pose is suspended; None while it is in use, or before the first.
     """
 
     center_mm: FloatArray
@@ -73,6 +88,9 @@ class RegistrationMonitor:
     needed_beats: int = CONFIRMING_BEATS
     refusals: int = 0
     phase_doubted: bool = False
+    shift: ShiftDetector = field(default_factory=ShiftDetector)
+    contradicting: int = 0
+    doubt: Doubt | None = None
 
     @property
     def under_test(self) -> PoseEstimate | None:
@@ -92,9 +110,10 @@ class RegistrationMonitor:
             return replace(self, phase_doubted=False)._with_pending(found)
         off_mm = mean_displacement_mm(found.pose, self.estimate.pose, self.center_mm)
         if off_mm <= JUMP_MM:
-            updated = self.estimate.update_with(found.predict(beats))
+            updated = self.estimate.intersected_with(found.predict(beats))
             return replace(self, estimate=updated, refusals=0), None
-        return replace(self._suspended(), pending=found), Refused(Refusal.MOVED, off_mm)
+        moved = self._suspended(Doubt(DoubtCause.REGISTERED_ELSEWHERE, distance_mm=off_mm))
+        return replace(moved, pending=found, shift=ShiftDetector()), Refused(Refusal.MOVED, off_mm)
 
     def after_refusal(self, stop: Stop) -> "RegistrationMonitor":
         """The next state after a registration that its own evidence refused; `stop` says why.
@@ -105,41 +124,67 @@ class RegistrationMonitor:
         if self.suspended or self.estimate is None:
             return replace(self, phase_doubted=self.phase_doubted or stop is Stop.PHASE_OFFSET)
         if stop is Stop.PHASE_OFFSET:
-            return replace(self._suspended(), phase_doubted=True)
+            return replace(self._suspended(Doubt(DoubtCause.PHASE_OFFSET)), phase_doubted=True)
         if self.refusals + 1 >= SUSPENDING_REFUSALS:
-            return self._suspended()
+            return self._suspended(Doubt(DoubtCause.REFUSED))
         return replace(self, estimate=_less_certain(self.estimate), refusals=self.refusals + 1)
 
-    def _suspended(self) -> "RegistrationMonitor":
-        return replace(self, suspended=True, consistent_beats=0, refusals=0)
+    def _suspended(self, doubt: Doubt) -> "RegistrationMonitor":
+        return replace(self, suspended=True, consistent_beats=0, refusals=0, contradicting=0, doubt=doubt)
 
     def _with_pending(self, found: PoseEstimate) -> tuple["RegistrationMonitor", Refused]:
         """Landmarks are compared with the first pose only: a patient who moved took them along."""
         off_mm = landmark_disagreement_mm(found.pose, self.landmarks, self.center_mm)
         if self.estimate is None and off_mm is not None:
             return self, Refused(Refusal.LANDMARKS_DISAGREE, off_mm)
-        return replace(self, pending=found, consistent_beats=0), Refused(Refusal.UNCONFIRMED)
+        waiting = replace(self, pending=found, consistent_beats=0, shift=ShiftDetector())
+        return waiting, Refused(Refusal.UNCONFIRMED)
 
-    def after_beat(self, measurement: BeatMeasurement) -> "RegistrationMonitor":
-        """The next state after a beat that was compared with the pose under test.
+    def after_beat(self, measurement: BeatMeasurement, begin_s: float) -> "RegistrationMonitor":
+        """The next state after a beat, begun at `begin_s`, that was compared with the pose under test.
 
         A beat without information neither confirms a pose nor moves it.
         """
         tested = self.under_test
         if tested is None:
             return self
-        if not self.suspended:
-            if measurement.log_likelihood_ratio > SUSPEND_LOG_RATIO:
-                return self._suspended()
-            if not measurement.informative:
-                return replace(self, estimate=tested.predict(1.0))
-            return replace(self, estimate=_updated(tested, measurement))
+        over = measurement.log_likelihood_ratio > SUSPEND_LOG_RATIO
+        watched = replace(self, contradicting=self.contradicting + 1 if over else 0)
+        if measurement.informative:
+            watched = replace(watched, shift=self.shift.after(begin_s, tested, measurement))
+        if self.suspended:
+            return watched._retested(tested, measurement)
+        doubt = watched._doubt(measurement, begin_s)
+        if doubt is not None:
+            return watched._suspended(doubt)
+        if not measurement.informative:
+            return replace(watched, estimate=tested.predict(1.0))
+        return replace(watched, estimate=_updated(tested, measurement))
+
+    def _doubt(self, measurement: BeatMeasurement, begin_s: float) -> Doubt | None:
+        """What the beats up to the last one, `measurement`, have against the pose they were compared with."""
+        shift = self.shift.test
+        if shift is not None and measurement.informative and shift.statistic > SHIFT_LIMIT:
+            return Doubt(DoubtCause.SHIFTED, shift.since_s, shift.distance_mm, shift.pose)
+        ratio = measurement.log_likelihood_ratio
+        if self.contradicting > 1 or ratio > SUSPEND_LOG_RATIO_ALONE:
+            return Doubt(DoubtCause.SHIFTED, begin_s, measurement.moved_mm, measurement.best)
+        return None
+
+    def _retested(self, tested: PoseEstimate, measurement: BeatMeasurement) -> "RegistrationMonitor":
+        """The next state of a suspended pose, or of a registration that waits."""
         if self.phase_doubted:
             return self
-        if measurement.log_likelihood_ratio > CONSISTENT_LOG_RATIO:
+        shift = self.shift.test
+        statistic = 0.0 if shift is None or not measurement.informative else shift.statistic
+        if measurement.log_likelihood_ratio > CONSISTENT_LOG_RATIO or (
+            self.pending is not None and statistic > SHIFT_LIMIT
+        ):
             return self._contradicted()
         if not measurement.informative:
             return self
+        if statistic > SHIFT_EXPLAINED:
+            return replace(self, consistent_beats=0)
         if self.consistent_beats + 1 < self.needed_beats:
             return replace(self, consistent_beats=self.consistent_beats + 1)
         return RegistrationMonitor(
@@ -153,12 +198,12 @@ class RegistrationMonitor:
         if self.pending is None:
             return replace(self, consistent_beats=0)
         needed = min(2 * self.needed_beats, MAX_CONFIRMING_BEATS)
-        return replace(self, pending=None, consistent_beats=0, needed_beats=needed)
+        return replace(self, pending=None, consistent_beats=0, needed_beats=needed, shift=ShiftDetector())
 
 
 def _less_certain(estimate: PoseEstimate) -> PoseEstimate:
     wider = estimate.covariance_mm2 + REFUSAL_SIGMA_MM**2 * np.eye(6)
-    return PoseEstimate(estimate.pose, wider, estimate.center_mm)
+    return replace(estimate, covariance_mm2=wider)
 
 
 def _updated(tested: PoseEstimate, measurement: BeatMeasurement) -> PoseEstimate:

@@ -14,7 +14,7 @@ state at or after its stamp is asked for; one that comes later counts from then 
 from bisect import insort
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf
+from math import inf, nan
 from operator import attrgetter
 from types import TracebackType
 
@@ -156,6 +156,8 @@ class Session:
             transform=self._transform,
             estimate=self._pose.monitor.estimate,
             pose_age_s=inf if confirmation is None else now_s - confirmation.confirmed_s,
+            tre_bound_mm=nan if confirmation is None else confirmation.bound_mm(now_s),
+            doubt=self._pose.monitor.doubt,
             registration=self.history.attempts[-1] if self.history.attempts else None,
             model_phase=self._place.item(MODEL_PHASE),
             tool=tool,
@@ -214,7 +216,7 @@ class Session:
             retiming=retiming_curve(phase.rr_s, model.timing.rr_s, model.es_fraction, self.setup.retiming)
             if phase.rr_s > 0
             else None,
-            covariance_mm2=None if estimate is None else estimate.covariance_mm2,
+            covariance_mm2=None if estimate is None else estimate.total_mm2,
             center_mm=heart.center_mm,
             pose_until_s=-inf if confirmation is None else confirmation.until_s,
         )

@@ -10,6 +10,7 @@ from dvf_ig.guidance import PoseAndPhase, RearmAnswer, Status, SupervisedForce, 
 from dvf_ig.registration import PoseEstimate
 
 from .calibrations import CalibrationsInUse
+from .doubt import Doubt
 from .history import Attempt
 from .tool_tracker import ToolReading
 
@@ -23,6 +24,8 @@ class GuidanceState:
         transform: (p_tracker, t) ↦ (p_mr, φ), from now on until something new is known.
         estimate: the pose in use with its covariance, or the last one while it is withheld; None before any.
         pose_age_s: time since a heart beat confirmed the pose; infinite before the first.
+        tre_bound_mm: 95 % bound on the error of the pose in use over the heart; NaN before the first.
+        doubt: why the pose is suspended; None while it is not.
         registration: the last one that ended, with its evidence; None before the first.
         model_phase: place in the model's cycle; NaN where the phase is not locked.
         tool: the tool's tip, or why it is not known.
@@ -41,6 +44,8 @@ class GuidanceState:
     transform: PoseAndPhase
     estimate: PoseEstimate | None
     pose_age_s: float
+    tre_bound_mm: float
+    doubt: Doubt | None
     registration: Attempt | None
     model_phase: float
     tool: ToolReading
@@ -83,6 +88,8 @@ class GuidanceState:
         found = self.supervised.sentences
         if self.supervisor is SupervisorState.LATCHED and self.rearmed is not None:
             found += (self.rearmed.value,)
+        if self.doubt is not None:
+            found += (self.doubt.sentence,)
         if self.registration is not None and not self.registration.usable:
             found += (f"last registration: {self.registration.reason}",)
         return found

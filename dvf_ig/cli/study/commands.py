@@ -14,6 +14,7 @@ from .replay import replay
 from .retiming import retiming
 from .stylus import tracking
 from .training import training
+from .watch import watch
 
 app = typer.Typer(help="Many trials with a known truth.", no_args_is_help=True)
 app.command("tracking")(tracking)
@@ -25,5 +26,6 @@ app.command("training")(training)
 app.command("replay")(replay)
 app.command("hearts")(hearts)
 app.command("constants")(constants)
+app.command("watch")(watch)
 add_registration_commands(app)
 app.command("calibration", cls=TrialsCommand)(calibration)

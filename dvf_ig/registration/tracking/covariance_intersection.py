@@ -1,30 +1,44 @@
-"""Fusion of two pose estimates that share data, and nobody knows how much: covariance intersection.
+"""Two estimates whose errors are correlated in a way that nobody knows, fused without a claim to more.
 
-A registration and the beats that follow it are made of the same frames, calibrations and model; taken as
-independent, their fusion would claim too much.
+    P⁻¹ = ω P₁⁻¹ + (1 − ω) P₂⁻¹,    P⁻¹ x = ω P₁⁻¹ x₁ + (1 − ω) P₂⁻¹ x₂,    ω minimises det P
+
+(of several ω that do so, as with P₁ = P₂, the one nearest to a half). P is no smaller than the true
+covariance whatever the correlation is.
+
+Source: Julier and Uhlmann 1997, A non-divergent estimation algorithm in the presence of unknown correlations.
 """
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from dvf_ig.registration.pose_chart import PoseChart
+from dvf_ig.core import FloatArray
 
-from .pose_estimate import PoseEstimate
+WEIGHT_TOLERANCE = 1e-3
+"""Of ω: the determinant is flat at its minimum."""
+FLAT = 1e-6
+"""Logarithms of det P this near to each other count as the same."""
 
 
-def covariance_intersection(one: PoseEstimate, other: PoseEstimate) -> PoseEstimate:
-    """P⁻¹ = ω P₁⁻¹ + (1 − ω) P₂⁻¹ with the ω of least trace: consistent whatever both have in common.
+def covariance_intersection(
+    first_mm2: FloatArray, second_mm2: FloatArray, offset_mm: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Fuse two estimates of the same quantity.
 
-    Source: Julier and Uhlmann 1997. In the coordinates of `PoseChart` about the pose of `one`.
+    Args:
+        first_mm2, second_mm2: (n, n) covariances, positive definite.
+        offset_mm: (n,) second estimate minus the first.
+    Returns:
+        (n,) fused estimate minus the first, and its (n, n) covariance.
     """
-    first, second = (np.linalg.inv(estimate.covariance_mm2) for estimate in (one, other))
+    first, second = np.linalg.inv(first_mm2), np.linalg.inv(second_mm2)
 
-    def spread(weight: float) -> float:
-        return float(np.trace(np.linalg.inv(weight * first + (1.0 - weight) * second)))
+    def log_determinant(weight: float) -> float:
+        size = -float(np.linalg.slogdet(weight * first + (1.0 - weight) * second)[1])
+        return size + FLAT * (weight - 0.5) ** 2
 
-    within = float(minimize_scalar(spread, bounds=(0.0, 1.0), method="bounded").x)
-    weight = min((0.0, within, 1.0), key=spread)
+    inner = minimize_scalar(
+        log_determinant, bounds=(0.0, 1.0), method="bounded", options={"xatol": WEIGHT_TOLERANCE}
+    )
+    weight = min((0.0, 1.0, float(inner.x)), key=log_determinant)
     covariance = np.asarray(np.linalg.inv(weight * first + (1.0 - weight) * second))
-    chart = PoseChart(one.pose, one.center_mm)
-    offset = covariance @ ((1.0 - weight) * (second @ chart.coordinates(other.pose)))
-    return PoseEstimate(chart.pose(offset), covariance, one.center_mm)
+    return covariance @ ((1.0 - weight) * (second @ offset_mm)), covariance

@@ -12,18 +12,26 @@ only if it would have contradicted a wrong one; so the optimum is compared with 
 Tracking: an information filter,
     predict  P ← P + Q
     update   Λ = P⁻¹ + J,   ξ̂ = Λ⁻¹ (J ξ),   P ← Λ⁻¹,
-so that directions which one beat cannot observe keep what earlier beats knew of them.
+so that directions which one beat cannot observe keep what earlier beats knew of them. P is how well the pose
+is known against the beats to come. What all beats have in common (calibration, mismatch of the anatomy) no
+beat reduces: the covariance S of the registration that the pose goes back to stays beside P, and P + S is how
+well the pose is known against the truth (a consider covariance: Schmidt 1966). A later registration is made
+of frames that the beats have used: it is fused by covariance intersection with S, and leaves P as it is. On
+tuning hearts 1001–1005 χ² of six degrees is 5.4 calm and 5.5 with poor images for P + S, 16 and 30 for P.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from dvf_ig.core import FloatArray, Rigid, mean_displacement_mm, read_only_arrays
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm
+
+from .covariance_intersection import covariance_intersection
 
 PRIOR_SIGMA_MM = 6.0
 """Standard deviation per coordinate of the prior about the pose in use: bounds what a beat cannot observe."""
@@ -44,6 +52,8 @@ INFORMATIVE_LOG_RATIO = 1.5
 """Mean log-likelihood ratio of a beat's optimum against wrong poses, from which on it can confirm a pose. On
 tuning seeds 101 to 103 good poses have 3.1 or more with poor images, 8 with few slices, 15 calm; black images
 have 0, noise and speckle of any grain up to 0.44."""
+MEAN_SQUARE_OF_COORDINATES = np.array([2 / 3] * 3 + [1.0] * 3)
+"""What a unit of each coordinate adds to the mean square distance over points at the heart's radius."""
 BEAT_OPTIMISER = OptimiserOptions(steps=10, cap_mm=5.0, tolerance_mm=0.1)
 
 
@@ -52,26 +62,44 @@ BEAT_OPTIMISER = OptimiserOptions(steps=10, cap_mm=5.0, tolerance_mm=0.1)
 class PoseEstimate:
     """A pose and how well it is known.
 
+    Covariances are (6, 6), in the coordinates of `PoseChart` about `center_mm`.
+
     Attributes:
         pose: target_from_source.
-        covariance_mm2: (6, 6) in the coordinates of `PoseChart` about `center_mm`.
+        covariance_mm2: P, against the beats to come.
         center_mm: (3,) centre of the heart box, target frame.
+        shared_mm2: S, of the error that all beats have in common.
     """
 
     pose: Rigid
     covariance_mm2: FloatArray
     center_mm: FloatArray
+    shared_mm2: FloatArray
 
     @classmethod
     def from_registration(cls, pose: Rigid, covariance: FloatArray, center_mm: FloatArray) -> "PoseEstimate":
         """From a registration's covariance in rad², mm²."""
-        return cls(pose, covariance_to_mm(covariance), center_mm)
+        covariance_mm2 = covariance_to_mm(covariance)
+        return cls(pose, covariance_mm2, center_mm, covariance_mm2)
+
+    @property
+    def total_mm2(self) -> FloatArray:
+        """(6, 6) P + S: against the truth."""
+        return self.covariance_mm2 + self.shared_mm2
+
+    @property
+    def tre_bound_mm(self) -> float:
+        """95 % quantile of the distance over the heart (RMS at its radius) from the truth, by `total_mm2`.
+
+        Source: Satterthwaite 1946 (a quadratic form as a scaled χ² of the same mean and variance).
+        """
+        weighted = MEAN_SQUARE_OF_COORDINATES[:, None] * self.total_mm2
+        mean, square = float(np.trace(weighted)), float(np.sum(weighted * weighted.T))
+        return math.sqrt(square / mean * float(chi2.ppf(0.95, mean * mean / square)))
 
     def predict(self, beats: float) -> "PoseEstimate":
         """The same pose after so many beats, with the process noise of each."""
-        return PoseEstimate(
-            self.pose, self.covariance_mm2 + beats * PROCESS_NOISE_MM**2 * np.eye(6), self.center_mm
-        )
+        return replace(self, covariance_mm2=self.covariance_mm2 + beats * PROCESS_NOISE_MM**2 * np.eye(6))
 
     def update(self, offset_information_mm: FloatArray, information: FloatArray) -> "PoseEstimate":
         """The estimate with one more measurement.
@@ -82,13 +110,16 @@ class PoseEstimate:
         """
         covariance = np.asarray(np.linalg.inv(np.linalg.inv(self.covariance_mm2) + information))
         offset = covariance @ offset_information_mm
-        return PoseEstimate(PoseChart(self.pose, self.center_mm).pose(offset), covariance, self.center_mm)
+        pose = PoseChart(self.pose, self.center_mm).pose(offset)
+        return replace(self, pose=pose, covariance_mm2=covariance)
 
-    def update_with(self, other: "PoseEstimate") -> "PoseEstimate":
-        """Both estimates weighted by their inverse covariances, taken as independent."""
-        information = np.asarray(np.linalg.inv(other.covariance_mm2))
-        offset = PoseChart(self.pose, self.center_mm).coordinates(other.pose)
-        return self.update(information @ offset, information)
+    def intersected_with(self, registered: "PoseEstimate") -> "PoseEstimate":
+        """With a registration of frames that the beats have used; see the module docstring."""
+        chart = PoseChart(self.pose, self.center_mm)
+        offset, shared = covariance_intersection(
+            self.shared_mm2, registered.covariance_mm2, chart.coordinates(registered.pose)
+        )
+        return replace(self, pose=chart.pose(offset), shared_mm2=shared)
 
     def sigma_mm(self) -> float:
         """Standard deviation per coordinate, RMS over the six."""

@@ -1,45 +1,39 @@
-"""Covariance intersection: closed forms, and estimates whose shared error is known."""
+"""Fusion of estimates with unknown correlation never claims more than is true."""
 
 import numpy as np
 import pytest
-from toy_heart import CENTER_MM, toy_pose
 
-from dvf_ig.core import FloatArray
-from dvf_ig.registration import PoseChart, PoseEstimate
 from dvf_ig.registration.tracking.covariance_intersection import covariance_intersection
 
 
-def estimate(offset_mm: FloatArray, covariance: FloatArray) -> PoseEstimate:
-    return PoseEstimate(PoseChart(toy_pose(), CENTER_MM).pose(offset_mm), covariance, CENTER_MM)
+def test_equal_estimates_meet_half_way_and_are_not_more_certain() -> None:
+    offset, covariance = covariance_intersection(np.eye(6), np.eye(6), np.full(6, 2.0))
+    np.testing.assert_allclose(offset, np.full(6, 1.0), atol=1e-3)
+    np.testing.assert_allclose(covariance, np.eye(6), atol=1e-9)
 
 
-def test_the_same_estimate_twice_is_no_better_than_once() -> None:
-    covariance = np.diag([1.0, 2.0, 1.0, 0.5, 1.0, 3.0])
-    fused = covariance_intersection(estimate(np.zeros(6), covariance), estimate(np.zeros(6), covariance))
-    np.testing.assert_allclose(fused.covariance_mm2, covariance, rtol=1e-9)
+def test_each_direction_follows_the_estimate_that_knows_it() -> None:
+    first, second = np.diag([0.01, 4.0]), np.diag([4.0, 0.01])
+    offset, covariance = covariance_intersection(first, second, np.array([1.0, 1.0]))
+    np.testing.assert_allclose(np.diag(covariance), 0.02, rtol=0.01)
+    np.testing.assert_allclose(offset, [0.0, 1.0], atol=0.01)
 
 
-def test_the_better_estimate_of_two_alike_is_taken() -> None:
-    good, bad = estimate(np.zeros(6), np.eye(6)), estimate(np.full(6, 0.5), 9.0 * np.eye(6))
-    for fused in (covariance_intersection(good, bad), covariance_intersection(bad, good)):
-        np.testing.assert_allclose(fused.covariance_mm2, np.eye(6), rtol=1e-6)
-        np.testing.assert_allclose(fused.pose.matrix, good.pose.matrix, atol=1e-6)
+def test_the_surer_of_two_estimates_is_taken_where_the_other_adds_nothing() -> None:
+    offset, covariance = covariance_intersection(np.eye(3), 0.25 * np.eye(3), np.ones(3))
+    np.testing.assert_allclose(offset, np.ones(3))
+    np.testing.assert_allclose(covariance, 0.25 * np.eye(3))
 
 
-def test_estimates_that_know_different_directions_help_each_other() -> None:
-    one, other = np.diag([1.0] * 3 + [100.0] * 3), np.diag([100.0] * 3 + [1.0] * 3)
-    fused = covariance_intersection(estimate(np.zeros(6), one), estimate(np.zeros(6), other))
-    assert np.trace(fused.covariance_mm2) < 0.05 * np.trace(one)
-
-
-def test_a_shared_error_is_not_claimed_away() -> None:
-    """Two estimates with one common error: fused as independent they would claim half the variance."""
-    rng = np.random.default_rng(1)
-    own, covariance, claims = 0.3, (1.0 + 0.09) * np.eye(6), []
-    for _ in range(100):
-        shared = rng.normal(size=6)
-        one, other = (estimate(shared + own * rng.normal(size=6), covariance) for _ in range(2))
-        fused = covariance_intersection(one, other)
-        off = PoseChart(fused.pose, CENTER_MM).coordinates(toy_pose())
-        claims.append(off @ np.linalg.solve(fused.covariance_mm2, off))
-    assert np.mean(claims) == pytest.approx(6.0, abs=1.2)
+@pytest.mark.parametrize("correlation", [-0.9, 0.0, 0.5, 0.99])
+def test_the_covariance_is_no_smaller_than_the_true_one(correlation: float) -> None:
+    rng = np.random.default_rng(3)
+    first, second = np.diag([1.0, 0.3, 2.0]), np.diag([0.4, 1.2, 0.9])
+    cross = correlation * np.sqrt(first @ second)
+    joint = np.block([[first, cross], [cross.T, second]])
+    drawn = rng.multivariate_normal(np.zeros(6), joint, 20_000)
+    offset, covariance = covariance_intersection(first, second, np.zeros(3))
+    np.testing.assert_array_equal(offset, 0.0)
+    gain = np.stack([covariance_intersection(first, second, unit)[0] for unit in np.eye(3)], axis=1)
+    errors = drawn[:, :3] + (drawn[:, 3:] - drawn[:, :3]) @ gain.T
+    assert np.linalg.eigvalsh(covariance - np.cov(errors.T)).min() > -0.03

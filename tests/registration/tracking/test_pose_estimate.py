@@ -23,7 +23,7 @@ def beat(pose: Rigid, seed: int, *, first: int = 0) -> Lc2:
 
 
 def estimate(pose: Rigid, sigma_mm: float) -> PoseEstimate:
-    return PoseEstimate(pose, sigma_mm**2 * np.eye(6), CENTER_MM)
+    return PoseEstimate(pose, sigma_mm**2 * np.eye(6), CENTER_MM, 0.5**2 * np.eye(6))
 
 
 def test_an_update_of_one_coordinate_is_the_scalar_kalman_filter() -> None:
@@ -38,14 +38,28 @@ def test_an_update_of_one_coordinate_is_the_scalar_kalman_filter() -> None:
     )
 
 
-def test_two_estimates_meet_between_whichever_comes_first() -> None:
-    second = estimate(PoseChart(TRUTH, CENTER_MM).pose(np.array([0.5, 0, -0.4, 1.0, -0.8, 0.3])), 0.5)
-    there, back = estimate(TRUTH, 1.0).update_with(second), second.update_with(estimate(TRUTH, 1.0))
-    assert mean_displacement_mm(there.pose, back.pose, CENTER_MM) < 0.01
-    assert mean_displacement_mm(there.pose, second.pose, CENTER_MM) == pytest.approx(
-        0.2 * mean_displacement_mm(TRUTH, second.pose, CENTER_MM), rel=0.02
-    )
-    assert there.sigma_mm() == pytest.approx(np.sqrt(0.2))
+def test_a_registration_that_shares_frames_with_the_beats_leaves_the_tracked_pose_as_certain_as_it_was() -> (
+    None
+):
+    offset = np.array([0.5, 0, -0.4, 1.0, -0.8, 0.3])
+    covariance = np.diag([(0.5 / HEART_RADIUS_MM) ** 2] * 3 + [0.5**2] * 3)
+    first = PoseEstimate.from_registration(TRUTH, covariance, CENTER_MM)
+    assert first.total_mm2[4, 4] == pytest.approx(2 * 0.5**2)
+    tracked = first.update(np.zeros(6), np.eye(6) / 0.2**2)
+    again = PoseEstimate.from_registration(PoseChart(TRUTH, CENTER_MM).pose(offset), covariance, CENTER_MM)
+    fused = tracked.intersected_with(again)
+    np.testing.assert_array_equal(fused.covariance_mm2, tracked.covariance_mm2)
+    np.testing.assert_allclose(fused.shared_mm2, 0.5**2 * np.eye(6), atol=1e-9)
+
+
+def test_the_bound_holds_the_distance_over_the_heart_in_95_percent() -> None:
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(6, 6)) * 0.5
+    held = PoseEstimate(TRUTH, root @ root.T, CENTER_MM, 0.3**2 * np.eye(6))
+    drawn = rng.multivariate_normal(np.zeros(6), held.total_mm2, 4000)
+    chart = PoseChart(TRUTH, CENTER_MM)
+    far = [mean_displacement_mm(TRUTH, chart.pose(xi), CENTER_MM) > held.tre_bound_mm for xi in drawn[:1000]]
+    assert 0.01 < np.mean(far) < 0.06  # the mean distance is a little below the RMS
 
 
 def test_prediction_adds_process_noise_to_a_registrations_covariance() -> None:

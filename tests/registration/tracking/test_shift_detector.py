@@ -1,0 +1,92 @@
+"""Beats that agree on another place are told from beats that scatter about the pose."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.registration import BeatMeasurement, PoseChart, PoseEstimate, ShiftDetector
+from dvf_ig.registration.tracking.shift_detector import WINDOW_BEATS
+
+CENTER = np.array([10.0, -20.0, 30.0])
+HOME = Rigid.from_rotation_vector([0.2, -0.1, 0.4], [5.0, 6.0, -7.0], "mr", "tracker")
+BEAT_MM = np.array([1.5, 0.6, 0.5, 0.4, 0.9, 0.5])
+"""Standard deviation per coordinate of a beat."""
+
+
+def at(xi_mm: FloatArray, sigma_mm: float) -> PoseEstimate:
+    return PoseEstimate(PoseChart(HOME, CENTER).pose(xi_mm), sigma_mm**2 * np.eye(6), CENTER, np.eye(6))
+
+
+def beat(estimate: PoseEstimate, seen_mm: FloatArray, information: FloatArray) -> BeatMeasurement:
+    """A beat that puts the heart `seen_mm` from home."""
+    seen = PoseChart(HOME, CENTER).pose(seen_mm)
+    return BeatMeasurement(
+        pose=estimate.pose,
+        best=seen,
+        offset_information_mm=information @ PoseChart(estimate.pose, CENTER).coordinates(seen),
+        information=information,
+        similarity=0.5,
+        best_similarity=0.6,
+        log_likelihood_ratio=1.0,
+        wrong_pose_log_ratio=10.0,
+        moved_mm=1.0,
+        overlap=1.0,
+        evaluations=1,
+    )
+
+
+def statistics(shift_mm: FloatArray, seed: int, beats: int, known_mm: float = 0.3) -> list[float]:
+    """The statistic after each beat; the pose is off by an error of its own, and stays."""
+    rng = np.random.default_rng(seed)
+    estimate, detector, found = at(known_mm * rng.normal(size=6), known_mm), ShiftDetector(), []
+    for k in range(beats):
+        seen = shift_mm + BEAT_MM * rng.normal(size=6)
+        detector = detector.after(0.8 * k, estimate, beat(estimate, seen, np.diag(BEAT_MM**-2.0)))
+        assert detector.test is not None
+        found.append(detector.test.statistic)
+    return found
+
+
+def test_one_beat_of_a_still_patient_is_chi_squared_of_six_degrees() -> None:
+    drawn = np.array([statistics(np.zeros(6), seed, 1)[0] for seed in range(1500)])
+    for share in (0.5, 0.9, 0.99):
+        assert np.mean(drawn > chi2.ppf(share, 6)) == pytest.approx(1 - share, abs=0.03)
+
+
+def test_the_worst_window_exceeds_a_limit_no_more_often_than_the_windows_together() -> None:
+    limit = float(chi2.ppf(0.995, 6))
+    drawn = [statistics(np.zeros(6), seed, WINDOW_BEATS)[-1] > limit for seed in range(600)]
+    assert np.mean(drawn) < WINDOW_BEATS * 0.005
+
+
+def test_beats_together_find_a_shift_that_each_of_them_lets_pass() -> None:
+    shift, limit = np.array([0, 0, 0, 1.8, 2.2, 1.5]), 34.0
+    first = [statistics(shift, seed, 6) for seed in range(60)]
+    assert np.mean([found[0] > limit for found in first]) < 0.5
+    assert np.mean([found[5] > limit for found in first]) > 0.97
+
+
+def test_a_direction_that_beats_do_not_observe_adds_nothing() -> None:
+    information = np.diag([0.0, 0.0, 0.0, 4.0, 4.0, 4.0])
+    estimate = at(np.zeros(6), 0.3)
+    seen = np.array([30.0, 0, 0, 1.0, 0, 0])
+    found = ShiftDetector().after(7.0, estimate, beat(estimate, seen, information)).test
+    assert found is not None
+    assert found.statistic == pytest.approx(1.0 / (0.25 + 0.09), rel=1e-6)
+    assert (found.since_s, found.beats) == (7.0, 1)
+
+
+def test_a_pose_that_follows_a_drift_is_compared_with_the_one_before() -> None:
+    """The pose goes along with every beat; the one of WINDOW_BEATS beats ago shows the way it went."""
+    detector, information = ShiftDetector(), np.eye(6) / 0.5**2
+    for k in range(20):
+        estimate = at(np.array([0, 0, 0, 0.6 * k, 0, 0]), 0.3)
+        seen = np.array([0, 0, 0, 0.6 * k + 0.6, 0, 0])
+        detector = detector.after(float(k), estimate, beat(estimate, seen, information))
+    found = detector.test
+    assert found is not None
+    assert len(detector.compared) == WINDOW_BEATS
+    assert found.statistic > 34.0
+    assert found.beats > 3
+    assert found.distance_mm > 1.5
