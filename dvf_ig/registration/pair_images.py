@@ -187,8 +187,7 @@ def share_inside(anatomies: Sequence[Volume], fan: FanVolume, pose: Rigid) -> fl
     places = pose.apply_array(fan.points_mm(5000))
     inside = np.ones(len(places), dtype=bool)
     for image in anatomies:
-        index, top = image.grid.to_index(places), np.array(image.grid.shape) - 1.0
-        inside &= ((index >= 0) & (index <= top)).all(axis=1)
+        inside &= image.grid.holds(image.grid.to_index(places))
     return float(inside.mean())
 
 
