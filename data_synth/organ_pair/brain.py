@@ -1,4 +1,4 @@
-"""Labels of a brain under a craniotomy: folded cortex, ventricles, falx, deep nuclei, tumour, oedema, vessels.
+"""Labels of a brain under a craniotomy: cortex, ventricles, falx, deep nuclei, tumour, oedema, vessels.
 
 Sulci are where a smooth random function crosses zero, down to a depth that varies; cortex lines them. What MR
 or ultrasound alone shows (lesions of white matter, clots, a cyst's septa) has labels of its own.
@@ -14,7 +14,8 @@ from dvf_ig.core import AnyArray, FloatArray, Grid, read_only_arrays
 from .fields import smooth_field
 
 (
-    OUTSIDE, WHITE, CORTEX, VENTRICLE, SULCUS, TUMOUR, RIM, OEDEMA, NUCLEUS, FALX, VESSEL, PLEXUS, LESION, CLOT
+    OUTSIDE, WHITE, CORTEX, VENTRICLE, SULCUS, TUMOUR, RIM,
+    OEDEMA, NUCLEUS, FALX, VESSEL, PLEXUS, LESION, CLOT,
 ) = range(14)  # fmt: skip
 TISSUES = 14
 VOXEL_MM = 0.8
@@ -65,13 +66,15 @@ def brain_labels(seed: int) -> OrganLabels:
 
 def _cortex(grid: Grid, depth_mm: FloatArray, rng: np.random.Generator) -> AnyArray:
     fold = smooth_field(grid, rng.uniform(24.0, 38.0), rng) + 0.3 * smooth_field(grid, 14.0, rng)
-    slope = np.linalg.norm(np.stack(np.gradient(fold, VOXEL_MM)), axis=0)
+    slope = np.sqrt(sum(np.square(np.gradient(fold, VOXEL_MM, axis=axis)) for axis in range(3)))
     away_mm = np.abs(fold) / np.maximum(slope, 0.25 * slope.mean())
     deep_mm = rng.uniform(14.0, 22.0) + 4.0 * smooth_field(grid, 40.0, rng)
     width_mm = rng.uniform(0.5, 1.0) * (1.0 + 0.3 * smooth_field(grid, 25.0, rng))
     thick_mm = rng.uniform(2.3, 3.2)
     labels = np.full(grid.shape, WHITE, dtype=np.uint8)
-    labels[(depth_mm < thick_mm) | ((away_mm < thick_mm + width_mm) & (depth_mm < deep_mm + thick_mm))] = CORTEX
+    labels[(depth_mm < thick_mm) | ((away_mm < thick_mm + width_mm) & (depth_mm < deep_mm + thick_mm))] = (
+        CORTEX
+    )
     labels[(away_mm < width_mm) & (depth_mm < deep_mm)] = SULCUS
     return labels
 
@@ -119,10 +122,17 @@ def _vessels(
         along = rng.normal(size=3)
         along /= np.linalg.norm(along)
         bend = 0.01 * rng.normal(size=3)
-        s = (p - begin) @ along
-        away = p - begin - s[..., None] * along - np.square(s)[..., None] * bend
-        tube = (np.linalg.norm(away, axis=-1) < rng.uniform(0.6, 1.5)) & (np.abs(s) < rng.uniform(12, 35))
-        labels[tube & (depth_mm > 1.0)] = VESSEL
+        half, radius = rng.uniform(12, 35), rng.uniform(0.6, 1.5)
+        # only the part of the grid that the tube can reach
+        first = p[0, 0, 0]
+        low = np.clip((begin - first - half - 12.0) / VOXEL_MM, 0, None).astype(int)
+        high = np.clip((begin - first + half + 12.0) / VOXEL_MM, 0, None).astype(int) + 1
+        box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        q = p[box] - begin.astype(np.float32)
+        s = q @ along.astype(np.float32)
+        q -= s[..., None] * along.astype(np.float32) + np.square(s)[..., None] * bend.astype(np.float32)
+        tube = (np.square(q).sum(axis=-1) < radius**2) & (np.abs(s) < half) & (depth_mm[box] > 1.0)
+        labels[box][tube] = VESSEL
 
 
 def _private(labels: AnyArray, grid: Grid, depth_mm: FloatArray, rng: np.random.Generator) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.interpolate import make_interp_spline
 
-from dvf_ig.core import FloatArray, Grid
+from dvf_ig.core import AnyArray, FloatArray, Grid
 
 
 def smooth_field(grid: Grid, wavelength_mm: float, rng: np.random.Generator) -> FloatArray:
@@ -25,7 +25,7 @@ def smooth_field(grid: Grid, wavelength_mm: float, rng: np.random.Generator) -> 
     return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
 
 
-def sampled(values: FloatArray, grid: Grid, xyz_mm: FloatArray) -> FloatArray:
+def sampled(values: AnyArray, grid: Grid, xyz_mm: FloatArray) -> FloatArray:
     """(...) values of a grid's field at (..., 3) mm, linear between voxels; the border value beyond."""
     at = np.moveaxis(grid.to_index(xyz_mm), -1, 0)
     return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest", output=np.float32))

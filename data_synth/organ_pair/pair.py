@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from data_synth.seeds import child_rng
 from dvf_ig.core import FloatArray, Rigid, Volume, read_only_arrays
 
-from .brain import OrganLabels, brain_labels
+from .brain import brain_labels
 from .fields import sampled, smooth_field
 from .mr import mr_images
 from .ultrasound import organ_ultrasound, scan_style
@@ -44,9 +44,7 @@ def organ_pair(seed: int) -> OrganPair:
     """Ultrasound and MR of one organ; anatomy, contrasts, scanner, shift and speckle vary with the seed."""
     organ = brain_labels(seed)
     rng = child_rng(seed, "organ pose")
-    pose = Rigid.from_rotation_vector(
-        rng.normal(0, 0.4, 3), rng.normal(0, 30.0, 3), "moving", "fixed"
-    )
+    pose = Rigid.from_rotation_vector(rng.normal(0, 0.4, 3), rng.normal(0, 30.0, 3), "moving", "fixed")
     size_mm, length_mm = rng.uniform(0.5, 2.0), rng.uniform(60.0, 140.0)
     shift_mm = np.stack([smooth_field(organ.grid, length_mm, rng) for _ in range(3)], axis=-1)
     shift_mm *= size_mm / np.sqrt(3.0)

@@ -1,8 +1,8 @@
 """A freehand sweep over labelled tissue, reconstructed to a volume, by physics that no MR channel enters.
 
 Scatterers of each tissue's echogenicity give Rayleigh speckle, borders between impedances give echoes where
-the beam meets them squarely, sound is lost on the way, and behind strong borders. The point spread widens with
-depth; frames are placed with tracking error, and what no frame reached stays 0.
+the beam meets them squarely, sound is lost on the way, and behind strong borders. The point spread widens
+with depth; frames are placed with tracking error, and what no frame reached stays 0.
 """
 
 from dataclasses import dataclass
@@ -94,9 +94,7 @@ def organ_ultrasound(
     moving_from_probe = _probe(organ, style, seed)
     swept = _swept(style)
     xyz = moving_from_probe.apply_array(_places(swept, style))
-    displaced = xyz + np.stack(
-        [sampled(shift_mm[..., k], organ.grid, xyz) for k in range(3)], axis=-1
-    )
+    displaced = xyz + np.stack([sampled(shift_mm[..., k], organ.grid, xyz) for k in range(3)], axis=-1)
     grey = _images(organ, displaced, style, child_rng(seed, "organ speckle"))
     fixed_from_probe = moving_from_fixed.inverse() @ moving_from_probe
     return _reconstructed(grey, swept, style, fixed_from_probe, child_rng(seed, "organ tracking"))
@@ -115,8 +113,12 @@ def _probe(organ: OrganLabels, style: ScanStyle, seed: int) -> Rigid:
 def _swept(style: ScanStyle) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Angles of lines, angles of frames, and depths: the axes of what is insonified."""
     middle = style.foot_mm + 0.6 * style.depth_mm
-    lines = np.radians(style.sector_deg) * np.linspace(-1, 1, int(2 * np.radians(style.sector_deg) * middle / LINE_MM))
-    frames = np.radians(style.sweep_deg) * np.linspace(-1, 1, int(2 * np.radians(style.sweep_deg) * middle / FRAME_MM))
+    lines = np.radians(style.sector_deg) * np.linspace(
+        -1, 1, int(2 * np.radians(style.sector_deg) * middle / LINE_MM)
+    )
+    frames = np.radians(style.sweep_deg) * np.linspace(
+        -1, 1, int(2 * np.radians(style.sweep_deg) * middle / FRAME_MM)
+    )
     return lines, frames, np.arange(2.0, style.depth_mm, style.step_mm)
 
 
@@ -127,9 +129,7 @@ def _places(swept: tuple[FloatArray, FloatArray, FloatArray], style: ScanStyle) 
     return np.stack([x, away * np.sin(frame), away * np.cos(frame) - style.foot_mm], axis=-1)
 
 
-def _images(
-    organ: OrganLabels, xyz_mm: FloatArray, style: ScanStyle, rng: np.random.Generator
-) -> AnyArray:
+def _images(organ: OrganLabels, xyz_mm: FloatArray, style: ScanStyle, rng: np.random.Generator) -> AnyArray:
     """(lines, frames, depths) grey levels, 1 to 255."""
     echo_db = np.array(ECHO_DB) + rng.normal(0, 2.5, len(ECHO_DB)).clip(-5, 5)
     echo_db = echo_db[1] + style.contrast * (echo_db - echo_db[1])
@@ -139,7 +139,9 @@ def _images(
     impedance = np.log(np.array(IMPEDANCE) * (1 + rng.normal(0, 0.006, len(IMPEDANCE))))
     stiff = sampled(impedance[organ.labels].astype(np.float32), organ.grid, xyz_mm)
     border = np.abs(np.gradient(stiff, axis=-1)) * 120.0 * style.border_gain
-    lost_db = 2 * np.cumsum(loss * style.step_mm, axis=-1) + 60.0 * np.cumsum(np.square(np.gradient(stiff, axis=-1)), axis=-1)
+    lost_db = 2 * np.cumsum(loss * style.step_mm, axis=-1) + 60.0 * np.cumsum(
+        np.square(np.gradient(stiff, axis=-1)), axis=-1
+    )
     lost_db -= 0.13 * style.step_mm * np.arange(level_db.shape[-1])
     lost_db += style.shadow_db * _poor_contact(level_db.shape[:2], rng)[..., None]
     amplitude = np.sqrt(np.mean([_look(level_db, border, style, rng) for _ in range(style.looks)], axis=0))
@@ -150,7 +152,7 @@ def _images(
     db = 20 * np.log10(amplitude + 10 ** (style.floor_db / 20)) + gain_db
     top = np.percentile(db, 99.6)
     share = np.clip((db - top + style.range_db) / style.range_db, 0, 1)
-    return np.rint(1 + 254 * share**style.gamma).astype(np.uint8)
+    return np.asarray(np.rint(1 + 254 * share**style.gamma), dtype=np.uint8)
 
 
 def _poor_contact(shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
@@ -159,9 +161,7 @@ def _poor_contact(shape: tuple[int, int], rng: np.random.Generator) -> FloatArra
     return np.asarray(np.clip(smooth / smooth.std() - 0.8, 0.0, 1.0))
 
 
-def _look(
-    level_db: FloatArray, border: FloatArray, style: ScanStyle, rng: np.random.Generator
-) -> FloatArray:
+def _look(level_db: FloatArray, border: FloatArray, style: ScanStyle, rng: np.random.Generator) -> FloatArray:
     """Power of one realisation of the speckle; scanners average several."""
     real, imaginary = (rng.normal(size=level_db.shape).astype(np.float32) for _ in range(2))
     field = 10 ** (level_db / 20) * (real + 1j * imaginary)
@@ -202,7 +202,9 @@ def _reconstructed(
         np.full(3, style.voxel_mm),
         fixed_from_probe.rotation,
     )
-    x, y, z = (style.voxel_mm * np.arange(n) + low for n, low in zip(count, (-half[0], -half[1], -2.0), strict=True))
+    x, y, z = (
+        style.voxel_mm * np.arange(n) + low for n, low in zip(count, (-half[0], -half[1], -2.0), strict=True)
+    )
     px, py, pz = np.meshgrid(x, y, z + style.foot_mm, indexing="ij", sparse=True)
     away = np.hypot(py, pz)
     frame = (np.arctan2(py, pz) - frames[0]) / (frames[1] - frames[0])

@@ -1,13 +1,13 @@
 """LC2 of a 3-D image with cubic patches and any number of channels, and its exact gradient over the pose.
 
-In each patch the ultrasound u is fitted by Σ βᵢ·mᵢ + γ, where mᵢ are channels of the model at that place (grey
-levels and gradient magnitude of one or several images). The patch scores S = 1 − Var(residual)/Var(u), with a
-ridge on the channels' variances.
+In each patch the ultrasound u is fitted by Σ βᵢ·mᵢ + γ, where mᵢ are channels of the model at that place:
+grey levels and gradient magnitude of one or several images. The patch scores S = 1 − Var(residual)/Var(u),
+with a ridge on the channels' variances.
 
 Voxels are sorted by blocks, cubes of a few voxels; a patch is eight blocks that meet in a corner. A block's
-sums are taken once and added to its patches, so the cost depends neither on the patch size nor on empty space.
-With β fixed S is stationary in β, hence dS/dmᵢ at a voxel is 2·βᵢ·residual/(n·Var u) (see `force_blocks`).
-Blocks and patches write their own rows: results are the same at any thread count.
+sums are taken once and added to its patches: the cost depends on neither patch size nor empty space. With β
+fixed S is stationary in β, hence dS/dmᵢ at a voxel is 2·βᵢ·residual/(n·Var u) (see `force_blocks`). Blocks
+and patches write their own rows: results are the same at any thread count.
 """
 
 from typing import NamedTuple
@@ -36,7 +36,7 @@ class BlockedVoxels(NamedTuple):
     """Insonified voxels, block by block.
 
     Attributes:
-        index: (n, 3) float32 voxel index in the ultrasound's grid.
+        place: (n, 3) float32 voxel index in the ultrasound's grid.
         u: (n,) float32.
         first: (b + 1,) where each block's voxels begin.
         block_of_patch: (p, 8) blocks of each patch, −1 for none.
@@ -44,7 +44,7 @@ class BlockedVoxels(NamedTuple):
         moments: (p, 3) one over the voxel count, mean and variance of u.
     """
 
-    index: Floats32
+    place: Floats32
     u: Floats32
     first: Ints
     block_of_patch: Ints
@@ -53,7 +53,7 @@ class BlockedVoxels(NamedTuple):
 
 
 def sum_count(channels: int) -> int:
-    """Sums of a block: mᵢ, u·mᵢ, and mᵢ·mⱼ for j ≤ i. As many coefficients does a patch hand to its blocks."""
+    """Sums of a block: mᵢ, u·mᵢ, and mᵢ·mⱼ for j ≤ i; a patch hands as many coefficients to its blocks."""
     return 2 * channels + channels * (channels + 1) // 2
 
 
@@ -96,7 +96,7 @@ def sample_blocks(
         row = sums[b]
         row[:] = 0.0
         for v in range(voxels.first[b], voxels.first[b + 1]):
-            p, s, t = voxels.index[v, 0], voxels.index[v, 1], voxels.index[v, 2]
+            p, s, t = voxels.place[v, 0], voxels.place[v, 1], voxels.place[v, 2]
             i, fx, in_x = _cell(matrix[0, 0] * p + matrix[0, 1] * s + matrix[0, 2] * t + matrix[0, 3], lx)
             j, fy, in_y = _cell(matrix[1, 0] * p + matrix[1, 1] * s + matrix[1, 2] * t + matrix[1, 3], ly)
             k, fz, in_z = _cell(matrix[2, 0] * p + matrix[2, 1] * s + matrix[2, 2] * t + matrix[2, 3], lz)
@@ -269,7 +269,7 @@ def force_blocks(
                 row[15] += gy * turned[1]
                 row[16] += gy * turned[2]
                 row[17] += gz * turned[2]
-            p, s, t = voxels.index[v, 0], voxels.index[v, 1], voxels.index[v, 2]
+            p, s, t = voxels.place[v, 0], voxels.place[v, 1], voxels.place[v, 2]
             row[0] += fx
             row[1] += fy
             row[2] += fz
@@ -278,5 +278,3 @@ def force_blocks(
                 row[3 + 3 * axis] += y * fx
                 row[4 + 3 * axis] += y * fy
                 row[5 + 3 * axis] += y * fz
-
-

@@ -98,7 +98,7 @@ def fan_volume(ultrasound: Volume, usable: BoolArray, pitch_mm: float) -> FanVol
     Raises:
         InvalidInputError: nothing is left of the fan, or it has one value.
     """
-    box = _box(usable)
+    box = _wider(_box(usable), ultrasound.grid, EROSION_MM + pitch_mm)
     step = np.maximum(1, np.rint(pitch_mm / ultrasound.grid.spacing_mm)).astype(np.int64)
     step = np.minimum(step, [s.stop - s.start for s in box])
     shape = tuple((s.stop - s.start) // int(n) for s, n in zip(box, step, strict=True))
@@ -116,7 +116,8 @@ def fan_volume(ultrasound: Volume, usable: BoolArray, pitch_mm: float) -> FanVol
     seen = share > LEAST_SHARE
     closed = _closed(seen, grid.spacing_mm)
     whole = np.asarray(ndimage.binary_fill_holes(closed))
-    fan = _eroded(whole, grid.spacing_mm) & (seen | ~closed)
+    dark = ndimage.binary_propagation(whole & ~closed, mask=whole & ~seen)
+    fan = _eroded(whole, grid.spacing_mm) & (seen | dark)
     if not fan.any():
         raise InvalidInputError(
             f"nothing is left of the ultrasound fan at a pitch of {pitch_mm:g} mm after an erosion by "
@@ -208,6 +209,15 @@ def _eroded(fan: BoolArray, spacing_mm: FloatArray) -> BoolArray:
 def _box(usable: BoolArray) -> tuple[slice, slice, slice]:
     found = ndimage.find_objects(usable.view(np.uint8))[0]
     return found[0], found[1], found[2]
+
+
+def _wider(box: tuple[slice, slice, slice], grid: Grid, margin_mm: float) -> tuple[slice, slice, slice]:
+    """The box with a margin, as far as the image goes: what the box cuts off is not eroded there."""
+    more = np.ceil(margin_mm / grid.spacing_mm).astype(int)
+    wide = [
+        slice(max(0, s.start - m), min(n, s.stop + m)) for s, m, n in zip(box, more, grid.shape, strict=True)
+    ]
+    return wide[0], wide[1], wide[2]
 
 
 def _corners(shape: tuple[int, int, int]) -> FloatArray:

@@ -49,4 +49,7 @@ class RegistrationResult:
         """How it ended, as a user reads it."""
         if self.stop is Stop.PHASE_OFFSET and self.evidence.phase_offset is not None:
             return self.evidence.phase_offset.sentence
+        pair = self.evidence.pair
+        if pair is not None and self.stop in (Stop.DISAGREEMENT, Stop.AMBIGUOUS):
+            return pair.sentence
         return self.stop.value

@@ -63,16 +63,16 @@ def blocks_of(values: NDArray[np.float32], grid: Grid, edge: int) -> Blocks:
         values: (nx, ny, nz), NaN where nothing was insonified.
     """
     index = np.argwhere(np.isfinite(values))
-    shape = np.array(values.shape) // edge + 1
-    key = np.ravel_multi_index(tuple((index // edge).T), tuple(shape))
+    shape = tuple(int(n) // edge + 1 for n in values.shape)
+    key = np.ravel_multi_index(tuple((index // edge).T), shape)
     order = np.argsort(key, kind="stable")
     index, key = index[order], key[order]
     u = values[tuple(index.T)]
     known, first = np.unique(key, return_index=True)
     first = np.append(first, len(key)).astype(np.int64)
-    number = np.full(int(np.prod(shape)), -1, dtype=np.int64)
-    number[known] = np.arange(len(known))
-    number = np.pad(number.reshape(shape), ((0, 1),) * 3, constant_values=-1)
+    number: IntArray = np.full(shape, -1, dtype=np.int64)
+    number.ravel()[known] = np.arange(len(known))
+    number = np.pad(number, ((0, 1),) * 3, constant_values=-1)
     low = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 3)
     steps = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
     members = np.stack([number[tuple((low + step).T)] for step in steps], axis=1)
@@ -126,6 +126,28 @@ class VolumeLc2:
         self._index_from_mm = np.linalg.inv(model.grid.axes_mm)
         self._use(blocks.weights)
 
+    @property
+    def grid(self) -> Grid:
+        """Of the ultrasound."""
+        return self._blocks.grid
+
+    @property
+    def centers_mm(self) -> FloatArray:
+        """(p, 3) mean place of the voxels of each patch, source frame."""
+        return self._blocks.centers_mm
+
+    @property
+    def model(self) -> VolumeChannels:
+        return self._model
+
+    def against(self, model: VolumeChannels) -> "VolumeLc2":
+        """The same ultrasound against another model with as many channels; shares scratch memory."""
+        other = object.__new__(VolumeLc2)
+        other.__dict__.update(self.__dict__)
+        other._model, other._channels = model, np.array(model.values)
+        other._index_from_mm = np.linalg.inv(model.grid.axes_mm)
+        return other
+
     def _use(self, weights: FloatArray) -> None:
         self._weights = np.array(weights)
         members = self._blocks.voxels.block_of_patch[self._weights > 0]
@@ -166,14 +188,25 @@ class VolumeLc2:
         curvature = self._stiffness(rows, center_mm)
         return NormalEquations(curvature, right, float(self._weights @ self._scores) / weight, weight)
 
+    @property
+    def information(self) -> float:
+        """Number of patches that share no voxel."""
+        return float((self._weights > 0).sum()) / CORNERS
+
     def _wrenches(self, rows: FloatArray, center_mm: FloatArray) -> FloatArray:
         """(k, 6) half the derivative of Σ w·S of each block over rotation (mm at the radius), translation."""
         grid = self._model.grid
         force = rows[:, :3] @ self._index_from_mm
-        moment = np.einsum("ab,kbc,cd->kad", grid.axes_mm, rows[:, 3:12].reshape(-1, 3, 3), self._index_from_mm)
+        moment = np.einsum(
+            "ab,kbc,cd->kad", grid.axes_mm, rows[:, 3:12].reshape(-1, 3, 3), self._index_from_mm
+        )
         moment += (grid.origin_mm - center_mm)[None, :, None] * force[:, None, :]
         turn = np.stack(
-            [moment[:, 1, 2] - moment[:, 2, 1], moment[:, 2, 0] - moment[:, 0, 2], moment[:, 0, 1] - moment[:, 1, 0]],
+            [
+                moment[:, 1, 2] - moment[:, 2, 1],
+                moment[:, 2, 0] - moment[:, 0, 2],
+                moment[:, 0, 1] - moment[:, 1, 0],
+            ],
             axis=1,
         )
         return np.concatenate([turn / HEART_RADIUS_MM, force], axis=1)
@@ -200,7 +233,9 @@ class VolumeLc2:
         matrix = np.column_stack([linear, self._index_from_mm @ origin])
         voxels = self._blocks.voxels
         first = voxels.first[self._active]
-        self._middles_mm = target_from_source.apply_array(source.to_mm(voxels.index[first].astype(np.float64)))
+        self._middles_mm = target_from_source.apply_array(
+            source.to_mm(voxels.place[first].astype(np.float64))
+        )
         self._threads.run(
             sample_blocks,
             (voxels, self._channels, matrix, self._active, slopes, self._values, self._gradients, self._sums),
