@@ -62,9 +62,9 @@ def blocks_of(values: NDArray[np.float32], grid: Grid, edge: int) -> Blocks:
     Args:
         values: (nx, ny, nz), NaN where nothing was insonified.
     """
-    index = np.argwhere(np.isfinite(values))
+    index: IntArray = np.argwhere(np.isfinite(values)).astype(np.int64)
     shape = tuple(int(n) // edge + 1 for n in values.shape)
-    key = np.ravel_multi_index(tuple((index // edge).T), shape)
+    key: IntArray = np.ravel_multi_index(tuple((index // edge).T), shape)
     order = np.argsort(key, kind="stable")
     index, key = index[order], key[order]
     u = values[tuple(index.T)]
