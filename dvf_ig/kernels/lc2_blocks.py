@@ -26,9 +26,8 @@ RIDGE = 1e-3
 """Added to the channels' variances; the channels are scaled to unit variance over the model's volume."""
 INVERSE_COUNT, MEAN_U, VAR_U = range(3)
 """Columns of the moments of a patch that depend on the ultrasound alone."""
-MAX_CHANNELS = 8
-BLOCK_FORCE, BLOCK_MOMENT, BLOCK_STIFFNESS = 0, 3, 12
-"""First columns of Σ f, Σ y fᵀ and the upper triangle of Σ ∇m B ∇mᵀ of a block, in voxel steps."""
+BLOCK_MOMENT, BLOCK_STIFFNESS = 3, 12
+"""First columns of Σ y·fᵀ and of the upper triangle of Σ ∇m·B·∇mᵀ of a block; Σ f comes before."""
 BLOCK_COLUMNS = 18
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from dvf_ig.core import InvalidInputError, NoOverlapError, Rigid, Stop, Volume
+from dvf_ig.core import BoolArray, InvalidInputError, NoOverlapError, Rigid, Stop, Volume
 
 from .data import RegistrationOptions
 from .evidence.checks import Evidence, Limits
@@ -19,16 +19,17 @@ from .lc2.threads import SliceThreads
 from .lc2.volume_lc2 import VolumeLc2, blocks_of
 from .pair_check import gather_pair_evidence
 from .pair_images import FanVolume, channels_around, extent_mm, fan_volume, share_inside, usable_voxels
-from .pair_search import place_of, search
+from .pair_search import REACH_MM, place_of, search
 from .result import RegistrationResult
 
-PITCHES = 60.0
-"""Fine pitches along the longest edge of the fan; not finer than the ultrasound's voxels. On tuning pairs
-1001–1004 finer ones change the error by less than 0.1 mm."""
+FEW_PITCHES, MANY_PITCHES, MIDDLE_PITCH_MM = 60.0, 80.0, 1.6
+"""The fine pitch is a 60th of the fan's longest edge; of large fans 1.6 mm or, if that is more, an 80th. On
+tuning pairs 1001–1004 finer ones change the error by less than 0.1 mm; on 1013–1018, which are hard, a coarse
+level (twice the pitch) of more than 3.2 mm loses the pose."""
 BLOCK = 3
 """Voxels along the edge of a block: patches are six pitches wide."""
-REACH_MM = 30.0
-"""How far a pose may move from the start, and how much of the anatomy around the fan is kept."""
+MARGIN_MM = 25.0
+"""So much of the anatomy around the fan at its start is kept."""
 MIN_START_OVERLAP, MIN_OVERLAP = 0.1, 0.35
 MAX_IMAGES = 4
 
@@ -61,7 +62,7 @@ def register_pair(
     if not 1 <= len(anatomies) <= MAX_IMAGES:
         raise InvalidInputError(f"{len(anatomies)} moving images; needed 1 to {MAX_IMAGES}")
     usable = usable_voxels(ultrasound, mask)
-    fine_mm = max(float(ultrasound.grid.spacing_mm.min()), extent_mm(ultrasound, usable) / PITCHES)
+    fine_mm = _fine_pitch_mm(ultrasound, usable)
     fans = tuple(fan_volume(ultrasound, usable, pitch_mm) for pitch_mm in (2.0 * fine_mm, fine_mm))
     _require_overlap(anatomies, fans[1], start)
     place = place_of(fans[1].points_mm(300), start)
@@ -97,12 +98,18 @@ def register_pair(
     )
 
 
+def _fine_pitch_mm(ultrasound: Volume, usable: BoolArray) -> float:
+    edge_mm = extent_mm(ultrasound, usable)
+    pitch_mm = min(edge_mm / FEW_PITCHES, max(MIDDLE_PITCH_MM, edge_mm / MANY_PITCHES))
+    return max(float(ultrasound.grid.spacing_mm.min()), pitch_mm)
+
+
 PAIR_LIMITS = Limits(z_score=0.0, split_half_mm=float("inf"))
 """A pair is judged by `PairEvidence` alone."""
 
 
 def _metric(fan: FanVolume, anatomies: Sequence[Volume], start: Rigid, threads: SliceThreads) -> VolumeLc2:
-    channels = channels_around(anatomies, fan, start, REACH_MM)
+    channels = channels_around(anatomies, fan, start, MARGIN_MM)
     return VolumeLc2(blocks_of(fan.values, fan.grid, BLOCK), channels, threads)
 
 

@@ -21,6 +21,11 @@ SAME_BASIN_MM = 3.0
 """Coarse ends nearer than this, mean over the fan, are one."""
 ELSEWHERE_MM = 4.0
 """An end farther than this from the best is another pose."""
+REACH_MM = 20.0
+"""How far a pose may move from the start."""
+START_SIGMA_MM = 10.0
+"""Standard deviation of a start's error: ends are ranked by LC2 and how far they lie from the start, which
+decides where an image says little (tuning pair 1015 with a fifth of the usual contrast)."""
 REFINED = 6
 """Distinct coarse ends that are optimised on the fine level."""
 COARSE = OptimiserOptions(steps=18, cap_mm=5.0, tolerance_mm=0.25)
@@ -94,12 +99,17 @@ def search(
         displaced = place.displaced(start, random_displacements(rng, 1, length_mm)[0])
         ends.append(optimise(coarse, displaced, place.center_mm, None, COARSE))
         report_progress(0.7 * (k + 1) / len(STARTS_MM))
-    ends.sort(key=lambda end: end.cost)
+
+    def posterior(end: Optimum) -> float:
+        away = place.apart_mm(end.pose, start) / START_SIGMA_MM
+        return end.cost + 0.5 * away**2 / coarse.information
+
+    ends.sort(key=posterior)
     basins = _basins([end.pose for end in ends], place)
     refined = [
         optimise(fine, ends[members[0]].pose, place.center_mm, None, FINE) for members in basins[:REFINED]
     ]
-    order = sorted(range(len(refined)), key=lambda k: refined[k].cost)
+    order = sorted(range(len(refined)), key=lambda k: posterior(refined[k]))
     best = refined[order[0]]
     # several coarse basins may run together on the fine level
     agreeing = sum(

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, Grid, IntArray, Rigid, read_only_arrays
 from dvf_ig.kernels.lc2_blocks import (
     BLOCK_COLUMNS,
+    BLOCK_MOMENT,
+    BLOCK_STIFFNESS,
     CORNERS,
     BlockedVoxels,
     fit_patches,
@@ -184,7 +186,7 @@ class VolumeLc2:
         )
         rows = self._forces[self._active]
         weight = float(self._weights.sum())
-        right = self._wrenches(rows, center_mm).sum(axis=0)
+        right = self._wrench(rows.sum(axis=0), center_mm)
         curvature = self._stiffness(rows, center_mm)
         return NormalEquations(curvature, right, float(self._weights @ self._scores) / weight, weight)
 
@@ -193,37 +195,28 @@ class VolumeLc2:
         """Number of patches that share no voxel."""
         return float((self._weights > 0).sum()) / CORNERS
 
-    def _wrenches(self, rows: FloatArray, center_mm: FloatArray) -> FloatArray:
-        """(k, 6) half the derivative of Σ w·S of each block over rotation (mm at the radius), translation."""
+    def _wrench(self, total: FloatArray, center_mm: FloatArray) -> FloatArray:
+        """(6,) half the derivative of Σ w·S over rotation (mm at the radius) and translation."""
         grid = self._model.grid
-        force = rows[:, :3] @ self._index_from_mm
-        moment = np.einsum(
-            "ab,kbc,cd->kad", grid.axes_mm, rows[:, 3:12].reshape(-1, 3, 3), self._index_from_mm
+        force = total[:BLOCK_MOMENT] @ self._index_from_mm
+        moment = grid.axes_mm @ total[BLOCK_MOMENT:BLOCK_STIFFNESS].reshape(3, 3) @ self._index_from_mm
+        moment += np.outer(grid.origin_mm - center_mm, force)
+        turn = np.array(
+            [moment[1, 2] - moment[2, 1], moment[2, 0] - moment[0, 2], moment[0, 1] - moment[1, 0]]
         )
-        moment += (grid.origin_mm - center_mm)[None, :, None] * force[:, None, :]
-        turn = np.stack(
-            [
-                moment[:, 1, 2] - moment[:, 2, 1],
-                moment[:, 2, 0] - moment[:, 0, 2],
-                moment[:, 0, 1] - moment[:, 1, 0],
-            ],
-            axis=1,
-        )
-        return np.concatenate([turn / HEART_RADIUS_MM, force], axis=1)
+        return np.concatenate([turn / HEART_RADIUS_MM, force])
 
     def _stiffness(self, rows: FloatArray, center_mm: FloatArray) -> FloatArray:
-        """(6, 6) JᵀJ with the coefficients of the fits fixed; a block's voxels count as at its middle."""
-        upper = rows[:, 12:]
-        local = upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-        local = np.einsum("ba,kbc,cd->kad", self._index_from_mm, local, self._index_from_mm)
-        middle = self._middles_mm - center_mm
+        """(6, 6) JᵀJ with the coefficients of the fits fixed; all voxels of a block count as at its first."""
+        local = rows[:, BLOCK_STIFFNESS:][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         motion = np.zeros((len(rows), 3, 6))
         motion[:, :, 3:] = np.eye(3)
-        x, y, z = (middle / HEART_RADIUS_MM).T
+        x, y, z = ((self._corners_mm - center_mm) / HEART_RADIUS_MM).T
         motion[:, 0, 1], motion[:, 0, 2] = z, -y
         motion[:, 1, 0], motion[:, 1, 2] = -z, x
         motion[:, 2, 0], motion[:, 2, 1] = y, -x
-        return np.asarray(np.einsum("kai,kab,kbj->ij", motion, local, motion))
+        motion = self._index_from_mm @ motion
+        return np.asarray(motion.reshape(-1, 6).T @ (local @ motion).reshape(-1, 6))
 
     def _fit(self, target_from_source: Rigid, *, slopes: bool) -> FloatArray:
         """Sample and fit at a pose; returns (3, 4) model index from ultrasound index."""
@@ -233,7 +226,7 @@ class VolumeLc2:
         matrix = np.column_stack([linear, self._index_from_mm @ origin])
         voxels = self._blocks.voxels
         first = voxels.first[self._active]
-        self._middles_mm = target_from_source.apply_array(
+        self._corners_mm = target_from_source.apply_array(
             source.to_mm(voxels.place[first].astype(np.float64))
         )
         self._threads.run(
