@@ -24,6 +24,7 @@ from .evidence.checks import Limits as Limits
 from .evidence.image_statistics import ImageStatistics as ImageStatistics
 from .evidence.least_constrained import LeastConstrained as LeastConstrained
 from .evidence.least_constrained import least_constrained_direction as least_constrained_direction
+from .evidence.pair_evidence import PairEvidence as PairEvidence
 from .evidence.phase_offset import PhaseOffset as PhaseOffset
 from .evidence.phase_offset import offset_of as offset_of
 from .evidence.phase_offset import phase_offset as phase_offset

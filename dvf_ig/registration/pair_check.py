@@ -1,126 +1,147 @@
-"""Whether the pose of a pair may be used, where one image may be of somebody else.
+"""Whether the pose of a pair may be used, by consistency with itself: no limit depends on what LC2 is worth.
 
-A wrong image of the same organ also has a best pose, far above chance. Two checks tell it from the right one:
-half-volumes of the ultrasound, registered on their own, disagree; and the anatomy mirrored, which no patient
-fits, can be registered to the ultrasound nearly as well.
+Every part of the ultrasound is registered anew from the pose found; parts of a pair that belongs together
+agree, and the jack-knife over parts says how far off the pose may be (Efron and Tibshirani 1993, ch. 11). A
+wrong pose, or the image of somebody else, is one of many that explain the ultrasound about as well.
 """
 
-import math
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Grid, Rigid, Stop
-from dvf_ig.registration.evidence.half_volumes import HalfVolume, half_volume_disagreements_mm
-from dvf_ig.registration.lc2.channels import ModelChannels
-from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
-from dvf_ig.registration.lc2.threads import SliceThreads
+from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
 
-from .data import Level, RegistrationOptions
-from .pair_images import FanVolume
-from .pose_chart import random_displacements
-from .result import RegistrationResult
+from .evidence.pair_evidence import PairEvidence
+from .lc2.optimise import OptimiserOptions, optimise
+from .lc2.volume_lc2 import VolumeChannels, VolumeLc2
+from .pair_search import FINE, Found, Place, similarity_of
+from .pose_chart import PoseChart, covariance_from_mm, random_displacements
 
-HALF_OPTIMISER = OptimiserOptions(steps=14, cap_mm=4.0, tolerance_mm=0.05)
-MIRRORED_COARSE = OptimiserOptions(steps=12, cap_mm=5.0, tolerance_mm=0.3)
-MIRRORED_FINE = OptimiserOptions(steps=12, cap_mm=2.0, tolerance_mm=0.1)
-MIRRORED_STARTS = 6
-"""Starts for each mirrored image, displaced by MIRRORED_SPREAD of the fan's radius."""
-MIRRORED_SPREAD = 0.25
-MIRRORED_POWER = 0.2
-MAX_STATISTIC = 1.3
-LOGISTIC_SLOPE = 6.0
-"""The statistic is the disagreement of half-volumes and of interleaved halves in mm, times the share of the
-mirrored images to the power of 0.2. On seeds 101–104 of two synthetic brains, one of them also at half its
-size, all with 1 mm RMS of shift, it is 0.4 to 1.2 for images of one brain, 1.5 to 4.3 for images of two."""
+PART = OptimiserOptions(steps=12, cap_mm=3.0, tolerance_mm=0.1)
+PARTS = 8
+"""Octants about the median place along the ultrasound's axes: each holds about as many patches."""
+LEAST_PATCHES = 12
+"""A part with fewer says nothing."""
+MIRRORED = OptimiserOptions(steps=12, cap_mm=5.0, tolerance_mm=0.3)
+MIRRORED_STARTS, MIRRORED_MM = 4, 8.0
+WRONG_POSES, WRONG_MM = 16, 15.0
+FLOOR_MM = 0.2
+"""Standard deviation of a pose that no image of such voxels can stay below."""
 
 
-def pair_statistic(
-    result: RegistrationResult,
-    fan: FanVolume,
-    coarse: Level,
-    fine: Level,
-    *,
-    options: RegistrationOptions,
-    rng: np.random.Generator,
-) -> float:
-    """How little the evidence supports a result; see `MAX_STATISTIC`.
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class PairChecks:
+    """What a pose was tested by.
 
-    Args:
-        fan: ultrasound that `fine` was made of.
-        coarse, fine: what was registered.
+    Attributes:
+        evidence: for or against the pose.
+        covariance: (6, 6) rad², mm², by the jack-knife.
+        z_score: standard deviations by which LC2 stands above poses WRONG_MM away.
     """
-    pose = result.target_from_source
-    with SliceThreads() as threads:
-        apart = half_volume_disagreements_mm(
-            _halves_of(fan, pose),
-            fine.model,
-            pose,
-            patch_mm=options.patch_mm,
-            pitch_mm=fine.pitch_mm,
-            optimiser=HALF_OPTIMISER,
-            threads=threads,
-        )
-        half_volumes_mm = float(np.sqrt(np.mean(np.square(apart))))
-        share = _mirrored_share(fan, coarse, fine, pose, options=options, threads=threads, rng=rng)
-    return float((result.evidence.split_half_mm + half_volumes_mm) * share**MIRRORED_POWER)
+
+    evidence: PairEvidence
+    covariance: FloatArray
+    z_score: float
 
 
-def apply_pair_check(result: RegistrationResult, statistic: float) -> RegistrationResult:
-    """The result, not usable and unlikely where the statistic is large."""
-    exponent = -min(max(LOGISTIC_SLOPE * (statistic - MAX_STATISTIC), -30.0), 30.0)
-    another_patient = 1.0 / (1.0 + math.exp(exponent))
-    return replace(
-        result,
-        stop=Stop.DISAGREEMENT if result.stop.usable and not statistic <= MAX_STATISTIC else result.stop,
-        success_probability=1.0 - another_patient,
-        evidence=replace(result.evidence, pair_statistic=statistic),
-    )
+def octants(centers_mm: FloatArray, axes: FloatArray) -> IntArray:
+    """(p,) which of PARTS each place (p, 3) lies in; axes (3, 3), one a column."""
+    along = centers_mm @ axes
+    return np.asarray(((along > np.median(along, axis=0)) * [1, 2, 4]).sum(axis=1), dtype=np.int64)
 
 
-def _halves_of(fan: FanVolume, pose: Rigid) -> Iterator[HalfVolume]:
-    """Two halves of the fan along each axis of its grid, each turning about its own middle."""
-    for axis in range(3):
-        middle = int(np.median(np.nonzero(fan.insonified)[axis]))
-        for part in (fan.cut(axis, 0, middle), fan.cut(axis, middle, fan.grid.shape[axis])):
-            points = part.points_mm(500)
-            yield HalfVolume(part.slices(), points, pose.apply_array(points).mean(axis=0))
+def left_out_poses(fine: VolumeLc2, part: IntArray, pose: Rigid, place: Place) -> list[Rigid]:
+    """The optimum without each part that is not too small, from `pose`."""
+    sizes = np.bincount(part, minlength=PARTS)
+    return [
+        optimise(fine.restricted(part != k), pose, place.center_mm, None, PART).pose
+        for k in range(PARTS)
+        if LEAST_PATCHES <= sizes[k] <= len(part) - LEAST_PATCHES
+    ]
 
 
-def _mirrored_share(
-    fan: FanVolume,
-    coarse: Level,
-    fine: Level,
-    pose: Rigid,
+def jackknife_mm(poses: Sequence[Rigid], place: Place) -> float:
+    """RMS error over the points that the spread of poses, each with one part left out, predicts."""
+    if len(poses) < 2:
+        return float("inf")
+    places = np.array([pose.apply_array(place.points_mm) for pose in poses])
+    variance = np.square(places - places.mean(axis=0)).sum(axis=(0, 2)).mean()
+    return float(np.sqrt((len(poses) - 1) / len(poses) * variance))
+
+
+def jackknife_covariance(poses: Sequence[Rigid], pose: Rigid, place: Place) -> FloatArray:
+    """(6, 6) rad², mm²; of few parts, and hence half of it spread evenly over the directions."""
+    chart = PoseChart(pose, place.center_mm)
+    xi = np.array([chart.coordinates(other) for other in poses] or [np.zeros(6)])
+    spread = xi - xi.mean(axis=0)
+    covariance = (len(xi) - 1) / len(xi) * spread.T @ spread
+    even = np.trace(covariance) / 6.0 * np.eye(6)
+    return covariance_from_mm(0.5 * covariance + 0.5 * even + FLOOR_MM**2 * np.eye(6))
+
+
+def interleaved_halves_mm(fine: VolumeLc2, part: IntArray, pose: Rigid, place: Place) -> float:
+    """Distance between the optima of two halves, each of every second octant."""
+    odd = np.array([bin(k).count("1") % 2 for k in range(PARTS)])[part]
+    both = [optimise(fine.restricted(odd == half), pose, place.center_mm, None, FINE).pose for half in (0, 1)]
+    return place.apart_mm(*both)
+
+
+def gather_pair_evidence(
+    coarse: VolumeLc2,
+    fine: VolumeLc2,
+    found: Found,
+    place: Place,
     *,
-    options: RegistrationOptions,
-    threads: SliceThreads,
     rng: np.random.Generator,
-) -> float:
-    """What the best mirrored image explains beyond chance, as a share of what the image itself does."""
-    center, radius = pose.apply_array(fan.points_mm(5000).mean(axis=0)), fan.radius_mm
-    chance, best = [], []
+    report_progress: Callable[[float], None],
+) -> PairChecks:
+    """What speaks for the pose found."""
+    part = octants(fine.centers_mm, fine.grid.direction)
+    poses = left_out_poses(fine, part, found.pose, place)
+    report_progress(0.6)
+    halves_mm = interleaved_halves_mm(fine, part, found.pose, place)
+    report_progress(0.8)
+    wrong = wrong_pose_similarities(fine, found.pose, place, rng)
+    evidence = PairEvidence(
+        agreeing_starts=found.agreeing,
+        similarity=found.similarity,
+        chance=float(wrong.mean()),
+        elsewhere=found.elsewhere,
+        jackknife_mm=jackknife_mm(poses, place),
+        halves_mm=halves_mm,
+        mirrored_share=mirrored_share(coarse, found.pose, place, rng=rng),
+    )
+    z_score = float((found.similarity - wrong.mean()) / max(float(wrong.std()), 1e-12))
+    return PairChecks(evidence, jackknife_covariance(poses, found.pose, place), z_score)
+
+
+def mirrored_share(coarse: VolumeLc2, pose: Rigid, place: Place, *, rng: np.random.Generator) -> float:
+    """What the best mirrored anatomy, which no patient fits, explains as a share of what the anatomy does."""
+    explained = similarity_of(optimise(coarse, pose, place.center_mm, None, MIRRORED))
+    best = 0.0
     for axis in range(3):
-        at_coarse, at_fine = (
-            replace(level, model=mirrored(level.model, axis, center)).metric(options, threads)
-            for level in (coarse, fine)
-        )
-        displacements = random_displacements(rng, MIRRORED_STARTS, MIRRORED_SPREAD * radius)
-        starts = [pose.perturbed_left(xi[:3] / radius, xi[3:], center) for xi in displacements]
-        optima = [optimise(at_coarse, start, center, None, MIRRORED_COARSE) for start in starts]
-        found = min(optima, key=lambda optimum: optimum.cost)
-        refined = optimise(at_fine, found.pose, center, None, MIRRORED_FINE)
-        best.append(at_fine.score(refined.pose).similarity)
-        chance.append(at_fine.score(pose).similarity)
-    explained = fine.metric(options, threads).score(pose).similarity - float(np.mean(chance))
-    return float(np.clip((max(best) - np.mean(chance)) / max(explained, 1e-12), 0.0, 1.0))
+        metric = coarse.against(mirrored(coarse.model, axis, place.center_mm))
+        for xi in random_displacements(rng, MIRRORED_STARTS, MIRRORED_MM):
+            end = optimise(metric, place.displaced(pose, xi), place.center_mm, None, MIRRORED)
+            best = max(best, similarity_of(end))
+    return float(np.clip(best / max(explained, 1e-12), 0.0, 1.0))
 
 
-def mirrored(model: ModelChannels, axis: int, center_mm: FloatArray) -> ModelChannels:
+def mirrored(model: VolumeChannels, axis: int, center_mm: FloatArray) -> VolumeChannels:
     """The model reflected along a grid axis in the plane through `center_mm` (3,)."""
     grid = model.grid
     index = np.zeros(3)
     index[axis] = 2 * grid.to_index(center_mm)[axis] - (grid.shape[axis] - 1)
-    there = Grid(grid.frame, grid.shape, grid.to_mm(index), grid.spacing_mm, grid.direction)
-    return ModelChannels(there, np.ascontiguousarray(np.flip(model.values, axis + 1)), model.fractions)
+    return VolumeChannels(
+        replace(grid, origin_mm=grid.to_mm(index)), np.ascontiguousarray(np.flip(model.values, axis))
+    )
+
+
+def wrong_pose_similarities(
+    fine: VolumeLc2, pose: Rigid, place: Place, rng: np.random.Generator
+) -> FloatArray:
+    """(WRONG_POSES,) LC2 at poses WRONG_MM away, where nothing is registered."""
+    displacements = random_displacements(rng, WRONG_POSES, WRONG_MM)
+    return np.array([fine.score(place.displaced(pose, xi)).similarity for xi in displacements])

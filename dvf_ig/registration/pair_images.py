@@ -1,5 +1,6 @@
 """What of a pair of 3-D images is registered: the eroded fan at one pitch, the anatomy around it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,31 +12,33 @@ from dvf_ig.core import (
     BoolArray,
     FloatArray,
     Grid,
-    IntArray,
     InvalidInputError,
     Rigid,
     Volume,
     read_only_arrays,
 )
-from dvf_ig.registration.lc2.slices import SliceSet, slices_of_volume
+from dvf_ig.kernels.pool_fan import pool_insonified
+from dvf_ig.registration.lc2.volume_lc2 import VolumeChannels
 
-PLANES = 14
-"""About this many planes are kept along each axis of the ultrasound volume."""
 EROSION_MM = 2.5
 """The outermost layer of the fan is left out: the scanner's blending there is no anatomy."""
 GAP_MM = 2.0
-"""Dark gaps up to twice this wide between non-zero voxels belong to the fan."""
-_VOXELS_PER_PITCH = 1.25
-"""The anatomy is averaged down to this many voxels a pitch where it is finer."""
+"""Gaps up to twice this wide between non-zero voxels, which no frame reached, do not bound the fan."""
+LEAST_SHARE = 0.25
+"""Share of a block's voxels that must be non-zero."""
+VOXELS_PER_PITCH = 1.25
+"""Voxels of the anatomy a pitch of the ultrasound."""
+SMOOTHING = 0.66
+"""Standard deviation of the anatomy's smoothing in pitches."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class FanVolume:
-    """A 3-D ultrasound image at one isotropic pitch.
+    """A 3-D ultrasound image at one pitch.
 
     Attributes:
-        grid: isotropic, cut to the fan.
+        grid: cut to the fan.
         values: (nx, ny, nz) float32 of unit variance, NaN where nothing was insonified.
     """
 
@@ -44,29 +47,11 @@ class FanVolume:
 
     @property
     def pitch_mm(self) -> float:
-        return float(self.grid.spacing_mm[0])
+        return float(self.grid.spacing_mm.max())
 
     @property
     def insonified(self) -> BoolArray:
         return np.isfinite(self.values)
-
-    @property
-    def radius_mm(self) -> float:
-        """RMS distance of what was insonified from its middle."""
-        points = self.points_mm(5000)
-        return float(np.sqrt(np.square(points - points.mean(axis=0)).sum(axis=1).mean()))
-
-    def slices(self) -> SliceSet:
-        """Planes along the three axes."""
-        every = max(1, max(self.grid.shape) // PLANES)
-        grid = self.grid
-        return slices_of_volume(self.values, grid.axes_mm, grid.origin_mm, every=every, frame=grid.frame)
-
-    def cut(self, axis: int, begin: int, end: int) -> "FanVolume":
-        """The part of the fan with begin <= index < end along an axis."""
-        place = np.arange(self.grid.shape[axis])
-        inside = ((place >= begin) & (place < end)).reshape([-1 if a == axis else 1 for a in range(3)])
-        return FanVolume(self.grid, np.where(inside, self.values, np.float32(np.nan)))
 
     def points_mm(self, count: int) -> FloatArray:
         """(about `count`, 3) insonified places in mm, evenly subsampled."""
@@ -106,35 +91,38 @@ def extent_mm(ultrasound: Volume, usable: BoolArray) -> float:
 
 
 def fan_volume(ultrasound: Volume, usable: BoolArray, pitch_mm: float) -> FanVolume:
-    """The ultrasound averaged down to `pitch_mm`, dark gaps filled, the fan eroded.
+    """The ultrasound averaged over blocks of about `pitch_mm`, the fan eroded.
+
+    Gaps between frames are left out; dark regions that the fan encloses count as dark.
 
     Raises:
-        InvalidInputError: nothing is left of the fan.
+        InvalidInputError: nothing is left of the fan, or it has one value.
     """
     box = _wider(_box(usable), ultrasound.grid, EROSION_MM + pitch_mm)
-    inside = usable[box].astype(np.float32)
-    values = np.where(usable[box], ultrasound.values[box], 0).astype(np.float32)
-    low = np.array([s.start for s in box], dtype=np.float64)
-    zoom = ultrasound.grid.spacing_mm / pitch_mm
-    shape = tuple(
-        int(n) for n in np.maximum(1, np.floor((np.array(values.shape) - 1) * zoom).astype(int) + 1)
+    step = np.maximum(1, np.rint(pitch_mm / ultrasound.grid.spacing_mm)).astype(np.int64)
+    step = np.minimum(step, [s.stop - s.start for s in box])
+    shape = tuple((s.stop - s.start) // int(n) for s, n in zip(box, step, strict=True))
+    level, share = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+    pool_insonified(
+        np.array(ultrasound.values[box], dtype=np.float32), np.array(usable[box]), step, level, share
     )
     grid = Grid(
         ultrasound.grid.frame,
         (shape[0], shape[1], shape[2]),
-        ultrasound.grid.to_mm(low),
-        np.full(3, pitch_mm),
+        ultrasound.grid.to_mm(np.array([s.start for s in box]) + (step - 1) / 2),
+        ultrasound.grid.spacing_mm * step,
         ultrasound.grid.direction,
     )
-    blur = np.where(zoom < 1, 0.5 / zoom, 0.0)
-    inside_share, level = (_sampled(image, blur, zoom, shape) for image in (inside, values))
-    fan = _eroded(_filled(inside_share > 0.5, pitch_mm), pitch_mm)
+    seen = share > LEAST_SHARE
+    closed = _closed(seen, grid.spacing_mm)
+    whole = np.asarray(ndimage.binary_fill_holes(closed))
+    dark = ndimage.binary_propagation(whole & ~closed, mask=whole & ~seen)
+    fan = _eroded(whole, grid.spacing_mm) & (seen | dark)
     if not fan.any():
         raise InvalidInputError(
             f"nothing is left of the ultrasound fan at a pitch of {pitch_mm:g} mm after an erosion by "
             f"{EROSION_MM:g} mm; give a larger image or mask"
         )
-    # gaps in the fan were dark, and count as 0
     scale = float(level[fan].std())
     if not scale > 0:
         raise InvalidInputError(
@@ -143,21 +131,41 @@ def fan_volume(ultrasound: Volume, usable: BoolArray, pitch_mm: float) -> FanVol
     return FanVolume(grid, np.where(fan, level / scale, np.nan).astype(np.float32))
 
 
-def anatomy_around(anatomy: Volume, fan: FanVolume, start: Rigid, reach_mm: float) -> Volume:
-    """The part of the anatomy within `reach_mm` of the fan at the start pose, not finer than needed.
+def channels_around(
+    anatomies: Sequence[Volume], fan: FanVolume, start: Rigid, reach_mm: float
+) -> VolumeChannels:
+    """Grey levels and gradient magnitude of every image on one grid around the fan, smoothed to its pitch.
 
+    Args:
+        anatomies: in one frame, on any grids; beyond an image its border value goes on.
+        reach_mm: how far around the fan at its start pose.
     Raises:
-        InvalidInputError: it holds voxels that are no numbers, or one value only.
+        InvalidInputError: an image holds voxels that are no numbers, or one value only.
     """
-    places = anatomy.grid.to_index(start.apply_array(fan.points_mm(5000)))
-    margin = reach_mm / anatomy.grid.spacing_mm
-    top: IntArray = np.array(anatomy.grid.shape, dtype=np.int64)
+    places = start.apply_array(fan.points_mm(5000))
+    spacing_mm = fan.pitch_mm / VOXELS_PER_PITCH
+    low = places.min(axis=0) - reach_mm
+    count = np.ceil((places.max(axis=0) + reach_mm - low) / spacing_mm).astype(int) + 1
+    shape = (int(count[0]), int(count[1]), int(count[2]))
+    grid = Grid.axis_aligned(start.target, shape, low, spacing_mm)
+    out = np.empty((*shape, 2 * len(anatomies)), dtype=np.float32)
+    for k, image in enumerate(anatomies):
+        level = _resampled(image, grid, SMOOTHING * fan.pitch_mm)
+        squares = sum(np.square(np.gradient(level, spacing_mm, axis=axis)) for axis in range(3))
+        for channel, values in enumerate((level, np.sqrt(squares))):
+            out[..., 2 * k + channel] = (values - values.mean()) / max(float(values.std()), 1e-12)
+    return VolumeChannels(grid, out)
+
+
+def _resampled(image: Volume, grid: Grid, sigma_mm: float) -> NDArray[np.float32]:
+    """The part of an image around a grid, smoothed and linearly interpolated there."""
+    corners = np.stack(np.meshgrid(*([0, n - 1] for n in grid.shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    places = image.grid.to_index(grid.to_mm(corners.astype(np.float64)))
+    top = np.array(image.grid.shape)
+    margin = np.ceil(4 * sigma_mm / image.grid.spacing_mm) + 1
     low = np.clip(np.floor(places.min(axis=0) - margin), 0, top - 1).astype(int)
     high = np.clip(np.ceil(places.max(axis=0) + margin) + 1, low + 1, top).astype(int)
-    step = np.maximum(1, (fan.pitch_mm / _VOXELS_PER_PITCH / anatomy.grid.spacing_mm).astype(int))
-    step = np.minimum(step, high - low)
-    high = low + (high - low) // step * step
-    part = anatomy.values[low[0] : high[0], low[1] : high[1], low[2] : high[2]].astype(np.float32)
+    part = image.values[low[0] : high[0], low[1] : high[1], low[2] : high[2]].astype(np.float32)
     if not np.isfinite(part).all():
         raise InvalidInputError(
             f"{int((~np.isfinite(part)).sum())} voxels of the moving image are no numbers; replace them, "
@@ -165,47 +173,37 @@ def anatomy_around(anatomy: Volume, fan: FanVolume, start: Rigid, reach_mm: floa
         )
     if part.min() == part.max():
         raise InvalidInputError("the moving image has one value around the ultrasound; needed anatomy")
-    count = (high - low) // step
-    blocks = part.reshape(count[0], step[0], count[1], step[1], count[2], step[2]).mean(axis=(1, 3, 5))
-    grid = Grid(
-        anatomy.grid.frame,
-        (int(count[0]), int(count[1]), int(count[2])),
-        anatomy.grid.to_mm(low + (step - 1) / 2),
-        anatomy.grid.spacing_mm * step,
-        anatomy.grid.direction,
-    )
-    return Volume(grid, blocks)
-
-
-def share_inside(anatomy: Volume, fan: FanVolume, pose: Rigid) -> float:
-    """Share of the fan that lies inside the anatomy's box."""
-    places = anatomy.grid.to_index(pose.apply_array(fan.points_mm(5000)))
-    return float(anatomy.grid.holds(places).mean())
-
-
-def _sampled(
-    image: NDArray[np.float32], blur: FloatArray, zoom: FloatArray, shape: tuple[int, ...]
-) -> NDArray[np.float32]:
-    """`image` blurred, at `shape` nodes one pitch apart."""
-    smooth = ndimage.gaussian_filter(image, blur, mode="nearest")
+    smooth = ndimage.gaussian_filter(part, sigma_mm / image.grid.spacing_mm, mode="nearest", truncate=3.0)
+    index_from_mm = np.linalg.inv(image.grid.axes_mm)
+    offset = index_from_mm @ (grid.origin_mm - image.grid.origin_mm) - low
     return np.asarray(
-        ndimage.affine_transform(smooth, 1.0 / zoom, output_shape=shape, order=1, mode="nearest")
+        ndimage.affine_transform(
+            smooth, index_from_mm @ grid.axes_mm, offset, output_shape=grid.shape, order=1, mode="nearest"
+        )
     )
 
 
-def _filled(fan: BoolArray, pitch_mm: float) -> BoolArray:
-    """The fan with dark gaps and enclosed dark regions."""
-    gap = max(1, round(GAP_MM / pitch_mm))
-    padded = np.pad(fan, gap)
-    closed = ndimage.binary_closing(padded, iterations=gap)[gap:-gap, gap:-gap, gap:-gap]
-    return np.asarray(ndimage.binary_fill_holes(closed | fan))
+def share_inside(anatomies: Sequence[Volume], fan: FanVolume, pose: Rigid) -> float:
+    """Share of the fan that lies inside the boxes of all images."""
+    places = pose.apply_array(fan.points_mm(5000))
+    inside = np.ones(len(places), dtype=bool)
+    for image in anatomies:
+        inside &= image.grid.holds(image.grid.to_index(places))
+    return float(inside.mean())
 
 
-def _eroded(fan: BoolArray, pitch_mm: float) -> BoolArray:
+def _closed(seen: BoolArray, spacing_mm: FloatArray) -> BoolArray:
+    """The fan with its narrow gaps."""
+    gap = max(1, round(GAP_MM / float(spacing_mm.max())))
+    padded = np.pad(seen, gap)
+    return np.asarray(ndimage.binary_closing(padded, iterations=gap)[gap:-gap, gap:-gap, gap:-gap]) | seen
+
+
+def _eroded(fan: BoolArray, spacing_mm: FloatArray) -> BoolArray:
     """The fan without its outermost EROSION_MM; where the image's box cuts it off, it stays whole."""
     if fan.all():
         return fan
-    return np.asarray(ndimage.distance_transform_edt(fan, sampling=pitch_mm) > EROSION_MM)
+    return np.asarray(ndimage.distance_transform_edt(fan, sampling=spacing_mm) > EROSION_MM)
 
 
 def _box(usable: BoolArray) -> tuple[slice, slice, slice]:
@@ -214,7 +212,7 @@ def _box(usable: BoolArray) -> tuple[slice, slice, slice]:
 
 
 def _wider(box: tuple[slice, slice, slice], grid: Grid, margin_mm: float) -> tuple[slice, slice, slice]:
-    """The box with a margin, as far as the image goes."""
+    """The box with a margin, as far as the image goes: what the box cuts off is not eroded there."""
     more = np.ceil(margin_mm / grid.spacing_mm).astype(int)
     wide = [
         slice(max(0, s.start - m), min(n, s.stop + m)) for s, m, n in zip(box, more, grid.shape, strict=True)

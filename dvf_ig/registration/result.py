@@ -64,4 +64,7 @@ class RegistrationResult:
             return self.evidence.phase_offset.sentence
         if self.stop is Stop.OUTSIDE_CALIBRATION:
             return f"{self.outside}; the pose may be shown, not guided by"
+        pair = self.evidence.pair
+        if pair is not None and self.stop in (Stop.DISAGREEMENT, Stop.AMBIGUOUS):
+            return pair.sentence
         return str(self.stop.value)

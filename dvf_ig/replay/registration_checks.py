@@ -8,7 +8,6 @@ from dvf_ig.core import Stop
 from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
 from dvf_ig.registration.evidence.checks import WRONG_MM
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
-from dvf_ig.registration.pair_check import MAX_STATISTIC
 from dvf_ig.report.registration import Check, Outcome
 from dvf_ig.session.registration_monitor import LANDMARKS_MM
 
@@ -118,14 +117,19 @@ def _phase_offset(result: RegistrationResult) -> Check:
 
 
 def _pair(result: RegistrationResult) -> Check:
-    value = result.evidence.pair_statistic
-    name = "Same patient"
-    measures = "disagreement of halves in mm, weighted by how well mirrored anatomy would fit instead"
-    if value is None:
-        return Check(name, measures, "", "", Outcome.NOT_CHECKED)
-    return Check(
-        name, measures, f"{value:.2f}", f"at most {MAX_STATISTIC:g}", _outcome(value <= MAX_STATISTIC)
+    pair = result.evidence.pair
+    name = "Self-consistency"
+    measures = (
+        "log-odds against the pose: from parts of the ultrasound registered on their own, the share of "
+        "displaced starts that end here, and what the next best pose explains"
     )
+    if pair is None:
+        return Check(name, measures, "", "", Outcome.NOT_CHECKED)
+    value = (
+        f"{pair.doubt:.1f} (parts disagree by {pair.parts_mm:.2f} mm, {100 * pair.agreeing_starts:.0f} % of "
+        f"the starts agree, the next best pose explains {100 * pair.next_best_share:.0f} %)"
+    )
+    return Check(name, measures, value, "at most 0", _outcome(pair.doubt <= 0.0))
 
 
 def _search(result: RegistrationResult) -> Check:

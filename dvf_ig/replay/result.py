@@ -12,7 +12,12 @@ from jsonschema.exceptions import best_match
 from dvf_ig.cardiac import frame_period_s
 from dvf_ig.core import FloatArray, InvalidInputError, ScenarioTruth, summarise_errors
 from dvf_ig.guidance import Status, force_at_distance, summarise_supervision
-from dvf_ig.registration import RegistrationResult, least_constrained_direction, target_errors_mm
+from dvf_ig.registration import (
+    PairEvidence,
+    RegistrationResult,
+    least_constrained_direction,
+    target_errors_mm,
+)
 from dvf_ig.session import Attempt
 
 from .engine import Replay
@@ -188,11 +193,22 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
         "part_disagreement_mm": _finite(result.evidence.half_volume_mm),
         "edge_disagreement_mm": _finite(result.evidence.boundary_mm),
         "phase_offset_s": None if offset is None else offset.offset_s,
-        "pair_statistic": _finite(result.evidence.pair_statistic),
+        **_pair_evidence(result.evidence.pair),
         "moved_mm": result.moved_mm,
         "image_statistics": result.statistics.values(),
         "slices": result.slices,
         "seconds": round(result.seconds, 3),
+    }
+
+
+def _pair_evidence(pair: PairEvidence | None) -> dict[str, Any]:
+    """Of a pair of images of an organ that does not beat; all None of a heart."""
+    return {
+        "pair_statistic": None if pair is None else _finite(pair.doubt),
+        "agreeing_starts": None if pair is None else pair.agreeing_starts,
+        "next_best_share": None if pair is None else pair.next_best_share,
+        "jackknife_mm": None if pair is None else _finite(pair.jackknife_mm),
+        "mirrored_share": None if pair is None else pair.mirrored_share,
     }
 
 

@@ -226,7 +226,7 @@ def test_an_image_pair_is_registered_from_its_volumes() -> None:
     ultrasound = Volume(grid, (400.0 - sampled) * speckle)
     moving = Volume(Grid.axis_aligned("moving", mr.grid.shape, mr.grid.origin_mm, 2.0), mr.values)
     start = Rigid.identity("moving", "fixed")
-    result = register_pair(ultrasound, moving, start, rng=np.random.default_rng(0), clock=perf_counter)
+    result = register_pair(ultrasound, [moving], start, rng=np.random.default_rng(0), clock=perf_counter)
     targets = Points("moving", CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3)))
     assert target_errors_mm(start, pose, targets).mean() > 5
     assert result.stop is Stop.CONVERGED

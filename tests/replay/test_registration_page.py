@@ -60,7 +60,7 @@ def test_what_does_not_exist_for_the_input_is_not_checked() -> None:
         "Half-volumes",
         "Boundary and grey levels",
         "ECG and images",
-        "Same patient",
+        "Self-consistency",
         "Touched landmarks",
         "Touched surface",
     }
@@ -76,7 +76,6 @@ def test_what_does_not_exist_for_the_input_is_not_checked() -> None:
         ("Interleaved halves", {"split_half_mm": 4.1}, "4.10 mm", "at most 4 mm"),
         ("Interleaved halves", {"split_half_mm": math.inf}, "not determined", "at most 4 mm"),
         ("Boundary and grey levels", {"boundary_mm": math.inf}, "no boundary seen", "must be known"),
-        ("Same patient", {"pair_statistic": 1.31}, "1.31", "at most 1.3"),
     ],
 )
 def test_a_check_beyond_its_limit_failed(

@@ -59,7 +59,10 @@ def register(
     reference_name: ReferenceNameOption = None,
     us_volume: UsVolumesOption = None,
     fixed: Annotated[Path | None, typer.Option("--fixed", help="3-D ultrasound image.")] = None,
-    moving: Annotated[Path | None, typer.Option("--moving", help="3-D MR or CT image.")] = None,
+    moving: Annotated[
+        list[Path] | None,
+        typer.Option("--moving", help="3-D MR or CT image; again for other contrasts in the same frame."),
+    ] = None,
     mask: Annotated[Path | None, typer.Option("--mask", help="Mask on the fixed image's grid.")] = None,
     as_json: JsonFlag = False,
     seed: SeedOption = 0,

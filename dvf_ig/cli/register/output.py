@@ -125,11 +125,16 @@ def rows_of(registered: Registered, name: str) -> list[tuple[str, str]]:
         ("similarity", f"{result.start_similarity:.3f} at the start, {result.similarity:.3f} now"),
         *_checks(result),
         *([] if touched is None else [("touched surface", touched.sentence)]),
-        ("overlap", f"{100 * result.overlap:.0f} % of {result.slices} slices' pixels"),
+        ("overlap", _overlap(result)),
         ("standard deviation", f"{_triple(rotation)} deg, {_triple(shift)} mm (x, y, z)"),
         ("least constrained", least_constrained_direction(result.covariance).sentence()),
         ("time", f"{result.seconds:.1f} s, {result.evaluations} evaluations"),
     ]
+
+
+def _overlap(result: "RegistrationResult") -> str:
+    of = "the fan" if result.evidence.pair is not None else f"{result.slices} slices' pixels"
+    return f"{100 * result.overlap:.0f} % of {of}"
 
 
 def _checks(result: "RegistrationResult") -> list[tuple[str, str]]:

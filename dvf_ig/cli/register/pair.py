@@ -10,7 +10,7 @@ from .output import Registered
 
 
 def register_images(
-    fixed: Path | None, moving: Path | None, init: Path | None, mask: Path | None, seed: int
+    fixed: Path | None, moving: list[Path] | None, init: Path | None, mask: Path | None, seed: int
 ) -> Registered:
     from time import perf_counter
 
@@ -21,9 +21,10 @@ def register_images(
     from dvf_ig.registration import register_pair
     from dvf_ig.replay.registration_inputs import pair_shown
 
-    if fixed is None or moving is None:
+    if fixed is None or not moving:
         raise typer.BadParameter("an image pair needs both --fixed US and --moving MR")
-    ultrasound, anatomy = read_volume(fixed, frame="fixed"), read_volume(moving, frame="moving")
+    ultrasound = read_volume(fixed, frame="fixed")
+    anatomies = [read_volume(path, frame="moving") for path in moving]
     start = (
         read_transform(init, target="moving", source="fixed")
         if init is not None
@@ -33,12 +34,12 @@ def register_images(
     with progress("register") as report:
         result = register_pair(
             ultrasound,
-            anatomy,
+            anatomies,
             start,
             rng=np.random.default_rng(seed),
             clock=perf_counter,
             mask=allowed,
             progress=report,
         )
-    about = f"fixed {fixed.name}, moving {moving.name}"
-    return Registered(result, start, pair_shown(result, start, ultrasound, anatomy, about=about))
+    about = f"fixed {fixed.name}, moving {' and '.join(path.name for path in moving)}"
+    return Registered(result, start, pair_shown(result, start, ultrasound, anatomies[0], about=about))

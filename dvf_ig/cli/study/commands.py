@@ -9,6 +9,7 @@ from .distance import distance_maps
 from .gating import gating
 from .hearts import hearts
 from .options import TrialsCommand
+from .pairs import pairs
 from .registration import add_registration_commands
 from .replay import replay
 from .retiming import retiming
@@ -29,3 +30,4 @@ app.command("constants")(constants)
 app.command("watch")(watch)
 add_registration_commands(app)
 app.command("calibration", cls=TrialsCommand)(calibration)
+app.command("pairs")(pairs)

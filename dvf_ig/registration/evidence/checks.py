@@ -8,6 +8,7 @@ import numpy as np
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.pose_chart import PoseChart, random_displacements
 
+from .pair_evidence import PairEvidence
 from .phase_offset import PhaseOffset
 
 WRONG_POSES = 24
@@ -45,7 +46,7 @@ class Evidence:
         boundary_mm: mean distance over the heart between the poses of LC2 and of the boundary; None where the
             model's surface was not given, inf where the slices show no boundary.
         phase_offset: how much later in the cycle the slices fit than the ECG says; None where nothing beats.
-        pair_statistic: of two images that may be of different patients, see `pair_check`; None of a heart.
+        pair: of a pair of images of an organ that does not beat; None of a heart.
     """
 
     z_score: float
@@ -54,7 +55,7 @@ class Evidence:
     half_volume_mm: float | None = None
     boundary_mm: float | None = None
     phase_offset: PhaseOffset | None = None
-    pair_statistic: float | None = None
+    pair: PairEvidence | None = None
 
     def worst_test_ratio(self, limits: Limits) -> float:
         """The worst test as a share of its limit: above 1 the pose must not guide."""

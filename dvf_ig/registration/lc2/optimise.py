@@ -14,7 +14,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration.pose_chart import PoseChart
 
-from .lc2 import Lc2
+from .lc2 import NormalEquations
 
 DAMPING = 1e-3
 FIXED_FIT_STIFFNESS = 6.0
@@ -26,6 +26,15 @@ MIN_CURVATURE_SHARE = 0.05
 """The curvature learnt along a step is at least this share of what was expected (Powell's damping)."""
 MAX_REJECTED = 8
 """Steps in a row that raised the cost, after which the search ends."""
+
+
+class PoseMetric(Protocol):
+    """A similarity with an exact gradient: `Lc2` on slices, `VolumeLc2` on a volume."""
+
+    def normal_equations(self, target_from_source: Rigid, center_mm: FloatArray) -> NormalEquations: ...
+
+    @property
+    def information(self) -> float: ...
 
 
 class PosePrior(Protocol):
@@ -79,7 +88,11 @@ class _Local:
 
 
 def optimise(
-    metric: Lc2, start: Rigid, center_mm: FloatArray, prior: PosePrior | None, options: OptimiserOptions
+    metric: PoseMetric,
+    start: Rigid,
+    center_mm: FloatArray,
+    prior: PosePrior | None,
+    options: OptimiserOptions,
 ) -> Optimum:
     """Minimise −log posterior per observation from `start`.
 
@@ -130,7 +143,7 @@ def _bfgs(curvature: FloatArray, step: FloatArray, change: FloatArray) -> FloatA
     )
 
 
-def _local(metric: Lc2, pose: Rigid, center_mm: FloatArray, prior: PosePrior | None) -> _Local:
+def _local(metric: PoseMetric, pose: Rigid, center_mm: FloatArray, prior: PosePrior | None) -> _Local:
     image = metric.normal_equations(pose, center_mm)
     left = max(image.weight * (1.0 - image.similarity), 1e-12)
     cost = 0.5 * math.log(max(1.0 - image.similarity, 1e-12))

@@ -1,0 +1,94 @@
+"""What speaks for the pose of a pair of images of an organ that does not beat."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, Stop, read_only_arrays
+
+USUAL_MM = 1.2
+"""Error predicted by parts of the ultrasound at which that speaks neither for nor against a pose."""
+USUAL_STARTS = 0.1
+"""The same share of agreeing starts: with 31, three."""
+USUAL_SHARE = 0.65
+"""The same share of LC2, above chance, that the next best pose has."""
+PARTS_WEIGHT, STARTS_WEIGHT, SHARE_WEIGHT = 2.5, 1.5, 6.0
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class PairEvidence:
+    """Consistency of a pose with itself; see `pair_check`.
+
+    Attributes:
+        agreeing_starts: share of the displaced starts that ended at the pose, at least one start's.
+        similarity: LC2 at the pose; chance: its mean at poses where nothing is registered.
+        elsewhere: (k,) LC2 of the best other poses, 4 mm or more away, best first; none where all agree.
+        jackknife_mm: RMS error over the fan that the spread of poses, each with one part of the ultrasound
+            left out, predicts.
+        halves_mm: mean distance over the fan between the optima of two interleaved halves.
+        mirrored_share: LC2 of the best mirrored anatomy over that of the anatomy; for information.
+    """
+
+    agreeing_starts: float
+    similarity: float
+    chance: float
+    elsewhere: FloatArray
+    jackknife_mm: float
+    halves_mm: float
+    mirrored_share: float
+
+    @property
+    def next_best_share(self) -> float:
+        """What the best other pose explains beyond chance, as a share of what the pose does."""
+        if not len(self.elsewhere):
+            return 0.0
+        share = (self.elsewhere[0] - self.chance) / max(self.similarity - self.chance, 1e-12)
+        return float(np.clip(share, 0.0, 1.0))
+
+    @property
+    def parts_mm(self) -> float:
+        """Error that the disagreement of parts predicts: the mean square of jack-knife and halves."""
+        return math.sqrt(0.5 * (self.jackknife_mm**2 + self.halves_mm**2))
+
+    @property
+    def doubts(self) -> tuple[float, float, float]:
+        """Log-odds against the pose from parts, starts and the next best pose."""
+        return (
+            PARTS_WEIGHT * math.log(max(self.parts_mm, 0.05) / USUAL_MM),
+            -STARTS_WEIGHT * math.log(self.agreeing_starts / USUAL_STARTS),
+            SHARE_WEIGHT * (self.next_best_share - USUAL_SHARE),
+        )
+
+    @property
+    def doubt(self) -> float:
+        """Log-odds that the mean error is not below 2 mm; above 0 the pose must not guide."""
+        return sum(self.doubts)
+
+    @property
+    def success_probability(self) -> float:
+        """Chance that the mean error is below 2 mm."""
+        return 1.0 / (1.0 + math.exp(min(max(self.doubt, -30.0), 30.0)))
+
+    @property
+    def stop(self) -> Stop:
+        """Whether the pose may be used, and what speaks most against it."""
+        if self.doubt <= 0.0:
+            return Stop.CONVERGED
+        parts, starts, share = self.doubts
+        return Stop.DISAGREEMENT if parts >= max(starts, share) else Stop.AMBIGUOUS
+
+    @property
+    def sentence(self) -> str:
+        """Why the pose is refused, and what the user can do."""
+        if self.stop is Stop.DISAGREEMENT:
+            return (
+                f"parts of the ultrasound, registered on their own, disagree by {self.parts_mm:.1f} mm; give "
+                "a larger sweep or another MR contrast too, and check that both images are of this patient"
+            )
+        return (
+            f"{100 * self.agreeing_starts:.0f} % of the starts end at this pose, and another explains "
+            f"{100 * self.next_best_share:.0f} % as much; give a nearer start (--start) or another MR "
+            "contrast as well, and check that both images are of this patient"
+        )

@@ -1,0 +1,146 @@
+"""Search for the pose of a pair of 3-D images: many displaced starts, the best distinct ends refined.
+
+Where the starts end is kept: how many of them agree, and how well LC2 does at the other ends, is evidence for
+the pose (see `pair_check`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+
+from .lc2.optimise import OptimiserOptions, Optimum, optimise
+from .lc2.volume_lc2 import VolumeLc2
+from .pose_chart import random_displacements
+
+STARTS_MM = (0.0, *(5.0, 9.0, 13.0) * 10)
+"""How far each start is displaced, at the fan's radius. Chosen on tuning pairs 1001–1012."""
+SAME_BASIN_MM = 3.0
+"""Coarse ends nearer than this, mean over the fan, are one."""
+ELSEWHERE_MM = 4.0
+"""An end farther than this from the best is another pose."""
+REACH_MM = 20.0
+"""How far a pose may move from the start."""
+START_SIGMA_MM = 10.0
+"""Standard deviation of a start's error: ends are ranked by LC2 and how far they lie from the start, which
+decides where an image says little (tuning pair 1015 with a fifth of the usual contrast)."""
+REFINED = 6
+"""Distinct coarse ends that are optimised on the fine level."""
+COARSE = OptimiserOptions(steps=18, cap_mm=5.0, tolerance_mm=0.25)
+FINE = OptimiserOptions(steps=16, cap_mm=2.0, tolerance_mm=0.05)
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where poses are compared.
+
+    Attributes:
+        points_mm: (k, 3) insonified places, source frame.
+        center_mm: (3,) about which poses turn, target frame.
+        radius_mm: RMS distance of the points from their middle.
+    """
+
+    points_mm: FloatArray
+    center_mm: FloatArray
+    radius_mm: float
+
+    def apart_mm(self, pose: Rigid, other: Rigid) -> float:
+        """Mean distance between two poses over the points."""
+        difference = pose.apply_array(self.points_mm) - other.apply_array(self.points_mm)
+        return float(np.linalg.norm(difference, axis=1).mean())
+
+    def displaced(self, pose: Rigid, xi_mm: FloatArray) -> Rigid:
+        """A pose turned and moved by (6,) mm at the radius."""
+        return pose.perturbed_left(xi_mm[:3] / self.radius_mm, xi_mm[3:], self.center_mm)
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What the search found.
+
+    Attributes:
+        pose: the best.
+        similarity: LC2 of it on the fine level.
+        agreeing: share of the starts that ended in its basin.
+        elsewhere: (k,) LC2 at the refined ends that lie elsewhere, best first.
+        evaluations: of LC2.
+    """
+
+    pose: Rigid
+    similarity: float
+    agreeing: float
+    elsewhere: FloatArray
+    evaluations: int
+
+
+def place_of(points_mm: FloatArray, start: Rigid) -> Place:
+    """Where poses near `start` are compared, from (k, 3) insonified places."""
+    middle = points_mm.mean(axis=0)
+    radius_mm = float(np.sqrt(np.square(points_mm - middle).sum(axis=1).mean()))
+    return Place(points_mm, start.apply_array(middle), max(radius_mm, 1.0))
+
+
+def search(
+    coarse: VolumeLc2,
+    fine: VolumeLc2,
+    start: Rigid,
+    place: Place,
+    *,
+    rng: np.random.Generator,
+    report_progress: Callable[[float], None],
+) -> Found:
+    """The best pose from `start` and displaced copies of it."""
+    ends: list[Optimum] = []
+    for k, length_mm in enumerate(STARTS_MM):
+        displaced = place.displaced(start, random_displacements(rng, 1, length_mm)[0])
+        ends.append(optimise(coarse, displaced, place.center_mm, None, COARSE))
+        report_progress(0.7 * (k + 1) / len(STARTS_MM))
+
+    def posterior(end: Optimum) -> float:
+        away = place.apart_mm(end.pose, start) / START_SIGMA_MM
+        return end.cost + 0.5 * away**2 / coarse.information
+
+    ends.sort(key=posterior)
+    basins = _basins([end.pose for end in ends], place)
+    refined = [
+        optimise(fine, ends[members[0]].pose, place.center_mm, None, FINE) for members in basins[:REFINED]
+    ]
+    order = sorted(range(len(refined)), key=lambda k: posterior(refined[k]))
+    best = refined[order[0]]
+    # several coarse basins may run together on the fine level
+    agreeing = sum(
+        len(basins[k]) for k in order if place.apart_mm(refined[k].pose, best.pose) < SAME_BASIN_MM
+    )
+    elsewhere = [
+        similarity_of(refined[k]) for k in order if place.apart_mm(refined[k].pose, best.pose) > ELSEWHERE_MM
+    ]
+    report_progress(1.0)
+    return Found(
+        best.pose,
+        similarity_of(best),
+        agreeing / len(ends),
+        np.array(elsewhere),
+        sum(end.evaluations for end in (*ends, *refined)),
+    )
+
+
+def similarity_of(optimum: Optimum) -> float:
+    """LC2 where an optimisation ended."""
+    return float(1.0 - np.exp(2.0 * optimum.cost))
+
+
+def _basins(poses: list[Rigid], place: Place) -> list[list[int]]:
+    """Numbers of the poses that lie near the best of their basin, basins in order of their best."""
+    basins: list[list[int]] = []
+    for k, pose in enumerate(poses):
+        for members in basins:
+            if place.apart_mm(pose, poses[members[0]]) < SAME_BASIN_MM:
+                members.append(k)
+                break
+        else:
+            basins.append([k])
+    return basins
