@@ -32,6 +32,7 @@ from dvf_ig.core.frames import require_same_frame
 from .demons import DemonsOptions, DisplacementField, match_images_by_demons
 from .free_form import FreeForm, Lattice
 from .image_match import FreeFormOptions, match_images
+from .slice_stack import axis_of_lost_spacing, observable_axes
 
 Progress = Callable[[float], None]
 Method = Literal["bspline", "demons"]
@@ -88,6 +89,8 @@ class CycleMotion:
         meeting: the backward chain's deformation there; the forward chain's is in `deformations`.
         start: voxel of the 4-D image at which that grid begins.
         mask: voxels of that grid that were compared.
+        observable: (3,) axes of the grid along which motion was estimated; not across a stack of slices.
+        spacing_lost: slices differ as if they lay much further apart than the header says.
     """
 
     ed_phase: int
@@ -96,6 +99,8 @@ class CycleMotion:
     meeting: Deformation
     start: tuple[int, int, int]
     mask: BoolArray
+    observable: BoolArray
+    spacing_lost: bool = False
 
     @property
     def grid(self) -> Grid:
@@ -134,14 +139,16 @@ def track_cycle(
     box, mask = _region(organ, image.grid, options.rim_mm)
     grid = _cropped_grid(image.grid, box)
     grey = image.values[(slice(None), *box)]
-    identity = _identity(grid, options)
+    lost = axis_of_lost_spacing(grey[ed_phase], grid.spacing_mm)
+    observable = observable_axes(grid.spacing_mm) & (np.arange(3) != (-1 if lost is None else lost))
+    identity = _identity(grid, observable, options)
     counter = _Counter(phases, progress)
 
     def chain(order: Sequence[int]) -> list[Deformation]:
         found: list[Deformation] = []
         for phase in order:
             before = found[-1] if found else identity
-            found.append(_match(grey[ed_phase], grey[phase], mask, before, options))
+            found.append(_match(grey[ed_phase], grey[phase], mask, before, observable, options))
             counter.step()
         return found
 
@@ -154,7 +161,7 @@ def track_cycle(
     by_phase[ed_phase] = identity
     start = (int(box[0].start), int(box[1].start), int(box[2].start))
     ordered = tuple(by_phase[i] for i in range(phases))
-    return CycleMotion(ed_phase, ordered, forwards[-1], behind[-1], start, mask)
+    return CycleMotion(ed_phase, ordered, forwards[-1], behind[-1], start, mask, observable, lost is not None)
 
 
 def propagate_surface(
@@ -177,13 +184,14 @@ def propagate_labels(motion: CycleMotion, image: VolumeSeries, labels: Volume, p
     """(nx, ny, nz) end-diastolic labels propagated to a phase, background beyond the motion's grid.
 
     Each voxel takes the label of its place at end-diastole: the inverse deformation, by fixed-point
-    iteration.
+    iteration. Where the image ends within the organ, what comes in from beyond its border takes the label at
+    the border, as if the organ went on there unchanged.
     """
     out = np.zeros(image.grid.shape, dtype=labels.values.dtype)
     values = motion.cropped(labels.values)
     if phase != motion.ed_phase:
         origin = _inverse_index(motion.deformations[phase])
-        values = ndimage.map_coordinates(values, origin, order=0, mode="constant")
+        values = ndimage.map_coordinates(values, origin, order=0, mode="nearest")
     motion.cropped(out)[...] = values
     return out
 
@@ -201,21 +209,28 @@ def _inverse_index(deformation: Deformation) -> FloatArray:
 
 
 def _match(
-    fixed: AnyArray, moving: AnyArray, mask: BoolArray, before: Deformation, options: MotionOptions
+    fixed: AnyArray,
+    moving: AnyArray,
+    mask: BoolArray,
+    before: Deformation,
+    observable: BoolArray,
+    options: MotionOptions,
 ) -> Deformation:
     if isinstance(before, FreeForm):
-        return match_images(fixed, moving, mask, before, options.free_form)
+        return match_images(fixed, moving, mask, before, options.free_form, observable=observable)
     if isinstance(before, DisplacementField):
-        return match_images_by_demons(fixed, moving, mask, before, options.demons)
+        return match_images_by_demons(fixed, moving, mask, before, options.demons, observable=observable)
     raise InvalidInputError(
         f"the initial deformation is a {type(before).__name__}; needed FreeForm or DisplacementField"
     )
 
 
-def _identity(grid: Grid, options: MotionOptions) -> Deformation:
+def _identity(grid: Grid, observable: BoolArray, options: MotionOptions) -> Deformation:
+    """No motion; across slices one knot each."""
     if options.method == "demons":
         return DisplacementField.identity(grid)
-    return FreeForm.identity(Lattice.over(grid, options.free_form.pitch_mm))
+    pitch_mm = np.where(observable, options.free_form.pitch_mm, grid.spacing_mm)
+    return FreeForm.identity(Lattice.over(grid, pitch_mm))
 
 
 def _region(organ: BoolArray, grid: Grid, rim_mm: float) -> tuple[tuple[slice, slice, slice], BoolArray]:

@@ -11,7 +11,8 @@ from scipy import ndimage
 
 from dvf_ig.core import AnyArray, BoolArray, FloatArray, Grid, IntArray, InvalidInputError, read_only_arrays
 
-from .image_match import blurred, observable_axes
+from .image_match import blurred
+from .slice_stack import observable_axes
 
 if TYPE_CHECKING:
     import SimpleITK
@@ -74,6 +75,8 @@ def match_images_by_demons(
     mask: BoolArray,
     start: DisplacementField,
     options: DemonsOptions = DemonsOptions(),
+    *,
+    observable: BoolArray | None = None,
 ) -> DisplacementField:
     """Displacement that makes moving(x + u(x)) similar to fixed(x).
 
@@ -81,11 +84,14 @@ def match_images_by_demons(
         fixed, moving: (nx, ny, nz) grey levels on the start's grid.
         mask: voxels whose mean and standard deviation normalise both images; demons compare all voxels.
         start: initial displacement.
+        observable: (3,) axes along which motion is estimated; None decides by the voxel size.
     Source: Vercauteren 2009, as implemented in ITK; on one thread, so that its sums have one order.
     """
     import SimpleITK
 
     spacing = start.grid.spacing_mm
+    if observable is None:
+        observable = observable_axes(spacing)
     values = start.values_mm
     for blur_mm in options.blurs_mm:
         step = np.maximum(np.rint(blur_mm / spacing), 1).astype(int)
@@ -98,7 +104,7 @@ def match_images_by_demons(
         images = [_sitk_image(grey, spacing * step) for grey in pair]
         field = demons.Execute(*images, _sitk_image(values[thin], spacing * step, vector=True))
         found = np.swapaxes(SimpleITK.GetArrayFromImage(field), 0, 2)
-        values = _upsampled(found, step, start.grid.shape) * observable_axes(spacing)
+        values = _upsampled(found, step, start.grid.shape) * observable
     return DisplacementField(start.grid, values)
 
 

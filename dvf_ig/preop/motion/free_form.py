@@ -33,8 +33,8 @@ class Lattice:
     basis: Axes
 
     @classmethod
-    def over(cls, grid: Grid, pitch_mm: float) -> "Lattice":
-        """Knots about every `pitch_mm`, but never closer than the voxels along any axis."""
+    def over(cls, grid: Grid, pitch_mm: float | FloatArray) -> "Lattice":
+        """Knots about every `pitch_mm` (one for all axes, or (3,)), but never closer than the voxels."""
         extent_mm = np.maximum(np.array(grid.shape) - 1, 1) * grid.spacing_mm
         count = np.maximum(np.rint(extent_mm / np.maximum(pitch_mm, grid.spacing_mm)), 1).astype(np.int64)
         pitch = extent_mm / count
@@ -91,9 +91,16 @@ class Bending:
     matrix: csr_array
 
     @classmethod
-    def of(cls, lattice: Lattice) -> "Bending":
+    def of(cls, lattice: Lattice, least_pitch_mm: FloatArray | None = None) -> "Bending":
+        """The energy on a lattice.
+
+        Args:
+            least_pitch_mm: (3,) pitch that closer knots are taken to have: where the distance between slices
+                is not known, each is not tied to the next as if they touched.
+        """
         one, slope, curve = [], [], []
-        for count, pitch in zip(lattice.shape, lattice.pitch_mm.tolist(), strict=True):
+        pitches = lattice.pitch_mm if least_pitch_mm is None else np.maximum(lattice.pitch_mm, least_pitch_mm)
+        for count, pitch in zip(lattice.shape, pitches.tolist(), strict=True):
             first = diags_array([-1.0, 1.0], offsets=[0, 1], shape=(count - 1, count)) / pitch
             second = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(count - 2, count)) / pitch**2
             one.append(csr_array(eye_array(count)))

@@ -9,6 +9,7 @@ from dvf_ig.core import AnyArray, BoolArray, FloatArray, InvalidInputError, read
 from dvf_ig.preop.conjugate_gradients import conjugate_gradients
 
 from .free_form import Bending, FreeForm, Lattice, volume_ratio
+from .slice_stack import observable_axes
 
 MIN_VOXELS = 100
 MIN_VOLUME_RATIO = 0.02
@@ -16,9 +17,6 @@ MIN_VOLUME_RATIO = 0.02
 STIFFER_ATTEMPTS, STIFFER_FACTOR = 4, 3.0
 INNER_TOLERANCE = 1e-2
 """Share of the first residual that ends the conjugate gradients within a Gauss–Newton step."""
-
-SLICE_RATIO = 2.0
-"""Voxels this many times longer than wide form a stack of slices: between them motion cannot be observed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +81,8 @@ def match_images(
     mask: BoolArray,
     start: FreeForm,
     options: FreeFormOptions = FreeFormOptions(),
+    *,
+    observable: BoolArray | None = None,
 ) -> FreeForm:
     """Deformation x ↦ x + u(x) that makes moving(x + u(x)) similar to fixed(x).
 
@@ -95,12 +95,15 @@ def match_images(
         fixed, moving: (nx, ny, nz) grey levels on the grid of the start's lattice.
         mask: (nx, ny, nz) voxels of the fixed image that are compared.
         start: initial deformation; near enough that the finest structure overlaps at the coarsest blur.
+        observable: (3,) axes along which motion is estimated; None decides by the voxel size.
     Raises:
         InvalidInputError: fewer than 100 voxels to compare, or images without any contrast there.
     Source: Rueckert 1999 (free-form deformation), solved by Gauss–Newton with conjugate gradients.
     """
-    bending = Bending.of(start.lattice)
-    levels = [_level(fixed, moving, mask, start.lattice, blur_mm) for blur_mm in options.blurs_mm]
+    if observable is None:
+        observable = observable_axes(start.grid.spacing_mm)
+    bending = Bending.of(start.lattice, np.where(observable, 0.0, options.pitch_mm))
+    levels = [_level(fixed, moving, mask, start.lattice, observable, blur_mm) for blur_mm in options.blurs_mm]
     for attempt in range(STIFFER_ATTEMPTS + 1):
         stiffer = replace(options, stiffness_mm2=options.stiffness_mm2 * STIFFER_FACTOR**attempt)
         coefficients = start.coefficients
@@ -112,35 +115,38 @@ def match_images(
     return found
 
 
-def observable_axes(spacing_mm: FloatArray) -> BoolArray:
-    """(3,) False along the normal of a stack of slices: motion is estimated within slices only.
-
-    Between distant slices any displacement fits the interpolated grey levels, and the result folds.
-    """
-    return np.asarray(spacing_mm <= SLICE_RATIO * spacing_mm.min())
-
-
-def blurred(values: AnyArray, spacing_mm: FloatArray, blur_mm: float) -> FloatArray:
+def blurred(
+    values: AnyArray, spacing_mm: FloatArray, blur_mm: float, observable: BoolArray | None = None
+) -> FloatArray:
     """Grey levels after a Gaussian; an axis whose voxels are wider than the blur is left alone."""
-    sigma = np.where(spacing_mm > 3.0 * blur_mm, 0.0, blur_mm / spacing_mm)
+    wide = spacing_mm > 3.0 * blur_mm
+    sigma = np.where(wide if observable is None else wide | ~observable, 0.0, blur_mm / spacing_mm)
     return np.asarray(ndimage.gaussian_filter(values.astype(np.float64), sigma, mode="nearest"))
 
 
-def _level(fixed: AnyArray, moving: AnyArray, mask: BoolArray, whole: Lattice, blur_mm: float) -> _Level:
+def _level(
+    fixed: AnyArray,
+    moving: AnyArray,
+    mask: BoolArray,
+    whole: Lattice,
+    observable: BoolArray,
+    blur_mm: float,
+) -> _Level:
     spacing = whole.grid.spacing_mm
-    sx, sy, sz = np.maximum(np.rint(blur_mm / spacing), 1).astype(int).tolist()
+    step = np.where(observable, np.rint(blur_mm / spacing), 1.0)
+    sx, sy, sz = np.maximum(step, 1).astype(int).tolist()
     where = np.nonzero(mask[::sx, ::sy, ::sz])
     if len(where[0]) < MIN_VOXELS:
         raise InvalidInputError(
             f"{len(where[0])} voxels to compare at a blur of {blur_mm:g} mm; needed at least {MIN_VOXELS}: "
             "is the labelled organ inside the image?"
         )
-    grey = blurred(fixed, spacing, blur_mm)[::sx, ::sy, ::sz][where]
-    other = blurred(moving, spacing, blur_mm)
+    grey = blurred(fixed, spacing, blur_mm, observable)[::sx, ::sy, ::sz][where]
+    other = blurred(moving, spacing, blur_mm, observable)
     if not grey.std() > 0.0 or not other.std() > 0.0:
         raise InvalidInputError("an image has no contrast around the organ; is it the right 4-D image?")
     lattice = whole.thinned((sx, sy, sz))
-    observable = observable_axes(spacing) & (np.array(other.shape) > 1)
+    observable = observable & (np.array(other.shape) > 1)
     gradient = tuple(
         np.gradient(other, step, axis=axis) if observable[axis] else np.zeros_like(other)
         for axis, step in enumerate(spacing.tolist())

@@ -9,7 +9,6 @@ from dvf_ig.core import AnyArray, BoolArray, FloatArray, InvalidInputError, Volu
 
 from .cycle import CycleMotion
 from .free_form import volume_ratio
-from .image_match import observable_axes
 
 
 @read_only_arrays
@@ -87,7 +86,7 @@ def assess_motion(
         motion.meeting_phase,
         float(apart.mean()),
         float(np.percentile(apart, 95)),
-        _slice_pitch_mm(image),
+        None if motion.observable.all() else float(motion.grid.spacing_mm[~motion.observable].max()),
     )
 
 
@@ -131,8 +130,3 @@ def _correlation(a: AnyArray, b: AnyArray) -> float:
     a, b = a - a.mean(), b - b.mean()
     power = float((a * a).sum()) * float((b * b).sum())
     return float((a * b).sum()) / power**0.5 if power > 0.0 else 0.0
-
-
-def _slice_pitch_mm(image: VolumeSeries) -> float | None:
-    spacing = image.grid.spacing_mm
-    return None if observable_axes(spacing).all() else float(spacing.max())

@@ -1,0 +1,67 @@
+"""Stacks of short-axis slices: what their header says, and where they end within the heart."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from short_axis_toy import CAVITY, WALL, contracting_stack
+
+from dvf_ig.core import Grid, Volume, VolumeSeries
+from dvf_ig.preop import DisplacementField, assess_motion, dice, propagate_labels, track_cycle
+from dvf_ig.preop.motion.slice_stack import axis_of_lost_spacing, observable_axes
+
+END_SYSTOLE = 3
+
+
+@pytest.fixture(scope="module")
+def stack():
+    return contracting_stack()
+
+
+def without_spacing(image: VolumeSeries) -> VolumeSeries:
+    """As cines come whose header says 1 mm along every axis."""
+    return VolumeSeries(
+        Grid.axis_aligned("mr", image.grid.shape, np.zeros(3), 1.0), image.values, image.timing
+    )
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_labels_follow_a_stack_whatever_its_header_says(stack, lost):
+    """Motion across the slices would fit anything, and bring labels in from beyond the ends."""
+    image, labels = stack
+    image = without_spacing(image) if lost else image
+    motion = track_cycle(image, labels[0] > 0)
+    assert motion.observable.tolist() == [True, True, False]
+    assert motion.spacing_lost is lost
+    assert assess_motion(motion, image, labels[0] > 0).slice_pitch_mm == (1.0 if lost else 10.0)
+    moved = propagate_labels(motion, image, Volume(image.grid, labels[0]), END_SYSTOLE)
+    for k in range(image.grid.shape[2]):
+        for value in (WALL, CAVITY):  # an outline half a pixel off leaves 0.9 of the smallest cavity
+            there = labels[END_SYSTOLE, ..., k] == value
+            assert dice(moved[..., k] == value, there) > 0.9
+            assert dice(labels[0, ..., k] == value, there) < 0.9
+
+
+def test_the_slice_pitch_is_seen_in_the_grey_levels():
+    image, _ = contracting_stack((1.0, 0.9), noise=0.1)
+    apart = without_spacing(image).values[0]
+    assert axis_of_lost_spacing(apart, np.ones(3)) == 2
+    assert axis_of_lost_spacing(apart.transpose(2, 0, 1), np.ones(3)) == 0
+    assert axis_of_lost_spacing(apart, image.grid.spacing_mm) is None
+    rng = np.random.default_rng(2)
+    assert axis_of_lost_spacing(rng.normal(size=(20, 20, 20)), np.ones(3)) is None
+    assert observable_axes(np.array([1.5, 1.5, 2.9])).all()
+    assert observable_axes(np.array([1.5, 1.5, 10.0])).tolist() == [True, True, False]
+
+
+def test_what_comes_in_through_the_end_of_the_stack_is_continued(stack):
+    """Tissue that moves one slice towards the apex leaves none without a label behind."""
+    image, labels = stack
+    still = track_cycle(image, labels[0] > 0)
+    down = np.zeros((*still.grid.shape, 3))
+    down[..., 2] = 10.0
+    field = DisplacementField(still.grid, down)
+    moving = replace(still, deformations=(still.deformations[0], *[field] * 5))
+    moved = propagate_labels(moving, image, Volume(image.grid, labels[0]), 2)
+    assert np.array_equal(moved[..., 1:], labels[0][..., :-1])
+    assert np.array_equal(moved[..., 0], labels[0][..., 0])
