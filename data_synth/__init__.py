@@ -4,6 +4,8 @@ Whole interventions (`phantom_scenario`, `surface_scenario`) and image pairs (`i
 each of use alone: a beating heart, its MR and ultrasound, signals, calibration phantoms, an operator's hands.
 """
 
+from .cine_heart.anatomy import CineHeart as CineHeart
+from .cine_heart.anatomy import cine_anatomy as cine_anatomy
 from .heart.anatomy import PhantomAnatomy as PhantomAnatomy
 from .heart.anatomy import phantom_anatomy as phantom_anatomy
 from .heart.beating_anatomy import BeatingAnatomy as BeatingAnatomy
@@ -49,6 +51,7 @@ from .scenario.presets import PRESETS as PRESETS
 from .scenario.presets import Preset as Preset
 from .scenario.presets import ScenarioSpec as ScenarioSpec
 from .scenario.presets import preset_name as preset_name
+from .scenario.recording import cine_scenario as cine_scenario
 from .scenario.recording import phantom_scenario as phantom_scenario
 from .scenario.recording import surface_scenario as surface_scenario
 from .second_world.floor import RigidFloor as RigidFloor

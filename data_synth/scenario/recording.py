@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from data_synth.cine_heart.anatomy import CineHeart, cine_anatomy
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
 from data_synth.heart.heart_spec import HeartSpec
 from data_synth.mr.cine import cine_preop
@@ -108,6 +109,29 @@ def surface_scenario(
     name = f"real surfaces and ECG, {spec.preset}, seed {spec.seed}"
     shown = ecg.between(0.0, spec.seconds)
     return _assembled(name, world, anatomy.preop(), shown, sweep, with_start=False, progress=progress)
+
+
+def cine_scenario(spec: ScenarioSpec, heart: CineHeart, progress: Report | None = None) -> Scenario:
+    """A scenario on the heart of a real cine: real MR, simulated ultrasound of its expert's labels.
+
+    Args:
+        spec: `motion` and kind of heart are not used: the cine has its own.
+        heart: cine and labels.
+        progress: called with the fraction done.
+    Raises:
+        InvalidInputError: labels of fewer than three slices.
+    """
+    seed = child_seed(spec.seeds.mismatch, "anatomy")
+    anatomy = cine_anatomy(heart, mismatch_mm=spec.mismatch, seed=seed)
+    beats = beat_series(spec.options.rhythm, -3.0, spec.seconds + 3.0, child_rng(spec.seed, "rhythm"))
+    ecg = synthetic_ecg(beats, spec.seconds, spec.options.ecg, child_rng(spec.seed, "ecg"))
+    world = make_world(spec, anatomy, beats.r_peaks_s)
+    _report_progress(progress, 0.12)
+    sweep = sweeping_path(
+        world.outline, world.window, spec.options.sweep, world.rng("probe path"), world.standoff_mm
+    )
+    name = f"real cine of {heart.patient_id}, {spec.preset}, seed {spec.seed}"
+    return _assembled(name, world, heart.preop(), ecg, sweep, with_start=True, progress=progress)
 
 
 def _assembled(

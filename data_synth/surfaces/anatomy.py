@@ -33,6 +33,7 @@ from .motion import GriddedMotion, SurfaceMotion, dense_motion, periodic_spline
 
 EPICARDIAL, LV, RV = "EPICARDIAL", "LV_ENDOCARDIAL", "RV_ENDOCARDIAL"
 MIN_VERTICES = 8000
+ATRIAL_WALL_MM = 2.5
 _BAND_MM = {EPICARDIAL: 14.0, LV: 6.0, RV: 6.0}
 
 
@@ -72,6 +73,36 @@ def depth_grid(
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
+class AtrialStub:
+    """Atria where only the ventricles are known: blood beyond the valve plane, within the epicardium.
+
+    Attributes:
+        valves_mm: (3,) a point of the plane at which they begin.
+        along: (3,) unit vector from the ventricles to the atria.
+        left_mm, right_mm: (3,) middle of each ventricle; the septum lies half-way between.
+    """
+
+    valves_mm: FloatArray
+    along: FloatArray
+    left_mm: FloatArray
+    right_mm: FloatArray
+
+    def layers(self, xyz_mm: FloatArray, organ: FloatArray) -> Layers:
+        """Wall, then the blood of either side, to be painted over the base tissue."""
+        above = (xyz_mm - self.valves_mm) @ self.along
+        across = self.left_mm - self.right_mm
+        across = across - (across @ self.along) * self.along
+        side = (xyz_mm - 0.5 * (self.left_mm + self.right_mm)) @ (across / np.linalg.norm(across))
+        room = np.minimum(organ - ATRIAL_WALL_MM, above)
+        return [
+            (Tissue.ATRIAL_WALL, above + ATRIAL_WALL_MM),
+            (Tissue.LA_BLOOD, np.minimum(room, side - 1.5)),
+            (Tissue.RA_BLOOD, np.minimum(room, -side - 1.5)),
+        ]
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
 class SurfaceShapes:
     """Tissues at end-diastole bounded by real surfaces, frame "mr"."""
 
@@ -79,6 +110,7 @@ class SurfaceShapes:
     lv: DepthGrid | None
     rv: DepthGrid | None
     center_mm: FloatArray
+    atria: AtrialStub | None = None
     base: Tissue = Tissue.LV_MYOCARDIUM
 
     def organ(self, xyz_mm: FloatArray) -> FloatArray:
@@ -86,6 +118,8 @@ class SurfaceShapes:
 
     def inside(self, xyz_mm: FloatArray, organ: FloatArray) -> Layers:
         layers: Layers = [(Tissue.LV_MYOCARDIUM, organ)]
+        if self.atria is not None:
+            layers += self.atria.layers(xyz_mm, organ)
         if self.rv is not None:
             rv = self.rv.at(xyz_mm)
             # within reach of the right ventricle and not facing the left one: its free wall
@@ -114,6 +148,7 @@ class SurfaceAnatomy:
         closed: the closed (and, for the epicardium, refined) surfaces by name.
         splines: vertex trajectories over the cycle by name.
         mismatch: pre-operative to intra-operative difference.
+        atria: stubs of them; None: the surfaces hold all there is.
     """
 
     series: tuple[SurfaceSeries, ...]
@@ -121,6 +156,7 @@ class SurfaceAnatomy:
     splines: dict[str, CubicSpline]
     mismatch: SmoothField
     es_fraction: float
+    atria: AtrialStub | None = None
 
     @property
     def rr_s(self) -> float:
@@ -148,7 +184,7 @@ class SurfaceAnatomy:
             for name, closed in self.closed.items()
         }
         center = self.box_mm.mean(axis=0)
-        return SurfaceShapes(grids[EPICARDIAL], grids.get(LV), grids.get(RV), center)
+        return SurfaceShapes(grids[EPICARDIAL], grids.get(LV), grids.get(RV), center, self.atria)
 
     @cached_property
     def reference(self) -> ReferenceMap:

@@ -44,6 +44,7 @@ class Anatomy(StrEnum):
 
     phantom = "phantom"
     surfaces = "surfaces"
+    cine = "cine"
 
 
 def scenario(
@@ -66,7 +67,10 @@ def scenario(
     ] = None,
     anatomy: Annotated[
         Anatomy | None,
-        typer.Option("--anatomy", help="The four-chamber phantom (default), or real surfaces."),
+        typer.Option(
+            "--anatomy",
+            help="The four-chamber phantom (default), real surfaces, or the heart of a real cine.",
+        ),
     ] = None,
     preset: Annotated[
         str | None, typer.Option("--preset", help=f"What is disturbed: {PRESET_NAMES} (default: calm).")
@@ -91,6 +95,17 @@ def scenario(
     ] = None,
     probe_path: Annotated[
         Path | None, typer.Option("--probe-path", help="PLUS sequence whose probe motion is replayed.")
+    ] = None,
+    cine: Annotated[
+        Path | None, typer.Option("--cine", help="Real 4-D short-axis MR, from end-diastole on.")
+    ] = None,
+    labels: Annotated[
+        Path | None,
+        typer.Option("--labels", help="At end-diastole: 1 right ventricle, 2 myocardium, 3 left ventricle."),
+    ] = None,
+    es_labels: Annotated[
+        str | None,
+        typer.Option("--es-labels", help="At end-systole, with its phase (0 is the first): FILE@PHASE."),
     ] = None,
     probe_calibration: Annotated[
         Path | None,
@@ -131,7 +146,8 @@ def scenario(
     """Simulate one intervention: pre-operative data, calibration recordings, ECG, ultrasound, tool, truth.
 
     The same options and seed give bit-identical recordings. With --anatomy surfaces the heart, its motion,
-    the ECG and the hand motion are real; only the ultrasound is simulated. Truth, and the YAML from which
+    the ECG and the hand motion are real; only the ultrasound is simulated. With --anatomy cine the MR is real,
+    and the heart that the ultrasound shows is made of the expert's labels. Truth, and the YAML from which
     the scenario can be made again, go to OUT/truth.
     """
     with command(threads):
@@ -148,6 +164,9 @@ def scenario(
             "surfaces": None if surfaces is None else str(surfaces),
             "ecg": ecg,
             "probe_path": None if probe_path is None else str(probe_path),
+            "cine": None if cine is None else str(cine),
+            "labels": None if labels is None else str(labels),
+            "es_labels": es_labels,
             "probe_calibration": None if probe_calibration is None else str(probe_calibration),
             "image_px": image_px,
             "preset": preset,
@@ -192,15 +211,40 @@ def _with_options(spec_file: Path | None, given: dict[str, Any]) -> "SpecFile":
 
 
 def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPath | None]":
-    inputs = (file.surfaces, file.ecg, file.probe_path)
+    inputs, images = (file.surfaces, file.ecg, file.probe_path), (file.cine, file.labels, file.es_labels)
+    if file.anatomy != "surfaces" and any(given is not None for given in inputs):
+        raise typer.BadParameter("--surfaces, --ecg and --probe-path belong to --anatomy surfaces")
+    if file.anatomy != "cine" and any(given is not None for given in images):
+        raise typer.BadParameter("--cine, --labels and --es-labels belong to --anatomy cine")
     if file.anatomy == "phantom":
-        if any(given is not None for given in inputs):
-            raise typer.BadParameter("--surfaces, --ecg and --probe-path belong to --anatomy surfaces")
         return _on_the_phantom(spec), None
+    if file.anatomy == "cine":
+        if file.cine is None or file.labels is None or file.es_labels is None:
+            raise typer.BadParameter("--anatomy cine needs --cine, --labels and --es-labels")
+        return _on_a_cine(spec, Path(file.cine), Path(file.labels), file.es_labels), None
     surfaces, ecg, probe_path = inputs
     if surfaces is None or ecg is None or probe_path is None:
         raise typer.BadParameter("--anatomy surfaces needs --surfaces, --ecg and --probe-path")
     return _on_real_anatomy(spec, Path(surfaces), ecg, Path(probe_path))
+
+
+def _on_a_cine(spec: "ScenarioSpec", cine: Path, labels: Path, es_labels: str) -> "Scenario":
+    """Real MR and its expert's labels, simulated ultrasound."""
+    from data_synth import CineHeart, cine_scenario
+    from dvf_ig.core import InvalidInputError
+    from dvf_ig.io import read_cine_labels, read_volume_series
+
+    name, _, phase = es_labels.rpartition("@")
+    if not name or not phase.isdecimal():
+        raise InvalidInputError(f"--es-labels is '{es_labels}'; needed FILE@PHASE, the first phase being 0")
+    series = read_volume_series(cine)
+    ed, _ = read_cine_labels(labels, series, 0)
+    if int(phase) >= len(series.timing):
+        raise InvalidInputError(f"{cine} has phases 0 to {len(series.timing) - 1}; --es-labels names {phase}")
+    es, _ = read_cine_labels(Path(name), series, int(phase))
+    heart = CineHeart(cine.resolve().parent.name, series, ed, es, int(phase))
+    with progress("synthetic scenario") as report:
+        return cine_scenario(spec, heart, report)
 
 
 def _on_the_phantom(spec: "ScenarioSpec") -> "Scenario":

@@ -17,6 +17,8 @@ SCHEMA = "dvf_ig.scenario-spec/1"
 _KEYS = {"occlusion": "sight"}
 """Keys of the file that differ from the names of their fields: the format stays as it was."""
 _FIELDS = {key: field for field, key in _KEYS.items()}
+_INPUTS = {"surfaces": ("surfaces", "ecg", "probe_path"), "cine": ("cine", "labels", "es_labels")}
+"""What belongs to one kind of anatomy alone."""
 _SEEDS = ("anatomy_seed", "motion_seed", "mismatch_seed", "speckle_seed")
 _HEADER = """\
 # A synthetic scenario. It can be made again from this file: dvf-ig synth scenario --spec FILE -o DIR
@@ -30,7 +32,8 @@ class SpecFile(BaseModel):
     Attributes:
         world: which synthetic world; `quality` belongs to the second, which takes seed, motion, seconds and
             us_rate_hz besides.
-        anatomy: whose heart beats; the three inputs belong to "surfaces".
+        anatomy: whose heart beats; surfaces, ecg and probe_path belong to "surfaces", cine, labels and
+            es_labels (FILE@PHASE) to "cine".
         probe_calibration, image_px: file with a real probe's image calibration, and its image's columns and
             rows; both or neither.
         heart: kind of heart of the phantom.
@@ -43,10 +46,13 @@ class SpecFile(BaseModel):
     schema_: Literal["dvf_ig.scenario-spec/1"] = Field(default="dvf_ig.scenario-spec/1", alias="schema")
     world: Literal["first", "second"] = "first"
     quality: Literal["calm", "poor-image"] | None = None
-    anatomy: Literal["phantom", "surfaces"] = "phantom"
+    anatomy: Literal["phantom", "surfaces", "cine"] = "phantom"
     surfaces: str | None = None
     ecg: str | None = None
     probe_path: str | None = None
+    cine: str | None = None
+    labels: str | None = None
+    es_labels: str | None = None
     probe_calibration: str | None = None
     image_px: tuple[int, int] | None = None
     preset: str = "calm"
@@ -143,7 +149,7 @@ def spec_text(file: SpecFile) -> str:
     options = {_KEYS.get(field, field): value for field, value in dataclasses.asdict(spec.options).items()}
     full = file.model_copy(update={"preset": spec.preset, "options": options})
     document = full.model_dump(mode="json", by_alias=True)
-    inputs = {"surfaces", "ecg", "probe_path"} if file.anatomy == "phantom" else set()
+    inputs = set().union(*(names for kind, names in _INPUTS.items() if kind != file.anatomy))
     inputs |= {key for key in _SEEDS if document[key] is None}
     inputs |= {"world", "quality"}
     if file.probe_calibration is None:

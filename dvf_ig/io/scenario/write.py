@@ -17,7 +17,7 @@ from dvf_ig.io.atomic import atomic_folder, make_folder, write_bytes, write_text
 from dvf_ig.io.ecg.recording import write_ecg_csv
 from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX, write_triggers
 from dvf_ig.io.image.timing import timing_document
-from dvf_ig.io.image.volume import write_volume_series
+from dvf_ig.io.image.volume import write_volume, write_volume_series
 from dvf_ig.io.json_file import write_json
 from dvf_ig.io.landmarks import write_landmarks
 from dvf_ig.io.mesh.series import write_surface_series
@@ -107,7 +107,7 @@ def _config(scenario: Scenario) -> ScenarioConfig:
         preop=PreopConfig(
             kind=_kind(preop),
             mr="preop/mr.nrrd" if preop.mr is not None else None,
-            labels="preop/labels.nrrd" if preop.labels is not None else None,
+            labels=None if preop.labels is None and preop.ed_labels is None else "preop/labels.nrrd",
             surfaces=tuple(series.name for series in preop.surfaces),
             surface=preop.surface,
             label_names={int(value): name for value, name in preop.label_names},
@@ -133,11 +133,17 @@ def _config(scenario: Scenario) -> ScenarioConfig:
 
 
 def _kind(preop: Preop) -> Literal["labels", "surfaces", "labels and surfaces"]:
-    if preop.labels is None and not preop.surfaces:
+    labelled = preop.labels is not None or preop.ed_labels is not None
+    if not labelled and not preop.surfaces:
         raise InvalidInputError("the scenario has neither a label image nor surfaces; it needs one of them")
-    if preop.labels is not None and preop.surfaces:
+    if preop.labels is None and preop.ed_labels is not None and (preop.mr is None or preop.ed_phase != 0):
+        raise InvalidInputError(
+            "labels of end-diastole alone go into a scenario folder with the cine that tells their motion, "
+            "and end-diastole is its first phase"
+        )
+    if labelled and preop.surfaces:
         return "labels and surfaces"
-    return "labels" if preop.labels is not None else "surfaces"
+    return "labels" if labelled else "surfaces"
 
 
 def _write_preop(preop: Preop, folder: Path, config: PreopConfig) -> None:
@@ -148,6 +154,8 @@ def _write_preop(preop: Preop, folder: Path, config: PreopConfig) -> None:
     if preop.labels is not None and config.labels is not None:
         write_volume_series(preop.labels, folder / config.labels)
         timings["labels"] = preop.labels.timing
+    elif preop.ed_labels is not None and config.labels is not None:
+        write_volume(preop.ed_labels, folder / config.labels)
     for series in preop.surfaces:
         write_surface_series(series, folder / config.surfaces_folder, timing=False)
         timings[series.name] = series.timing

@@ -1,0 +1,144 @@
+"""The heart of a real cine: surfaces of the expert's labels carried through the cycle, and stubs of atria."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_synth.surfaces.anatomy import EPICARDIAL, LV, RV, AtrialStub, SurfaceAnatomy, surface_anatomy
+from dvf_ig.core import (
+    AnyArray,
+    FloatArray,
+    InvalidInputError,
+    Preop,
+    SurfaceSeries,
+    Volume,
+    VolumeSeries,
+)
+
+from .carried import contraction, displacement, outline
+from .label_depth import Caps, StackDepth, stack_depth
+
+RV_LABEL, MYOCARDIUM_LABEL, LV_LABEL = 1, 2, 3
+LABEL_NAMES = ((RV_LABEL, "rv_blood"), (MYOCARDIUM_LABEL, "myocardium"), (LV_LABEL, "lv_blood"))
+"""As the ACDC experts number them."""
+RV_WALL_MM = 3.0
+CAPS = {
+    LV: Caps(base_mm=8.0, apex_widths=0.8, apex_mm=0.0),
+    RV: Caps(base_mm=8.0, apex_widths=0.7, apex_mm=0.0),
+    EPICARDIAL: Caps(base_mm=34.0, apex_widths=0.75, apex_mm=6.0),
+}
+"""The epicardium goes on around the atria, the cavities end at their valves."""
+STRIDE = {LV: 1, RV: 1, EPICARDIAL: 2}
+"""Of the pixels between vertices."""
+VALVE_PLANE_MM = 11.0
+"""From the basal slice to the atria."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CineHeart:
+    """What is known of one patient, all on the grid of the cine.
+
+    Attributes:
+        patient_id: whose heart.
+        cine: the real grey levels; its first phase is end-diastole.
+        ed_labels: the expert's, with RV_LABEL, MYOCARDIUM_LABEL and LV_LABEL.
+        es_labels, es_phase: the same at end-systole, and which phase of the cine that is.
+    """
+
+    patient_id: str
+    cine: VolumeSeries
+    ed_labels: Volume
+    es_labels: Volume
+    es_phase: int
+
+    def __post_init__(self) -> None:
+        shapes = {self.cine.grid.shape, self.ed_labels.values.shape, self.es_labels.values.shape}
+        if len(shapes) != 1:
+            raise InvalidInputError("cine and labels have different grids; needed labels on the cine's grid")
+        if not 0 < self.es_phase < len(self.cine.timing):
+            raise InvalidInputError(
+                f"end-systole is phase {self.es_phase}; needed 1 to {len(self.cine.timing) - 1} "
+                "(end-diastole is phase 0)"
+            )
+
+    def preop(self) -> Preop:
+        """The real cine with the expert's end-diastolic labels: what a laboratory would have."""
+        values = np.asarray(self.ed_labels.values).astype(np.uint8)
+        return Preop(
+            patient_id=self.patient_id,
+            mr=self.cine,
+            ed_labels=Volume(self.cine.grid, values),
+            label_names=LABEL_NAMES,
+            organ_labels=(RV_LABEL, MYOCARDIUM_LABEL, LV_LABEL),
+        )
+
+
+def cine_anatomy(heart: CineHeart, *, mismatch_mm: float, seed: int) -> SurfaceAnatomy:
+    """The beating anatomy that the ultrasound of `heart` is simulated of.
+
+    Surfaces of end-diastole are drawn to those of end-systole at the pace that the cine shows. Motion along
+    the surfaces, twist above all, is not in the labels, and not in the anatomy.
+
+    Args:
+        mismatch_mm, seed: as `surface_anatomy`.
+    Raises:
+        InvalidInputError: labels of fewer than three slices.
+    """
+    ed, es = np.asarray(heart.ed_labels.values), np.asarray(heart.es_labels.values)
+    pace = contraction(heart.cine, ed > 0, heart.es_phase)
+    base_first = _base_first(ed)
+    surfaces = {}
+    for name in (EPICARDIAL, LV, RV):
+        still, contracted = (_depth(name, labels, heart, base_first) for labels in (ed, es))
+        vertices, triangles = outline(still, STRIDE[name])
+        moved = displacement(vertices, triangles, contracted)
+        surfaces[name] = SurfaceSeries(
+            name, "mr", vertices + pace[:, None, None] * moved, triangles, heart.cine.timing, heart.patient_id
+        )
+    made = surface_anatomy(surfaces, mismatch_mm=mismatch_mm, seed=seed)
+    return replace(made, atria=_atria(heart, ed, base_first))
+
+
+def _depth(name: str, labels: AnyArray, heart: CineHeart, base_first: bool) -> StackDepth:
+    grid = heart.cine.grid
+    left = labels == LV_LABEL if name == LV else (labels == LV_LABEL) | (labels == MYOCARDIUM_LABEL)
+    right = labels == RV_LABEL
+    if name == RV:
+        return stack_depth(right, grid, CAPS[RV], base_first=base_first)
+    if name == LV:
+        return stack_depth(left, grid, CAPS[LV], base_first=base_first)
+    return stack_depth(left | _grown(right, grid.spacing_mm), grid, CAPS[name], base_first=base_first)
+
+
+def _grown(held: NDArray[np.bool_], spacing_mm: FloatArray) -> NDArray[np.bool_]:
+    """The right ventricle's cavity with its wall, slice by slice."""
+    from scipy.ndimage import distance_transform_edt
+
+    out = np.zeros_like(held)
+    for k in range(held.shape[2]):
+        if held[:, :, k].any():
+            out[:, :, k] = distance_transform_edt(~held[:, :, k], sampling=spacing_mm[:2]) <= RV_WALL_MM
+    return out
+
+
+def _base_first(labels: AnyArray) -> bool:
+    """Whether slice 0 is the basal end: the heart is wider there."""
+    area = (labels > 0).sum(axis=(0, 1))
+    half = len(area) // 2
+    return bool(area[:half].sum() > area[-half:].sum())
+
+
+def _atria(heart: CineHeart, labels: AnyArray, base_first: bool) -> AtrialStub:
+    """Where the atria begin: beyond the basal slice, across the stack's axis."""
+    index = np.argwhere(labels > 0)
+    end = index[:, 2].min() if base_first else index[:, 2].max()
+    middle = np.array([*index[index[:, 2] == end, :2].mean(axis=0), float(end)])
+    along = heart.cine.grid.direction[:, 2] * (-1.0 if base_first else 1.0)
+    start = heart.cine.grid.to_mm(middle[None])[0] + VALVE_PLANE_MM * along
+    left, right = (_middle(heart, labels == code) for code in (LV_LABEL, RV_LABEL))
+    return AtrialStub(start, along, left, right)
+
+
+def _middle(heart: CineHeart, held: NDArray[np.bool_]) -> FloatArray:
+    return np.asarray(heart.cine.grid.to_mm(np.argwhere(held).mean(axis=0)[None])[0])
