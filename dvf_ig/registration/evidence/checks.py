@@ -70,6 +70,8 @@ class Evidence:
         return float(max(ratio if math.isfinite(ratio) else math.inf for ratio in ratios))
 
 
+IMAGE_LIMITS = Limits()
+"""For images of any organ: parts and boundary are no reason against the pose by themselves."""
 SLICE_LIMITS = Limits(z_score=3.8, split_half_mm=2.5, phase_mm=3.0, half_volume_mm=2.5, boundary_mm=5.0)
 """For tracked slices of a heart: twice what 99 of 100 good poses stay below (0.84, 1.9, 1.3 and 2.5 mm in 33
 sweeps below 2 mm, tuning seeds 1001 and 1002, 14 fields of mismatch), half as much again for parts of the
