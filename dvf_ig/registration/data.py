@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from dvf_ig.core import FloatArray, read_only_arrays
 from dvf_ig.registration.boundary.fit import Boundary
-from dvf_ig.registration.evidence.checks import SLICE_LIMITS, Limits
+from dvf_ig.registration.evidence.checks import IMAGE_LIMITS, Limits
 from dvf_ig.registration.lc2.channels import ModelChannels
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.slices import SliceSet
@@ -45,7 +45,7 @@ class RegistrationOptions:
     bound_mm: float = 30.0
     candidates: int = 3
     min_overlap: float = 0.35
-    limits: Limits = SLICE_LIMITS
+    limits: Limits = IMAGE_LIMITS
     kind: str | None = None
 
 

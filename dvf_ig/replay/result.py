@@ -74,6 +74,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
         "supervisor": asdict(summarise_supervision(ticks.t_s, ticks.supervisor, force)),
         "pose_age_s": _pose_age(ticks),
         "registrations": [_attempt(a) for a in replay.attempts],
+        "tre_bound_mm": _bounds(replay),
         **dict.fromkeys(
             (
                 "tre_mm",
@@ -154,6 +155,29 @@ def _pose_age(ticks: Ticks) -> dict[str, float] | None:
     """Age of the pose over the ticks that gave a force: time since a beat confirmed it."""
     age_s = ticks.pose_age_s[ticks.valid]
     return {"median": float(np.median(age_s)), "max": float(age_s.max())} if len(age_s) else None
+
+
+def _bounds(replay: Replay) -> dict[str, float | None] | None:
+    """Median of the bounds that registrations stated, and the share of them that held at every target.
+
+    None where none was stated; the share is None without a truth.
+    """
+    stated = [
+        (a.ready_s, a.result.target_from_source, a.result.tre_bound_mm)
+        for a in replay.attempts
+        if a.result is not None and a.result.tre_bound_mm is not None
+    ]
+    if not stated:
+        return None
+    truth, coverage = replay.scenario.truth, None
+    if truth is not None:
+        targets = truth.targets.points
+        held = [
+            target_errors_mm(pose, truth.mr_from_tracker_at(t_s), targets).max() <= bound
+            for t_s, pose, bound in stated
+        ]
+        coverage = float(np.mean(held))
+    return {"median": float(np.median([bound for _, _, bound in stated])), "coverage": coverage}
 
 
 def _attempt(attempt: Attempt) -> dict[str, Any]:

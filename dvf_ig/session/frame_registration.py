@@ -18,6 +18,7 @@ from dvf_ig.registration import (
     register_rigid,
     root_amplitude,
 )
+from dvf_ig.registration.evidence.checks import SLICE_LIMITS
 
 from .gated_frames import GatedFrames, UltrasoundRecording, slices_of, ultrasound_mask
 from .heart import COARSE_PITCH_MM, FINE_PITCH_MM
@@ -75,6 +76,7 @@ def register_frames(
             starts=0 if warm else STARTS,
             density_width_mm=DENSITY_WIDTH_MM,
             boundary_share=heart.boundary_share,
+            limits=SLICE_LIMITS,
             kind=KIND if heart.beats_update_pose else None,
         ),
         progress=progress,

@@ -178,6 +178,18 @@ def _bind_folder(study: Study, folder: Path) -> None:
         )
 
 
+def trials_of(folder: Path) -> list[Line]:
+    """The trials that a study's folder holds so far.
+
+    Raises:
+        InvalidInputError: it holds none, or is damaged.
+    """
+    lines = _kept_lines(folder / "trials.jsonl")
+    if not lines:
+        raise InvalidInputError(f"{folder} holds no trials of a study; give the folder that a study wrote")
+    return lines
+
+
 def _kept_lines(path: Path) -> list[Line]:
     """Complete lines so far; a line that a kill cut short is removed from the file."""
     if not path.exists():

@@ -1,7 +1,9 @@
 """`dvf-ig study hearts`: registration of the hearts of a list, one trial a heart, without landmarks."""
 
+import math
 from collections.abc import Callable
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -55,6 +57,13 @@ def hearts(
     count: Annotated[
         int | None, typer.Option("--hearts", min=1, help="The first so many of the list (default: all).")
     ] = None,
+    fit: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--fit",
+            help="Register nothing: fit probability and bound on the trials of this folder (repeatable).",
+        ),
+    ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     as_json: JsonFlag = False,
@@ -63,6 +72,9 @@ def hearts(
 
     Intervals are over hearts: Wilson's of shares, bootstrap of percentiles.
     """
+    if fit:
+        _fit(fit, out, as_json=as_json)
+        return
     with command(lists_inputs=False):
         from dataclasses import asdict
 
@@ -94,6 +106,27 @@ def hearts(
         emit(summary, _table(groups), as_json=as_json)
         wrote(out / "trials.jsonl")
         wrote(out / "summary.json")
+
+
+def _fit(folders: list[Path], out: Path, *, as_json: bool) -> None:
+    """Write calibrated.json: in place of the package's own it is what registrations state from then on."""
+    with command(lists_inputs=False):
+        from dvf_ig.io import output_folder, write_json
+        from dvf_ig.registration.evidence.assessment import TABLES
+        from dvf_ig.study.hearts.fit import fit_tables
+        from dvf_ig.study.trials import trials_of
+
+        fitted = fit_tables([line for folder in folders for line in trials_of(folder)])
+        with output_folder(out):
+            write_json(out / TABLES, fitted)
+        rows = [("", "hearts", "trials", "95 % bound / prediction", "refused above, mm")]
+        for kind, table in fitted["kinds"].items():
+            quantile = table["bound_quantile"]
+            factor = "–" if quantile is None else f"{math.exp(quantile):.2f}"
+            limit = f"{math.exp(table['largest']):.2f}"
+            rows.append((kind, str(table["hearts"]), str(table["trials"]), factor, limit))
+        emit(fitted, rows, as_json=as_json)
+        wrote(out / TABLES)
 
 
 def _table(groups: "list[HeartGroup]") -> list[tuple[str, ...]]:

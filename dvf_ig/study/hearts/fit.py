@@ -68,6 +68,7 @@ def fit_table(lines: Sequence[Line]) -> dict[str, Any]:
         error = np.array([line["tre_max_mm"] for line in lines], dtype=np.float64)
         success = np.array([line["tre_mm"] < SUCCESS_MM for line in lines])
         passed = np.array([line["stop"] in JUDGED_LATER for line in lines])
+        statistics = [line["statistics"] for line in lines]
     except KeyError as exc:
         raise InvalidInputError(f"a line of the study has no '{exc.args[0]}'; run the study again") from exc
     hearts = np.unique([_heart(line) for line in lines], return_inverse=True)[1].ravel()
@@ -94,7 +95,7 @@ def fit_table(lines: Sequence[Line]) -> dict[str, Any]:
         "refused_probability": float((weight[refused & success].sum() + 1.0) / (weight[refused].sum() + 2.0)),
         "bound_quantile": conformal_quantile((target - predicted)[passed], hearts[passed]),
         "largest": float(np.quantile(predicted[good], 1.0 - GOOD_REFUSED)),
-        **_ranges([line["statistics"] for line in lines], int(hearts.max()) + 1),
+        **_ranges(statistics, int(hearts.max()) + 1),
     }
 
 

@@ -10,6 +10,7 @@ from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 from dvf_ig.core import BoolArray, FloatArray, Rigid, mean_displacement_mm
 from dvf_ig.registration import Lc2, PoseChart, RegistrationOptions, SliceSet, channels_from_mr
 from dvf_ig.registration.evidence.checks import (
+    IMAGE_LIMITS,
     SLICE_LIMITS,
     VOLUME_LIMITS,
     Evidence,
@@ -139,7 +140,8 @@ def test_the_worst_test_decides() -> None:
     untested = replace(good, phase_mm=None, half_volume_mm=None, boundary_mm=None)
     assert untested.worst_test_ratio(VOLUME_LIMITS) == pytest.approx(0.5)
     assert replace(good, half_volume_mm=float("nan")).worst_test_ratio(VOLUME_LIMITS) == np.inf
-    assert replace(good, phase_mm=100.0).worst_test_ratio(SLICE_LIMITS) < 1.0
+    assert replace(good, phase_mm=6.0).worst_test_ratio(SLICE_LIMITS) == pytest.approx(2.0)
+    assert replace(good, phase_mm=100.0).worst_test_ratio(IMAGE_LIMITS) < 1.0
 
 
 def test_half_volumes_hold_each_pixel_once() -> None:
