@@ -83,7 +83,11 @@ class ShiftDetector:
             covariance = total + total @ before.covariance_mm2 @ total
             statistic = float(offset @ np.linalg.lstsq(covariance, offset, rcond=None)[0])
             if worst is None or statistic > worst[0]:
-                worst = statistic, k, np.asarray(np.linalg.solve(total + np.eye(6) / PRIOR_SIGMA_MM**2, offset))
+                worst = (
+                    statistic,
+                    k,
+                    np.asarray(np.linalg.solve(total + np.eye(6) / PRIOR_SIGMA_MM**2, offset)),
+                )
         return None if worst is None else self._test(*worst)
 
     def _test(self, statistic: float, first: int, xi_mm: FloatArray) -> ShiftTest:
