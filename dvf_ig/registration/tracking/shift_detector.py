@@ -107,7 +107,7 @@ class ShiftDetector:
             covariance += UNOBSERVED * np.trace(covariance) * np.eye(6)
             statistic = float(offset @ np.linalg.solve(covariance, offset))
             if worst is None or statistic > worst.statistic:
-                xi = np.linalg.solve(total + np.eye(6) / PRIOR_SIGMA_MM**2, offset)
+                xi = np.asarray(np.linalg.solve(total + np.eye(6) / PRIOR_SIGMA_MM**2, offset))
                 worst = ShiftTest(statistic, beat.begin_s, count, beat.estimate, xi)
             at = at - beat.step_mm
         return worst
