@@ -6,7 +6,7 @@ from time import perf_counter
 
 import numpy as np
 
-from data_synth import PRESETS, ScenarioSpec, child_rng, phantom_scenario
+from data_synth import HeartSpec, ScenarioSpec, child_rng, phantom_scenario
 from dvf_ig.core import DvfIgError, Points, Rigid
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay import register_scenario
@@ -96,7 +96,7 @@ def _recordings(hearts: int) -> tuple[_Recorded, ...]:
 
 
 def _recorded(seed: int, quality: str) -> _Recorded:
-    spec = ScenarioSpec(quality, "paper5mm", SWEEP_S, seed, changed=PRESETS[quality])
+    spec = ScenarioSpec(quality, "paper5mm", SWEEP_S, seed, heart=HeartSpec("varied"))
     scenario = replace(phantom_scenario(spec), landmarks_mr=None, landmarks_tracker=None)
     truth = scenario.truth
     if truth is None:
