@@ -10,8 +10,8 @@ from typing import Protocol
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid
-from dvf_ig.registration import BeatMeasurement, FrameRejection, Lc2, SliceThreads, measure_beat
+from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+from dvf_ig.registration import BeatMeasurement, FrameRejection, Lc2, SliceSet, SliceThreads, measure_beat
 
 from .frame_registration import DENSITY_WIDTH_MM
 from .gated_frames import UltrasoundRecording, gate_recording, slices_of, ultrasound_mask
@@ -28,6 +28,7 @@ GATING_PEAKS = 12
 """R peaks that place a beat and tell whether it is regular."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BeatEvaluation:
     """A finished beat that was compared with a pose.
@@ -39,6 +40,7 @@ class BeatEvaluation:
         measurement: the optimum of the beat, and how much better it matches there.
         in_use: the pose was in use, not waiting to be confirmed.
         seconds: computing time, preparation included.
+        view_mm: (3, 3) three points of the mean plane of its slices, frame "tracker".
     """
 
     begin_s: float
@@ -49,14 +51,17 @@ class BeatEvaluation:
     measurement: BeatMeasurement
     in_use: bool
     seconds: float
+    view_mm: FloatArray
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BeatSlices:
     """A beat's slices, ready to be compared with poses.
 
     Attributes:
         begin_s, end_s, detected_s, frames: as in `BeatEvaluation`.
+        view_mm: as in `BeatEvaluation`.
         metric: their similarity to the model.
         updates_pose: whether the beat may move the pose in use; otherwise it can only suspend it.
         seconds: computing time of the preparation.
@@ -67,6 +72,7 @@ class BeatSlices:
     end_s: float
     detected_s: float
     frames: int
+    view_mm: FloatArray
     metric: Lc2
     updates_pose: bool
     seconds: float
@@ -91,6 +97,7 @@ class BeatSlices:
             measurement=measurement,
             in_use=in_use,
             seconds=self.seconds + self.clock() - began,
+            view_mm=self.view_mm,
         )
 
 
@@ -157,6 +164,7 @@ def compare_beat(
         end_s=end.t_s,
         detected_s=end.detected_at_s,
         frames=len(slices),
+        view_mm=_view_mm(slices),
         metric=metric,
         updates_pose=recording.heart.beats_update_pose,
         seconds=clock() - began,
@@ -165,3 +173,16 @@ def compare_beat(
     if pose is None:
         return ComparedBeat(beat, None, False)
     return ComparedBeat(beat, beat.evaluate_beat(pose, recording.heart.center_mm, in_use=in_use), False)
+
+
+def _view_mm(slices: SliceSet) -> FloatArray:
+    """(3, 3) two points half-way down the mean plane and one near its lower edge."""
+    rows, columns = slices.images.shape[1:]
+    places = np.array(
+        [
+            [0.25 * columns, 0.5 * rows, 1.0],
+            [0.75 * columns, 0.5 * rows, 1.0],
+            [0.5 * columns, 0.9 * rows, 1.0],
+        ]
+    )
+    return np.asarray(places @ slices.frame_from_pixel.mean(axis=0).T)

@@ -12,6 +12,10 @@ class DoubtCause(Enum):
     SHIFTED = "heart beats since {since_s:.1f} s fit {mm:.1f} mm from this pose"
     REGISTERED_ELSEWHERE = "a new registration lies {mm:.1f} mm from this pose"
     REFUSED = "two registrations in a row were refused by their own evidence"
+    CHANGED = (
+        "since {since_s:.1f} s ultrasound matches the model worse than the same views did before: the "
+        "heart may be deformed, or something lies before it"
+    )
     PHASE_OFFSET = "ECG and ultrasound disagree on the phase"
 
 

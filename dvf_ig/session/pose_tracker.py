@@ -161,6 +161,9 @@ class PoseTracker:
             self._next_start_s = now_s + RETRY_S
             return
         pose, warm = start
+        held = self.confirmation
+        if self.monitor.in_use and held is not None and now_s >= held.until_s:
+            self._landmarks.forget(held.confirmed_s)
         since_s = max(self._frames_from_s, now_s - MEMORY_S)
         prior = None if self._start is not None else self._landmarks.prior
         request = RegistrationRequest(since_s, now_s, pose, warm, prior, tuple(self._peaks))
@@ -288,7 +291,7 @@ class PoseTracker:
             return
         evaluation = replace(evaluation, in_use=in_use)
         self.history.beats.append(evaluation)
-        self.monitor = before.after_beat(evaluation.measurement, evaluation.begin_s)
+        self.monitor = before.after_beat(evaluation)
         self._record_update(before, now_s)
         if self.monitor.in_use and confirms(evaluation.measurement):
             self.confirmation = Confirmation(now_s, self.monitor.in_use.tre_bound_mm)

@@ -17,8 +17,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, Stop, mean_displacement_mm, read_only_arrays
-from dvf_ig.registration import BeatMeasurement, PoseEstimate, ShiftDetector
+from dvf_ig.registration import BeatMeasurement, PoseEstimate, ShiftDetector, SimilarityWatch
 
+from .beat_evaluation import BeatEvaluation
 from .doubt import Doubt, DoubtCause
 from .refusal import Refusal, Refused
 
@@ -45,7 +46,10 @@ patient who moved lies still again, but a slipped marker is wrong in another way
 SUSPENDING_REFUSALS = 2
 """Registrations in a row that their own evidence refuses, after which the pose in use is suspended."""
 REFUSAL_SIGMA_MM = 1.0
-"""Standard deviation per coordinate that one of them adds to the pose in use."""
+"""Standard deviation per coordinate that one of them adds to the error that the pose in use may have."""
+REFUSAL_EVIDENCE = 6.0
+"""What one of them takes from SHIFT_LIMIT: twice the logarithm of 19, for a registration that does what it
+should refuses 95 % of wrong poses and 5 % of good ones."""
 
 
 def confirms(measurement: BeatMeasurement) -> bool:
@@ -73,8 +77,10 @@ class RegistrationMonitor:
         consistent_beats: consecutive beats that agree with the pose under test.
         needed_beats: so many of them bring it into use.
         refusals: registrations in a row that were refused by their own evidence while the pose was in use.
-        phase_doubted: ECG and images disagree; no beat confirms a pose until a registration is usable again.
+        needs_registration: no beat confirms a pose until a registration is usable again: ECG and images
+            disagree, or the images have changed as no pose explains.
         shift: the last beats against the pose under test.
+        similarity: that of beats since the pose came into use.
         contradicting: beats in a row whose log-likelihood ratio exceeds SUSPEND_LOG_RATIO.
         doubt: why the pose is suspended; None while it is in use, or before the first.
     """
@@ -87,8 +93,9 @@ class RegistrationMonitor:
     consistent_beats: int = 0
     needed_beats: int = CONFIRMING_BEATS
     refusals: int = 0
-    phase_doubted: bool = False
+    needs_registration: bool = False
     shift: ShiftDetector = field(default_factory=ShiftDetector)
+    similarity: SimilarityWatch = field(default_factory=SimilarityWatch.new)
     contradicting: int = 0
     doubt: Doubt | None = None
 
@@ -107,7 +114,7 @@ class RegistrationMonitor:
     ) -> tuple["RegistrationMonitor", Refused | None]:
         """The next state, and why the registration is not in use yet; its middle is so many beats old."""
         if self.suspended or self.estimate is None:
-            return replace(self, phase_doubted=False)._with_pending(found)
+            return replace(self, needs_registration=False)._with_pending(found)
         off_mm = mean_displacement_mm(found.pose, self.estimate.pose, self.center_mm)
         if off_mm <= JUMP_MM:
             updated = self.estimate.intersected_with(found.predict(beats))
@@ -122,9 +129,9 @@ class RegistrationMonitor:
         where ECG and images disagree: at wrong phases no beat can tell a good pose from a wrong one.
         """
         if self.suspended or self.estimate is None:
-            return replace(self, phase_doubted=self.phase_doubted or stop is Stop.PHASE_OFFSET)
+            return replace(self, needs_registration=self.needs_registration or stop is Stop.PHASE_OFFSET)
         if stop is Stop.PHASE_OFFSET:
-            return replace(self._suspended(Doubt(DoubtCause.PHASE_OFFSET)), phase_doubted=True)
+            return replace(self._suspended(Doubt(DoubtCause.PHASE_OFFSET)), needs_registration=True)
         if self.refusals + 1 >= SUSPENDING_REFUSALS:
             return self._suspended(Doubt(DoubtCause.REFUSED))
         return replace(self, estimate=_less_certain(self.estimate), refusals=self.refusals + 1)
@@ -140,31 +147,36 @@ class RegistrationMonitor:
         waiting = replace(self, pending=found, consistent_beats=0, shift=ShiftDetector())
         return waiting, Refused(Refusal.UNCONFIRMED)
 
-    def after_beat(self, measurement: BeatMeasurement, begin_s: float) -> "RegistrationMonitor":
-        """The next state after a beat, begun at `begin_s`, that was compared with the pose under test.
+    def after_beat(self, beat: BeatEvaluation) -> "RegistrationMonitor":
+        """The next state after a beat that was compared with the pose under test.
 
         A beat without information neither confirms a pose nor moves it.
         """
-        tested = self.under_test
+        tested, measurement = self.under_test, beat.measurement
         if tested is None:
             return self
         over = measurement.log_likelihood_ratio > SUSPEND_LOG_RATIO
         watched = replace(self, contradicting=self.contradicting + 1 if over else 0)
         if measurement.informative:
-            watched = replace(watched, shift=self.shift.after(begin_s, tested, measurement))
+            watched = replace(watched, shift=self.shift.after(beat.begin_s, tested, measurement))
         if self.suspended:
             return watched._retested(tested, measurement)
-        doubt = watched._doubt(measurement, begin_s)
+        doubt = watched._doubt(measurement, beat.begin_s)
         if doubt is not None:
             return watched._suspended(doubt)
         if not measurement.informative:
             return replace(watched, estimate=tested.predict(1.0))
-        return replace(watched, estimate=_updated(tested, measurement))
+        similarity = self.similarity.after(beat.begin_s, beat.view_mm, measurement.best_similarity)
+        if similarity.alarm:
+            changed = watched._suspended(Doubt(DoubtCause.CHANGED, similarity.since_s))
+            return replace(changed, needs_registration=True)
+        return replace(watched, estimate=_updated(tested, measurement), similarity=similarity)
 
     def _doubt(self, measurement: BeatMeasurement, begin_s: float) -> Doubt | None:
         """What the beats up to the last one, `measurement`, have against the pose they were compared with."""
         shift = self.shift.test
-        if shift is not None and measurement.informative and shift.statistic > SHIFT_LIMIT:
+        limit = SHIFT_LIMIT - REFUSAL_EVIDENCE * self.refusals
+        if shift is not None and measurement.informative and shift.statistic > limit:
             return Doubt(DoubtCause.SHIFTED, shift.since_s, shift.distance_mm, shift.pose)
         ratio = measurement.log_likelihood_ratio
         if self.contradicting > 1 or ratio > SUSPEND_LOG_RATIO_ALONE:
@@ -173,7 +185,7 @@ class RegistrationMonitor:
 
     def _retested(self, tested: PoseEstimate, measurement: BeatMeasurement) -> "RegistrationMonitor":
         """The next state of a suspended pose, or of a registration that waits."""
-        if self.phase_doubted:
+        if self.needs_registration:
             return self
         shift = self.shift.test
         statistic = 0.0 if shift is None or not measurement.informative else shift.statistic
@@ -202,8 +214,7 @@ class RegistrationMonitor:
 
 
 def _less_certain(estimate: PoseEstimate) -> PoseEstimate:
-    wider = estimate.covariance_mm2 + REFUSAL_SIGMA_MM**2 * np.eye(6)
-    return replace(estimate, covariance_mm2=wider)
+    return replace(estimate, shared_mm2=estimate.shared_mm2 + REFUSAL_SIGMA_MM**2 * np.eye(6))
 
 
 def _updated(tested: PoseEstimate, measurement: BeatMeasurement) -> PoseEstimate:

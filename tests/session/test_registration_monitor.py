@@ -7,6 +7,7 @@ import pytest
 
 from dvf_ig.core import Rigid, Stop
 from dvf_ig.registration import BeatMeasurement, PoseEstimate
+from dvf_ig.session import BeatEvaluation
 from dvf_ig.session.refusal import Refusal, Refused
 from dvf_ig.session.registration_monitor import (
     CONFIRMING_BEATS,
@@ -24,23 +25,34 @@ def at(mm: float, sigma_mm: float = 0.4) -> PoseEstimate:
     return PoseEstimate(pose, sigma_mm**2 * np.eye(6), CENTER, sigma_mm**2 * np.eye(6))
 
 
-def measured(log_ratio: float, *, off_mm: float = 0.0, power: float = 12.0) -> BeatMeasurement:
+def measured(
+    log_ratio: float,
+    *,
+    off_mm: float = 0.0,
+    power: float = 12.0,
+    begin_s: float = 0.0,
+    similarity: float = 0.6,
+) -> BeatEvaluation:
     """A beat that matches best `off_mm` further along x, as precise as the pose is known."""
     information = np.eye(6) / 0.4**2
     offset = np.array([0, 0, 0, off_mm, 0, 0])
     pose = at(0.0).pose
-    return BeatMeasurement(
+    measurement = BeatMeasurement(
         pose=pose,
         best=at(off_mm).pose,
         offset_information_mm=information @ offset,
         information=information,
         similarity=0.5,
-        best_similarity=0.6,
+        best_similarity=similarity,
         log_likelihood_ratio=log_ratio,
         wrong_pose_log_ratio=power,
         moved_mm=off_mm,
         overlap=1.0,
         evaluations=1,
+    )
+    end_s = begin_s + 0.8
+    return BeatEvaluation(
+        begin_s, end_s, end_s + 0.1, end_s + 0.3, 10, measurement, True, 0.01, np.zeros((3, 3))
     )
 
 
@@ -49,7 +61,7 @@ def in_use(mm: float = 0.0) -> RegistrationMonitor:
     assert refused == Refused(Refusal.UNCONFIRMED)
     for _ in range(CONFIRMING_BEATS):
         assert monitor.in_use is None
-        monitor = monitor.after_beat(measured(1.0), 0.0)
+        monitor = monitor.after_beat(measured(1.0))
     assert monitor.in_use is not None
     return monitor
 
@@ -66,12 +78,12 @@ def test_a_first_pose_is_used_once_beats_confirm_it() -> None:
 def test_a_contradicted_registration_is_dropped_and_the_next_needs_more() -> None:
     monitor, _ = RegistrationMonitor(CENTER, landmarks=None).after_registration(at(0.0), 0)
     for log_ratio in (1.0, 1.0, CONSISTENT_LOG_RATIO + 0.1):
-        monitor = monitor.after_beat(measured(log_ratio), 0.0)
+        monitor = monitor.after_beat(measured(log_ratio))
     assert monitor.under_test is None
     monitor, _ = monitor.after_registration(at(0.5), 0)
     for _ in range(2 * CONFIRMING_BEATS):
         assert monitor.in_use is None
-        monitor = monitor.after_beat(measured(1.0), 0.0)
+        monitor = monitor.after_beat(measured(1.0))
     assert monitor.in_use is not None
     assert monitor.needed_beats == CONFIRMING_BEATS
 
@@ -88,24 +100,24 @@ def test_landmarks_are_compared_where_there_are_any(landmarks: Rigid | None) -> 
 def test_landmarks_are_not_compared_again_after_a_patient_moved() -> None:
     monitor, _ = RegistrationMonitor(CENTER, landmarks=at(0.0).pose).after_registration(at(0.5), 0)
     for _ in range(CONFIRMING_BEATS):
-        monitor = monitor.after_beat(measured(1.0), 0.0)
-    monitor, refused = monitor.after_beat(measured(20.0), 0.0).after_registration(at(9.0), 0)
+        monitor = monitor.after_beat(measured(1.0))
+    monitor, refused = monitor.after_beat(measured(20.0)).after_registration(at(9.0), 0)
     assert refused == Refused(Refusal.UNCONFIRMED)
     assert monitor.pending is not None
 
 
 def test_a_beat_that_disagrees_much_suspends_the_pose_at_once() -> None:
-    monitor = in_use().after_beat(measured(SUSPEND_LOG_RATIO_ALONE + 0.1), 0.0)
+    monitor = in_use().after_beat(measured(SUSPEND_LOG_RATIO_ALONE + 0.1))
     assert monitor.in_use is None
     assert monitor.under_test is not None
     assert monitor.under_test.pose.translation_mm[0] == pytest.approx(0.0, abs=1e-9)
-    assert in_use().after_beat(measured(SUSPEND_LOG_RATIO_ALONE - 0.1), 0.0).in_use is not None
+    assert in_use().after_beat(measured(SUSPEND_LOG_RATIO_ALONE - 0.1)).in_use is not None
 
 
 def test_two_beats_in_a_row_that_disagree_suspend_the_pose() -> None:
     over, under = measured(SUSPEND_LOG_RATIO + 0.1), measured(SUSPEND_LOG_RATIO - 0.1)
-    assert in_use().after_beat(over, 0.0).after_beat(over, 0.8).in_use is None
-    assert in_use().after_beat(over, 0.0).after_beat(under, 0.8).after_beat(over, 1.6).in_use is not None
+    assert in_use().after_beat(over).after_beat(over).in_use is None
+    assert in_use().after_beat(over).after_beat(under).after_beat(over).in_use is not None
 
 
 def test_beats_that_agree_on_another_place_suspend_the_pose_and_say_since_when() -> None:
@@ -115,8 +127,8 @@ def test_beats_that_agree_on_another_place_suspend_the_pose_and_say_since_when()
         held = monitor.in_use
         if held is None:
             break
-        beat = measured(2.0, off_mm=2.0 - along(monitor))
-        monitor = monitor.after_beat(replace(beat, pose=held.pose), 20.0 + k)
+        beat = measured(2.0, off_mm=2.0 - along(monitor), begin_s=20.0 + k)
+        monitor = monitor.after_beat(replace(beat, measurement=replace(beat.measurement, pose=held.pose)))
     assert k > 1
     assert monitor.doubt is not None
     assert monitor.doubt.sentence == "heart beats since 20.0 s fit 2.0 mm from this pose"
@@ -125,28 +137,28 @@ def test_beats_that_agree_on_another_place_suspend_the_pose_and_say_since_when()
 
 
 def test_a_false_alarm_ends_when_beats_agree_with_the_pose_again() -> None:
-    monitor = in_use().after_beat(measured(SUSPEND_LOG_RATIO_ALONE + 1.0), 0.0)
+    monitor = in_use().after_beat(measured(SUSPEND_LOG_RATIO_ALONE + 1.0))
     for _ in range(CONFIRMING_BEATS):
         assert monitor.in_use is None
-        monitor = monitor.after_beat(measured(0.5), 0.0)
+        monitor = monitor.after_beat(measured(0.5))
     assert along(monitor) == pytest.approx(0.0, abs=1e-9)
     assert monitor.doubt is None
 
 
 def test_beats_that_fit_another_place_do_not_bring_the_pose_back() -> None:
     """Single beats cannot tell 1.6 mm from noise; together they keep a pose suspended that is so far off."""
-    monitor = in_use().after_beat(measured(SUSPEND_LOG_RATIO_ALONE + 1.0), 0.0)
+    monitor = in_use().after_beat(measured(SUSPEND_LOG_RATIO_ALONE + 1.0))
     for _ in range(4 * CONFIRMING_BEATS):
-        monitor = monitor.after_beat(measured(2.0, off_mm=1.6), 0.0)
+        monitor = monitor.after_beat(measured(2.0, off_mm=1.6))
     assert monitor.in_use is None
 
 
 def test_a_patient_who_moved_is_found_and_confirmed() -> None:
-    suspended = in_use().after_beat(measured(20.0, off_mm=8.0), 0.0)
+    suspended = in_use().after_beat(measured(20.0, off_mm=8.0))
     monitor, refused = suspended.after_registration(at(8.0), 0)
     assert refused == Refused(Refusal.UNCONFIRMED)
     for _ in range(CONFIRMING_BEATS):
-        monitor = monitor.after_beat(measured(1.0), 0.0)
+        monitor = monitor.after_beat(measured(1.0))
     assert along(monitor) == pytest.approx(8.0)
 
 
@@ -157,7 +169,7 @@ def test_a_registration_elsewhere_suspends_the_pose_until_confirmed() -> None:
     assert "moved by 3.0 mm" in refused.sentence
     assert monitor.in_use is None
     for _ in range(CONFIRMING_BEATS):
-        monitor = monitor.after_beat(measured(1.0), 0.0)
+        monitor = monitor.after_beat(measured(1.0))
     assert along(monitor) == pytest.approx(3.0)
 
 
@@ -168,14 +180,14 @@ def test_beats_and_registrations_move_the_pose_by_their_weight() -> None:
     assert refused is None
     assert along(now) == pytest.approx(0.5, abs=1e-3)
     assert along(monitor.after_registration(at(1.0), 20)[0]) == 0.0
-    assert 0.5 < along(monitor.after_beat(measured(2.0, off_mm=1.0), 0.0)) < 0.55
+    assert 0.5 < along(monitor.after_beat(measured(2.0, off_mm=1.0))) < 0.55
 
 
 def test_beats_without_information_neither_confirm_a_pose_nor_move_it() -> None:
     pending, _ = RegistrationMonitor(CENTER, landmarks=None).after_registration(at(0.0), 0)
-    assert pending.after_beat(measured(0.1, power=0.3), 0.0).consistent_beats == 0
+    assert pending.after_beat(measured(0.1, power=0.3)).consistent_beats == 0
     monitor = in_use()
-    after = monitor.after_beat(measured(0.1, off_mm=0.5, power=0.3), 0.0)
+    after = monitor.after_beat(measured(0.1, off_mm=0.5, power=0.3))
     assert along(after) == along(monitor)
     assert after.in_use is not None
     assert monitor.in_use is not None
@@ -193,6 +205,13 @@ def test_one_refused_registration_makes_the_pose_less_certain_and_two_in_a_row_s
     assert twice.in_use is None
 
 
+def test_after_a_refused_registration_less_suffices_to_suspend_the_pose() -> None:
+    """A beat whose statistic, 31, lies within the limit, and within it no more once less is asked for."""
+    far = measured(2.0, off_mm=2.76)
+    assert in_use().after_beat(far).in_use is not None
+    assert in_use().after_refusal(Stop.POOR_MATCH).after_beat(far).in_use is None
+
+
 def test_a_usable_registration_between_two_refused_ones_forgives_the_first() -> None:
     once = in_use().after_refusal(Stop.POOR_MATCH)
     again, refused = once.after_registration(at(0.1), 0)
@@ -203,18 +222,41 @@ def test_a_usable_registration_between_two_refused_ones_forgives_the_first() -> 
 def test_beats_bring_a_pose_back_that_refused_registrations_had_suspended() -> None:
     monitor = in_use().after_refusal(Stop.POOR_MATCH).after_refusal(Stop.POOR_MATCH)
     for _ in range(CONFIRMING_BEATS):
-        monitor = monitor.after_beat(measured(1.0), 0.0)
+        monitor = monitor.after_beat(measured(1.0))
+    assert monitor.in_use is not None
+
+
+def test_a_change_that_no_pose_explains_suspends_until_a_registration_is_usable_again() -> None:
+    """The beats' best pose stays; what they match there gets worse, and stays so."""
+    monitor, rng = in_use(), np.random.default_rng(2)
+    for k in range(40):
+        monitor = monitor.after_beat(measured(1.0, begin_s=0.8 * k, similarity=0.6 + 0.02 * rng.normal()))
+        assert monitor.in_use is not None
+    for k in range(40, 50):
+        monitor = monitor.after_beat(measured(1.0, begin_s=0.8 * k, similarity=0.5 + 0.02 * rng.normal()))
+        if monitor.in_use is None:
+            break
+    assert 41 < k < 46
+    assert monitor.doubt is not None
+    assert 30.0 < monitor.doubt.since_s < 33.0
+    assert "matches the model worse" in monitor.doubt.sentence
+    for _ in range(2 * CONFIRMING_BEATS):
+        monitor = monitor.after_beat(measured(1.0))
+    assert monitor.in_use is None
+    monitor, _ = monitor.after_registration(at(0.0), 0)
+    for _ in range(CONFIRMING_BEATS):
+        monitor = monitor.after_beat(measured(1.0))
     assert monitor.in_use is not None
 
 
 def test_where_ecg_and_images_disagree_only_a_registration_brings_the_pose_back() -> None:
     monitor = in_use().after_refusal(Stop.PHASE_OFFSET)
     for _ in range(2 * CONFIRMING_BEATS):
-        monitor = monitor.after_beat(measured(1.0), 0.0)
+        monitor = monitor.after_beat(measured(1.0))
     assert monitor.in_use is None
     monitor, _ = monitor.after_registration(at(0.0), 0)
     for _ in range(CONFIRMING_BEATS):
-        monitor = monitor.after_beat(measured(1.0), 0.0)
+        monitor = monitor.after_beat(measured(1.0))
     assert monitor.in_use is not None
 
 

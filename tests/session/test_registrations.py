@@ -1,6 +1,6 @@
 """Registrations in a session: late ones, failed ones, and what touched landmarks have to say in them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -8,11 +8,12 @@ import pytest
 from known_patient import DETECTION_S, KnownBeat, Patient, registration, still
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray, Rigid, Stop
 from dvf_ig.registration import Gated, PoseChart
 from dvf_ig.session import Landmark, Refusal, SessionHistory
 from dvf_ig.session.beat_evaluation import ComparedBeat
 from dvf_ig.session.confirmation import MAX_AGE_S
+from dvf_ig.session.doubt import DoubtCause
 from dvf_ig.session.executor import Job, answered
 from dvf_ig.session.gated_frames import GatedFrames
 from dvf_ig.session.pose_tracker import (
@@ -65,6 +66,8 @@ class Ultrasound:
     clock: Clock = field(default_factory=Clock)
     seconds: list[float] = field(default_factory=list)
     beat_seconds: float = 0.0
+    refused_from_s: float = np.inf
+    blind_from_s: float = np.inf
     failures: list[str] = field(default_factory=list)
     requests: list[RegistrationRequest] = field(default_factory=list)
     known_s: list[float] = field(default_factory=list)
@@ -80,6 +83,8 @@ class Ultrasound:
         frames = GatedFrames(0, 0, Gated(index, {}), index, event_s, np.zeros(n), turns, np.zeros((n, 3)))
         mean = np.mean([self.patient(t) for t in event_s], axis=0)
         found = RegistrationAnswer(frames, registration(PoseChart(HOME, CENTER).pose(mean), CENTER))
+        if request.until_s > self.refused_from_s and found.result is not None:
+            found = replace(found, result=replace(found.result, stop=Stop.POOR_MATCH))
         if self.failures:
             found = RegistrationAnswer(frames, None, self.failures.pop(0))
         seconds = self.seconds.pop(0) if self.seconds else 0.0
@@ -90,6 +95,8 @@ class Ultrasound:
         self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool
     ) -> Job[ComparedBeat]:
         begin_s, end_s = peaks[-2].t_s, peaks[-1].t_s
+        if begin_s > self.blind_from_s:
+            return answered(ComparedBeat(None, None, irregular=False))
         there = PoseChart(HOME, CENTER).pose(self.patient((begin_s + end_s) / 2))
         beat = KnownBeat(begin_s, end_s, there)
         compared = None if pose is None else beat.evaluate_beat(pose, CENTER, in_use=in_use)
@@ -271,6 +278,31 @@ def test_landmarks_that_were_touched_before_a_doubt_pull_no_more() -> None:
     prior = late[0].prior
     assert prior is not None
     np.testing.assert_allclose(prior.source.xyz_mm, there.inverse().apply_array(POINTS), atol=1e-9)
+
+
+def test_landmarks_pull_no_more_once_registrations_refuse_themselves() -> None:
+    """Two refusals in a row suspend the pose in use; the images may be right and the landmarks stale."""
+    ultrasound = Ultrasound(still, refused_from_s=20.0)
+    tracker = tracked(ultrasound, 60.0, start=None, landmarks=touched_at(1.0, HOME))
+    doubted_s, doubt = next((u.from_s, u.doubt) for u in tracker.history.updates if u.pose is None)
+    assert doubt is not None
+    assert doubt.cause is DoubtCause.REFUSED
+    before = [r.prior for r in ultrasound.requests if r.until_s < doubted_s]
+    after = [r.prior for r in ultrasound.requests if r.until_s >= doubted_s]
+    assert before
+    assert all(prior is not None for prior in before)
+    assert after
+    assert all(prior is None for prior in after)
+
+
+def test_landmarks_pull_no_more_once_no_beat_has_confirmed_the_pose_for_long() -> None:
+    ultrasound = Ultrasound(still, blind_from_s=20.0)
+    tracked(ultrasound, 60.0, start=None, landmarks=touched_at(1.0, HOME))
+    before = [r.prior for r in ultrasound.requests if r.until_s < 20.0]
+    after = [r.prior for r in ultrasound.requests if r.until_s > 20.0 + MAX_AGE_S + RR_S]
+    assert all(prior is not None for prior in before)
+    assert after
+    assert all(prior is None for prior in after)
 
 
 def test_landmarks_elsewhere_keep_a_first_pose_from_use() -> None:

@@ -54,7 +54,7 @@ class KnownBeat:
         detected_s = self.end_s + DETECTION_S
         decided_s = detected_s + BEAT_COMPUTE_S
         return BeatEvaluation(
-            self.begin_s, self.end_s, detected_s, decided_s, 10, measurement, in_use, seconds=0.01
+            self.begin_s, self.end_s, detected_s, decided_s, 10, measurement, in_use, 0.01, np.zeros((3, 3))
         )
 
 

@@ -122,8 +122,8 @@ class PoseEstimate:
         return replace(self, pose=chart.pose(offset), shared_mm2=shared)
 
     def sigma_mm(self) -> float:
-        """Standard deviation per coordinate, RMS over the six."""
-        return float(np.sqrt(np.trace(self.covariance_mm2) / 6.0))
+        """Standard deviation per coordinate by `total_mm2`, RMS over the six."""
+        return float(np.sqrt(np.trace(self.total_mm2) / 6.0))
 
 
 @read_only_arrays

@@ -20,23 +20,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid, mean_displacement_mm
+from dvf_ig.core import FloatArray, Rigid, mean_displacement_mm, read_only_arrays
 from dvf_ig.registration.pose_chart import PoseChart
 
 from .pose_estimate import PRIOR_SIGMA_MM, BeatMeasurement, PoseEstimate
 
 WINDOW_BEATS = 8
+UNOBSERVED = 1e-12
+"""Share of the trace that makes a covariance regular in directions that no beat observes."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedBeat:
-    """A beat that was compared with a pose: when it began, the estimate before it, and what it told."""
+    """A beat that was compared with a pose.
+
+    Attributes:
+        begin_s: when it began.
+        estimate: of before it, at the pose that it was compared with; measurement: what it told.
+        step_mm: (6,) that pose about the one of the beat before, in the coordinates of `PoseChart`.
+    """
 
     begin_s: float
     estimate: PoseEstimate
     measurement: BeatMeasurement
+    step_mm: FloatArray
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ShiftTest:
     """The window of beats that speaks most for a shift.
@@ -44,14 +55,25 @@ class ShiftTest:
     Attributes:
         statistic: T, χ² of six degrees where nothing has shifted.
         since_s: when its first beat began; beats: how many they are.
-        pose: where they put the heart; distance_mm: mean distance over the heart from the pose before them.
+        before: the estimate before them.
+        offset_mm: (6,) where they put the heart, about the pose before them.
     """
 
     statistic: float
     since_s: float
     beats: int
-    pose: Rigid
-    distance_mm: float
+    before: PoseEstimate
+    offset_mm: FloatArray
+
+    @property
+    def pose(self) -> Rigid:
+        """Where the beats put the heart."""
+        return PoseChart(self.before.pose, self.before.center_mm).pose(self.offset_mm)
+
+    @property
+    def distance_mm(self) -> float:
+        """Mean distance over the heart from the pose before the beats."""
+        return mean_displacement_mm(self.before.pose, self.pose, self.before.center_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,37 +84,30 @@ class ShiftDetector:
 
     def after(self, begin_s: float, estimate: PoseEstimate, measurement: BeatMeasurement) -> "ShiftDetector":
         """With one more beat; `estimate` is of before it, at the pose that it was compared with."""
-        newest = ComparedBeat(begin_s, estimate, measurement)
+        step = np.zeros(6)
+        if self.compared and self.compared[-1].estimate.pose is not estimate.pose:
+            step = PoseChart(self.compared[-1].estimate.pose, estimate.center_mm).coordinates(estimate.pose)
+        newest = ComparedBeat(begin_s, estimate, measurement, step)
         return ShiftDetector((*self.compared[1 - WINDOW_BEATS :], newest))
 
     @property
     def test(self) -> ShiftTest | None:
-        """Against the pose before each of the beats, the worst of them; None without a beat."""
-        if not self.compared:
-            return None
-        newest = self.compared[-1].estimate
-        chart = PoseChart(newest.pose, newest.center_mm)
-        worst: tuple[float, int, FloatArray] | None = None
-        total, offset_total = np.zeros((6, 6)), np.zeros(6)
-        for k in range(len(self.compared) - 1, -1, -1):
-            before, beat = self.compared[k].estimate, self.compared[k].measurement
-            at = np.zeros(6) if before.pose is newest.pose else chart.coordinates(before.pose)
-            total = total + beat.information
-            offset_total = offset_total + beat.offset_information_mm + beat.information @ at
-            offset = offset_total - total @ at
-            covariance = total + total @ before.covariance_mm2 @ total
-            statistic = float(offset @ np.linalg.lstsq(covariance, offset, rcond=None)[0])
-            if worst is None or statistic > worst[0]:
-                worst = statistic, k, np.asarray(np.linalg.solve(total + np.eye(6) / PRIOR_SIGMA_MM**2, offset))
-        return None if worst is None else self._test(*worst)
+        """Against the pose before each of the beats, the worst of them; None without a beat.
 
-    def _test(self, statistic: float, first: int, xi_mm: FloatArray) -> ShiftTest:
-        beat = self.compared[first]
-        pose = PoseChart(beat.estimate.pose, beat.estimate.center_mm).pose(xi_mm)
-        return ShiftTest(
-            statistic,
-            beat.begin_s,
-            len(self.compared) - first,
-            pose,
-            mean_displacement_mm(beat.estimate.pose, pose, beat.estimate.center_mm),
-        )
+        Steps from pose to pose are small, and add.
+        """
+        worst: ShiftTest | None = None
+        at, total, offset_total = np.zeros(6), np.zeros((6, 6)), np.zeros(6)
+        for count, beat in enumerate(reversed(self.compared), start=1):
+            told = beat.measurement
+            total = total + told.information
+            offset_total = offset_total + told.offset_information_mm + told.information @ at
+            offset = offset_total - total @ at
+            covariance = total + total @ beat.estimate.covariance_mm2 @ total
+            covariance += UNOBSERVED * np.trace(covariance) * np.eye(6)
+            statistic = float(offset @ np.linalg.solve(covariance, offset))
+            if worst is None or statistic > worst.statistic:
+                xi = np.asarray(np.linalg.solve(total + np.eye(6) / PRIOR_SIGMA_MM**2, offset))
+                worst = ShiftTest(statistic, beat.begin_s, count, beat.estimate, xi)
+            at = at - beat.step_mm
+        return worst

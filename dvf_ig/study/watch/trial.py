@@ -99,7 +99,8 @@ def monitor_before(recording: WatchedRecording, first: int) -> RegistrationMonit
 def beats_until_found(recording: WatchedRecording, first: int, shift_mm: FloatArray) -> int | None:
     """Beats from the shift at the beginning of beat `first` on, with the one that suspends the pose.
 
-    None where FOLLOWED_BEATS do not. No registration takes part: it comes every 12 s, and would only find the shift sooner.
+    None where FOLLOWED_BEATS do not. No registration takes part: it comes every 12 s, and would only find
+    the shift sooner.
     """
     monitor = monitor_before(recording, first)
     for count, beat in enumerate(recording.beats[first : first + FOLLOWED_BEATS], start=1):
@@ -135,4 +136,4 @@ def _after(monitor: RegistrationMonitor, beat: DisplacedBeat) -> RegistrationMon
     if monitor.in_use is None:
         return monitor
     found = beat.evaluate_beat(monitor.in_use.pose, monitor.center_mm, in_use=True)
-    return monitor if found is None else monitor.after_beat(found.measurement, found.begin_s)
+    return monitor if found is None else monitor.after_beat(found)

@@ -115,7 +115,7 @@ def test_a_slow_drift_is_followed_and_contradicts_no_pose() -> None:
 def test_beats_do_not_make_a_still_pose_noisier() -> None:
     now, truth, _ = tracked(np.zeros(6), 12)
     assert mean_displacement_mm(now.pose, truth, CENTER_MM) < 0.4
-    assert now.sigma_mm() < 0.5
+    assert np.sqrt(np.trace(now.covariance_mm2) / 6) < 0.5
 
 
 def test_a_beat_is_informative_where_it_shows_the_heart_and_not_where_it_shows_noise() -> None:
