@@ -17,8 +17,8 @@ class SliceThreads:
     """
 
     def __init__(self) -> None:
-        self._count = thread_count()
-        self._pool = ThreadPoolExecutor(max(1, self._count - 1))
+        self.count = thread_count()
+        self._pool = ThreadPoolExecutor(max(1, self.count - 1))
 
     def __enter__(self) -> "SliceThreads":
         return self
@@ -32,11 +32,11 @@ class SliceThreads:
         self._pool.shutdown()
 
     def run(self, kernel: Callable[..., Any], arguments: tuple[Any, ...], slices: int) -> None:
-        """kernel(*arguments, begin, end) over 0 <= s < `slices`, in as many ranges as there are threads."""
-        count = max(1, min(self._count, slices))
+        """kernel(*arguments, worker, begin, end) over 0 <= s < `slices`, in a range for each thread."""
+        count = max(1, min(self.count, slices))
         limits = [round(k * slices / count) for k in range(count + 1)]
-        *others, (begin, end) = itertools.pairwise(limits)
-        running = [self._pool.submit(kernel, *arguments, *share) for share in others]
-        kernel(*arguments, begin, end)
+        own, *others = enumerate(itertools.pairwise(limits))
+        running = [self._pool.submit(kernel, *arguments, worker, *share) for worker, share in others]
+        kernel(*arguments, own[0], *own[1])
         for share in running:
             share.result()
