@@ -1,9 +1,9 @@
 """Four float64 in one SIMD register, as a value that kernels can hold.
 
-A spline sums rows of four coefficients, so its kernel is written on rows. The compiler vectorises plain code
-only with an optimisation that numba switches off for the whole process (docs/decisions/0006). Every sum
-keeps the order in which it is written; `fma` rounds once where the processor has fused multiply-add, twice
-elsewhere.
+A spline sums rows of four coefficients, LC2 seven products of a pixel: their kernels are written on rows. The
+compiler vectorises plain code only with an optimisation that numba switches off for the whole process
+(docs/decisions/0006). Every sum keeps the order in which it is written; `fma` rounds once where the processor
+has fused multiply-add, twice elsewhere.
 """
 
 from typing import Any
@@ -119,6 +119,69 @@ def multiply(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.fmul(args[0], args[1])
+
+    return _FLOAT64X4(_FLOAT64X4, _FLOAT64X4), build
+
+
+@intrinsic
+def add(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
+    """a + b, lane by lane."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.fadd(args[0], args[1])
+
+    return _FLOAT64X4(_FLOAT64X4, _FLOAT64X4), build
+
+
+@intrinsic
+def subtract(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
+    """a − b, lane by lane."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.fsub(args[0], args[1])
+
+    return _FLOAT64X4(_FLOAT64X4, _FLOAT64X4), build
+
+
+def _row_place(context: Any, builder: Any, array_type: Any, args: Any) -> Any:
+    """Where a row of an array begins; args: the array and its indices."""
+    array = context.make_array(array_type)(context, builder, args[0])
+    place = cgutils.get_item_pointer(context, builder, array_type, array, args[1:], wraparound=False)
+    return builder.bitcast(place, _ROW.as_pointer())
+
+
+@intrinsic
+def load4(typing: Any, sums: Any, i: Any, k: Any) -> Float64x4:
+    """sums[i, k] … sums[i, k+3] of a C-ordered float64 array; indices np.uintp, not checked."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        row = builder.load(_row_place(context, builder, signature.args[0], args))
+        row.align = np.dtype(np.float64).itemsize
+        return row
+
+    return _FLOAT64X4(sums, types.uintp, types.uintp), build
+
+
+@intrinsic
+def store4(typing: Any, sums: Any, i: Any, k: Any, row: Float64x4) -> None:
+    """sums[i, k:k+4] = row; as `load4`."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        stored = builder.store(args[3], _row_place(context, builder, signature.args[0], args[:3]))
+        stored.align = np.dtype(np.float64).itemsize
+        return context.get_dummy_value()
+
+    return types.none(sums, types.uintp, types.uintp, _FLOAT64X4), build
+
+
+@intrinsic
+def pair_sums(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
+    """(1st + 3rd, 2nd + 4th) of a, then of b."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        low = builder.shuffle_vector(args[0], args[1], _shuffle_mask(0, 1, 4, 5))
+        high = builder.shuffle_vector(args[0], args[1], _shuffle_mask(2, 3, 6, 7))
+        return builder.fadd(low, high)
 
     return _FLOAT64X4(_FLOAT64X4, _FLOAT64X4), build
 

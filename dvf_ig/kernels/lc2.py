@@ -4,9 +4,10 @@ In each square patch of a slice the ultrasound u is fitted by α·a + β·b + γ
 the model at that place (MR intensity and gradient magnitude, or blood and wall maps). The patch scores
 S = 1 − Var(residual)/Var(u), the slice the weighted mean of S.
 
-Window sums come from integral images, so the cost does not depend on the patch size; the seven sums of a
-pixel lie side by side, so a window costs four cache lines. What depends on u alone is computed once per slice
-set. Each slice writes its own results: they are the same at any thread count.
+Only pixels of the sector are stored and visited, as runs along its rows. Sums over windows are running sums:
+each column holds those of the window's rows, and loses a row as it gains the next. The seven sums of a pixel
+lie side by side, as two rows of four (docs/decisions/0006). What depends on u alone is computed once per
+slice set. Each slice writes its own results: they are the same at any thread count.
 """
 
 from typing import Any, NamedTuple
@@ -15,44 +16,65 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compiled import inlined, kernel
+from .lanes import (
+    Float64x4,
+    add,
+    fma,
+    load4,
+    load_row,
+    multiply,
+    pack,
+    pair_sums,
+    scale,
+    store4,
+    subtract,
+    unpack,
+)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
-A, B, AA, BB, AB, UA, UB = range(7)
-"""Columns of the sums over a window: a, b, a², b², ab, ua, ub."""
-SUMS = 7
+ROW, FIRST, LAST, PIXEL = range(4)
+"""Columns of a run: its row, first column, last column + 1, number of its first pixel in the slice set."""
+PATCH_ROW, PATCH_COLUMN = range(2)
 INVERSE_COUNT, MEAN_U, VAR_U, WEIGHT = range(4)
 """Columns of the moments of a patch that depend on the ultrasound alone."""
 SLICE_SCORE, SLICE_WEIGHT, SLICE_OVERLAP = range(3)
 """Columns of what `lc2_slices` says of a slice: Σ w·S, Σ w, share of its pixels inside the volume."""
 RIDGE = 1e-4
 """Added to both channel variances; the channels are scaled to unit variance over the model's volume."""
+SUMS = 8
+"""Numbers kept of a pixel, of a column and of a patch; two rows of four."""
+CENTER_STEP = 2
+"""A patch is centred on every second pixel of every second row: neighbours share nearly all their pixels."""
 
 
 class PatchedSlices(NamedTuple):
     """Ultrasound slices and their patches.
 
     Attributes:
-        images: (s, rows, columns) float32, 0 outside the mask; masks: (s, rows, columns).
+        pixels: (n,) float32 ultrasound, run after run.
+        first_run: (s + 1,) where each slice's runs begin; runs: (k, 4), by rows.
         first_patch: (s + 1,) where each slice's patches begin.
-        boxes: (p, 4) first row, last row + 1, first column, last column + 1.
+        centers: (p, 2) row and column, both even, by rows.
         moments: (p, 4) one over the pixel count, mean and variance of u, and weight.
+        radius: of a patch of (2·radius + 1)² pixels.
     """
 
-    images: NDArray[np.float32]
-    masks: Bools
+    pixels: NDArray[np.float32]
+    first_run: Ints
+    runs: Ints
     first_patch: Ints
-    boxes: Ints
+    centers: Ints
     moments: Floats
+    radius: int
 
 
 class PlacedModel(NamedTuple):
     """The model at a pose.
 
     Attributes:
-        channels: (n, nx, ny, nz, 2) float32.
+        channels: (n, nx, ny, 2·nz) float32, both channels of a voxel side by side; nx, ny, nz >= 2.
         phases: (s,) which of the n volumes each slice is compared with.
         index_from_pixel: (s, 3, 3) voxel index from (column, row, 1).
     """
@@ -62,14 +84,31 @@ class PlacedModel(NamedTuple):
     index_from_pixel: Floats
 
 
+class Scratch(NamedTuple):
+    """Memory of the caller, one part for each worker.
+
+    Attributes:
+        samples: (workers, most pixels of a slice, SUMS): a, b, ∂x a, ∂x b, ∂y a, ∂y b, ∂z a, ∂z b per voxel.
+        window: (workers, 2·radius + 1, columns + 2·radius, SUMS): products of the rows that a window covers.
+        columns: (workers, columns + 2·radius, SUMS).
+        fits: (workers, most patches of a slice, SUMS): what the pixels of a patch need of its fit.
+    """
+
+    samples: Floats
+    window: Floats
+    columns: Floats
+    fits: Floats
+
+
 @inlined
 def _axis_cell(x: float, last: float) -> tuple[int, float, bool]:
     """Voxel below x along one axis, the fraction beyond it, and whether x lies in [0, last].
 
-    Beyond the volume its border value goes on; the far border belongs to the last cell.
+    Beyond the volume its border value goes on; the far border belongs to the last cell; NaN is the near one.
     """
     inside = 0.0 <= x <= last
-    x = min(max(x, 0.0), last)
+    x = x if x > 0.0 else 0.0
+    x = x if x < last else last
     i = min(int(x), int(last) - 1)
     return i, x - i, inside
 
@@ -81,164 +120,180 @@ def volume_cell(
     """Cell of a volume that a pixel falls into: lowest voxel, fractions beyond it, inside along each axis.
 
     Args:
-        shape: (nx, ny, nz, …) of the volume.
+        shape: (nx, ny, 2·nz) of both channels.
         matrix: (3, 3) voxel index from (column, row, 1).
     """
     i, fx, in_x = _axis_cell(matrix[0, 0] * column + matrix[0, 1] * row + matrix[0, 2], shape[0] - 1.0)
     j, fy, in_y = _axis_cell(matrix[1, 0] * column + matrix[1, 1] * row + matrix[1, 2], shape[1] - 1.0)
-    k, fz, in_z = _axis_cell(matrix[2, 0] * column + matrix[2, 1] * row + matrix[2, 2], shape[2] - 1.0)
+    k, fz, in_z = _axis_cell(matrix[2, 0] * column + matrix[2, 1] * row + matrix[2, 2], 0.5 * shape[2] - 1.0)
     return (i, j, k), (fx, fy, fz), (in_x, in_y, in_z)
+
+
+@inlined
+def edge_rows(
+    channels: NDArray[np.float32], phase: int, cell: tuple[int, int, int]
+) -> tuple[Float64x4, Float64x4, Float64x4, Float64x4]:
+    """(a, b) at the near and the far end of each edge along z of a cell: at (x, y) = 00, 01, 10, 11."""
+    p, i, j, k = np.uintp(phase), np.uintp(cell[0]), np.uintp(cell[1]), np.uintp(2 * cell[2])
+    return (
+        load_row(channels, p, i, j, k),
+        load_row(channels, p, i, j + np.uintp(1), k),
+        load_row(channels, p, i + np.uintp(1), j, k),
+        load_row(channels, p, i + np.uintp(1), j + np.uintp(1), k),
+    )
 
 
 @kernel
 def sample_channels(
-    channels: NDArray[np.float32], phase: int, matrix: Floats, mask: Bools, out: Floats
-) -> float:
-    """Trilinear values of both channels at every masked pixel of one slice.
+    channels: NDArray[np.float32],
+    phase: int,
+    matrix: Floats,
+    runs: Ints,
+    samples: Floats,
+) -> int:
+    """Trilinear values of both channels at every pixel of one slice; the border value outside the volume.
 
     Args:
-        channels: (n, nx, ny, nz, 2) float32.
+        channels: (n, nx, ny, 2·nz) float32.
         phase: which of the n volumes.
         matrix: (3, 3) voxel index from (column, row, 1).
-        mask: (rows, columns).
-        out: (rows, columns, 2) filled with values, 0 outside the mask; the border value outside the volume.
+        runs: (k, 4) of the slice.
+        samples: (pixels, SUMS) out: a, b.
     Returns:
-        share of masked pixels that lie inside the volume.
+        how many pixels lie inside the volume.
     """
-    volume = channels[phase]
+    shape, first = channels.shape[1:], runs[0, PIXEL]
     inside = 0
-    total = 0
-    for r in range(mask.shape[0]):
-        for c in range(mask.shape[1]):
-            if not mask[r, c]:
-                out[r, c, 0] = 0.0
-                out[r, c, 1] = 0.0
-                continue
-            total += 1
-            (i, j, k), (fx, fy, fz), (in_x, in_y, in_z) = volume_cell(volume.shape, matrix, r, c)
-            if in_x and in_y and in_z:
-                inside += 1
-            w11, w10, w01, w00 = fx * fy, fx * (1 - fy), (1 - fx) * fy, (1 - fx) * (1 - fy)
-            for ch in range(2):
-                low = (
-                    w00 * volume[i, j, k, ch]
-                    + w01 * volume[i, j + 1, k, ch]
-                    + w10 * volume[i + 1, j, k, ch]
-                    + w11 * volume[i + 1, j + 1, k, ch]
-                )
-                high = (
-                    w00 * volume[i, j, k + 1, ch]
-                    + w01 * volume[i, j + 1, k + 1, ch]
-                    + w10 * volume[i + 1, j, k + 1, ch]
-                    + w11 * volume[i + 1, j + 1, k + 1, ch]
-                )
-                out[r, c, ch] = low + fz * (high - low)
-    return inside / max(total, 1)
+    for run in range(len(runs)):
+        row, begin = runs[run, ROW], runs[run, FIRST]
+        pixel = runs[run, PIXEL] - first
+        for column in range(begin, runs[run, LAST]):
+            cell, (fx, fy, fz), (in_x, in_y, in_z) = volume_cell(shape, matrix, row, column)
+            inside += in_x and in_y and in_z
+            e00, e01, e10, e11 = edge_rows(channels, phase, cell)
+            ends = scale((1.0 - fx) * (1.0 - fy), e00)
+            ends = fma(fma(fma(ends, (1.0 - fx) * fy, e01), fx * (1.0 - fy), e10), fx * fy, e11)
+            ends = multiply(ends, pack(1.0 - fz, 1.0 - fz, fz, fz))
+            store4(samples, np.uintp(pixel + column - begin), np.uintp(0), pair_sums(ends, ends))
+    return inside
 
 
-@kernel
-def integrate_products(image: NDArray[np.float32], values: Floats, table: Floats) -> None:
-    """Integral images of the seven sums, (rows + 1, columns + 1, 7), first row and column zero.
+@inlined
+def _add_row(
+    slices: PatchedSlices, run: int, first: int, samples: Floats, window: Floats, columns: Floats
+) -> None:
+    """A run's products into its row of the window, and onto its columns."""
+    pixels, radius, runs = slices.pixels, slices.radius, slices.runs
+    row, begin, pixel = runs[run, ROW], runs[run, FIRST], runs[run, PIXEL]
+    kept = window[row % (2 * radius + 1)]
+    for column in range(begin, runs[run, LAST]):
+        at, place = pixel + column - begin, np.uintp(column + radius)
+        u, a, b = float(pixels[at]), samples[at - first, 0], samples[at - first, 1]
+        low, high = pack(a, b, a * a, b * b), pack(a * b, u * a, u * b, 0.0)
+        store4(kept, place, np.uintp(0), low)
+        store4(kept, place, np.uintp(4), high)
+        store4(columns, place, np.uintp(0), add(load4(columns, place, np.uintp(0)), low))
+        store4(columns, place, np.uintp(4), add(load4(columns, place, np.uintp(4)), high))
+
+
+@inlined
+def _drop_row(slices: PatchedSlices, run: int, window: Floats, columns: Floats) -> None:
+    """A run's products off its columns."""
+    radius, runs = slices.radius, slices.runs
+    kept = window[runs[run, ROW] % (2 * radius + 1)]
+    for column in range(runs[run, FIRST], runs[run, LAST]):
+        place = np.uintp(column + radius)
+        for q in (np.uintp(0), np.uintp(4)):
+            store4(columns, place, q, subtract(load4(columns, place, q), load4(kept, place, q)))
+
+
+@inlined
+def _fit_patch(slices: PatchedSlices, p: int, columns: Floats, fits: Floats, at: int) -> tuple[float, float]:
+    """Fit a patch whose rows the columns hold.
 
     Args:
-        image: (rows, columns) ultrasound; values: (rows, columns, 2) channels; all 0 outside the mask.
+        fits: row `at` is filled with c·α², c·αβ, c·β², c·α, c·β, c·αγ, c·βγ, c = w/(n·Var u).
+    Returns:
+        w·S and w.
     """
-    rows, cols = image.shape
-    for c in range(cols + 1):
-        for q in range(SUMS):
-            table[0, c, q] = 0.0
-    for r in range(1, rows + 1):
-        sa = sb = saa = sbb = sab = sua = sub = 0.0
-        for q in range(SUMS):
-            table[r, 0, q] = 0.0
-        for c in range(1, cols + 1):
-            u, a, b = image[r - 1, c - 1], values[r - 1, c - 1, 0], values[r - 1, c - 1, 1]
-            sa += a
-            sb += b
-            saa += a * a
-            sbb += b * b
-            sab += a * b
-            sua += u * a
-            sub += u * b
-            table[r, c, A] = table[r - 1, c, A] + sa
-            table[r, c, B] = table[r - 1, c, B] + sb
-            table[r, c, AA] = table[r - 1, c, AA] + saa
-            table[r, c, BB] = table[r - 1, c, BB] + sbb
-            table[r, c, AB] = table[r - 1, c, AB] + sab
-            table[r, c, UA] = table[r - 1, c, UA] + sua
-            table[r, c, UB] = table[r - 1, c, UB] + sub
-
-
-@inlined
-def window_mean(table: Floats, box: Any, q: int, inverse_count: float) -> float:
-    """Mean of sum `q` over the window (first row, last row + 1, first column, last column + 1)."""
-    r0, r1, c0, c1 = box
-    total = table[r1, c1, q] - table[r0, c1, q] - table[r1, c0, q] + table[r0, c0, q]
-    return float(total * inverse_count)
-
-
-@inlined
-def patch_moments(
-    table: Floats, box: Any, inverse_count: float, mean_u: float
-) -> tuple[float, float, float, float, float, float, float]:
-    """Of one patch: means of a and b, ridged variances and covariance, and covariances with u."""
-    a = window_mean(table, box, A, inverse_count)
-    b = window_mean(table, box, B, inverse_count)
-    aa = window_mean(table, box, AA, inverse_count) - a * a + RIDGE
-    bb = window_mean(table, box, BB, inverse_count) - b * b + RIDGE
-    ab = window_mean(table, box, AB, inverse_count) - a * b
-    ua = window_mean(table, box, UA, inverse_count) - mean_u * a
-    ub = window_mean(table, box, UB, inverse_count) - mean_u * b
-    return a, b, aa, bb, ab, ua, ub
+    begin = slices.centers[p, PATCH_COLUMN]
+    low, high = load4(columns, np.uintp(begin), np.uintp(0)), load4(columns, np.uintp(begin), np.uintp(4))
+    for k in range(begin + 1, begin + 2 * slices.radius + 1):
+        low = add(low, load4(columns, np.uintp(k), np.uintp(0)))
+        high = add(high, load4(columns, np.uintp(k), np.uintp(4)))
+    inverse, mean_u = slices.moments[p, INVERSE_COUNT], slices.moments[p, MEAN_U]
+    var_u, w = slices.moments[p, VAR_U], slices.moments[p, WEIGHT]
+    a, b, aa, bb = unpack(scale(inverse, low))
+    ab, ua, ub, _ = unpack(scale(inverse, high))
+    aa, bb, ab = aa - a * a + RIDGE, bb - b * b + RIDGE, ab - a * b
+    ua, ub = ua - mean_u * a, ub - mean_u * b
+    per_determinant = 1.0 / (aa * bb - ab * ab)
+    alpha, beta = (ua * bb - ub * ab) * per_determinant, (ub * aa - ua * ab) * per_determinant
+    gamma = mean_u - alpha * a - beta * b
+    per_variance = 1.0 / var_u
+    c = w * inverse * per_variance
+    ca, cb = c * alpha, c * beta
+    store4(fits, np.uintp(at), np.uintp(0), pack(ca * alpha, ca * beta, cb * beta, ca))
+    store4(fits, np.uintp(at), np.uintp(4), pack(cb, ca * gamma, cb * gamma, 0.0))
+    return w * min(max((alpha * ua + beta * ub) * per_variance, 0.0), 1.0), w
 
 
 @kernel
-def explained_share(table: Floats, box: Any, inverse_count: float, mean_u: float, var_u: float) -> float:
-    """S of one patch: the share of u's variance that the best α·a + β·b + γ explains."""
-    _, _, aa, bb, ab, ua, ub = patch_moments(table, box, inverse_count, mean_u)
-    explained = (ua * ua * bb - 2.0 * ua * ub * ab + ub * ub * aa) / (aa * bb - ab * ab)
-    return min(max(explained / var_u, 0.0), 1.0)
+def fit_patches(
+    slices: PatchedSlices, s: int, samples: Floats, window: Floats, columns: Floats, fits: Floats
+) -> tuple[float, float]:
+    """Fit all patches of slice `s`.
 
-
-@inlined
-def box_of(boxes: Ints, p: int) -> tuple[int, int, int, int]:
-    """Window of patch `p`."""
-    return boxes[p, 0], boxes[p, 1], boxes[p, 2], boxes[p, 3]
+    Args:
+        samples, window, columns, fits: one worker's part of `Scratch`.
+    Returns:
+        Σ w·S and Σ w.
+    """
+    runs, radius = slices.runs, slices.radius
+    first, end = slices.first_run[s], slices.first_run[s + 1]
+    patch, last_patch = slices.first_patch[s], slices.first_patch[s + 1]
+    columns[:] = 0.0
+    score, weight = 0.0, 0.0
+    added = dropped = first
+    for row in range(runs[first, ROW], runs[end - 1, ROW] + radius + 1):
+        while dropped < end and runs[dropped, ROW] < row - 2 * radius:
+            _drop_row(slices, dropped, window, columns)
+            dropped += 1
+        while added < end and runs[added, ROW] == row:
+            _add_row(slices, added, runs[first, PIXEL], samples, window, columns)
+            added += 1
+        while patch < last_patch and slices.centers[patch, PATCH_ROW] == row - radius:
+            explained, w = _fit_patch(slices, patch, columns, fits, patch - slices.first_patch[s])
+            score += explained
+            weight += w
+            patch += 1
+    return score, weight
 
 
 @kernel
 def lc2_slices(
     slices: PatchedSlices,
     model: PlacedModel,
-    values: Floats,
-    tables: Floats,
+    scratch: Scratch,
     out: Floats,
+    worker: int,
     begin: int,
     end: int,
 ) -> None:
     """Score slices begin <= s < end; see the module docstring. Several ranges may run at once.
 
     Args:
-        values: (s, rows, columns, 2) scratch; tables: (s, rows + 1, columns + 1, SUMS) scratch.
         out: (s, 3) filled with SLICE_SCORE, SLICE_WEIGHT and SLICE_OVERLAP.
+        worker: whose part of the scratch is used.
     """
-    moments = slices.moments
+    samples, window = scratch.samples[worker], scratch.window[worker]
+    columns, fits = scratch.columns[worker], scratch.fits[worker]
     for s in range(begin, end):
-        out[s, SLICE_OVERLAP] = sample_channels(
-            model.channels, model.phases[s], model.index_from_pixel[s], slices.masks[s], values[s]
-        )
-        integrate_products(slices.images[s], values[s], tables[s])
-        score = 0.0
-        weight = 0.0
-        for p in range(slices.first_patch[s], slices.first_patch[s + 1]):
-            w = moments[p, WEIGHT]
-            score += w * explained_share(
-                tables[s],
-                box_of(slices.boxes, p),
-                moments[p, INVERSE_COUNT],
-                moments[p, MEAN_U],
-                moments[p, VAR_U],
-            )
-            weight += w
-        out[s, SLICE_SCORE] = score
-        out[s, SLICE_WEIGHT] = weight
+        runs = slices.runs[slices.first_run[s] : slices.first_run[s + 1]]
+        out[s, :] = 0.0
+        if len(runs) == 0:
+            continue
+        inside = sample_channels(model.channels, model.phases[s], model.index_from_pixel[s], runs, samples)
+        pixels = runs[-1, PIXEL] + runs[-1, LAST] - runs[-1, FIRST] - runs[0, PIXEL]
+        out[s, SLICE_OVERLAP] = inside / pixels
+        out[s, SLICE_SCORE], out[s, SLICE_WEIGHT] = fit_patches(slices, s, samples, window, columns, fits)

@@ -1,11 +1,30 @@
 """Averages of blocks of voxels, of what a table says of their grey levels."""
 
+import math
 from math import ceil, floor
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import kernel
+from .compiled import inlined, kernel
+
+Corner = tuple[int, int, int]
+"""First voxel of a block."""
+
+
+@inlined
+def _block_sum(
+    grey: NDArray[np.uint8], mask: NDArray[np.uint8], table: NDArray[np.float32], low: Corner, step: int
+) -> float:
+    """Σ `table[grey]` over one block; NaN from the first voxel outside the mask on."""
+    total = np.float32(0.0)
+    for a in range(low[0], low[0] + step):
+        for b in range(low[1], low[1] + step):
+            for c in range(low[2], low[2] + step):
+                if mask[a, b, c] == 0:
+                    return math.nan
+                total += table[grey[a, b, c]]
+    return total
 
 
 @kernel
@@ -23,17 +42,11 @@ def pool_blocks(
         table: (256,).
         out: (nx // step, ny // step, nz // step).
     """
+    count = np.float32(step * step * step)
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             for k in range(out.shape[2]):
-                total = np.float32(0.0)
-                whole = True
-                for a in range(i * step, (i + 1) * step):
-                    for b in range(j * step, (j + 1) * step):
-                        for c in range(k * step, (k + 1) * step):
-                            whole = whole and mask[a, b, c] != 0
-                            total += table[grey[a, b, c]]
-                out[i, j, k] = total / np.float32(step * step * step) if whole else np.nan
+                out[i, j, k] = _block_sum(grey, mask, table, (i * step, j * step, k * step), step) / count
 
 
 @kernel

@@ -153,7 +153,9 @@ def _cubes(volume: TrackedVolume, table: NDArray[np.float32], pitch_mm: float) -
 
 
 def _insonified(volume: TrackedVolume) -> NDArray[np.uint8]:
-    return np.asarray(volume.mask.values != 0, dtype=np.uint8)
+    """Of any type; 8 bits are looked at as they are."""
+    values = volume.mask.values
+    return values.view(np.uint8) if values.dtype.itemsize == 1 else np.asarray(values != 0, dtype=np.uint8)
 
 
 def _planes(volume: TrackedVolume, averaged: _Averaged, planes: int) -> SliceSet:

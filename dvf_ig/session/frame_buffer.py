@@ -6,13 +6,16 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, TrackedSequence
 from dvf_ig.core.rigid import is_rigid
-from dvf_ig.core.stream import MAX_GAP_S
 
 from .events import TrackedFrame
 from .stamp_order import StampOrder
 
 KEEP_S = 20.0
 """Frames older than this are forgotten: longer than a registration looks back, and its work is delayed."""
+
+
+AROUND_S = 0.6
+"""Frames so long before those that are asked for come with them: their poses are smoothed over neighbours."""
 
 
 class FrameBuffer:
@@ -55,7 +58,7 @@ class FrameBuffer:
             self._first_number += 1
 
     def between(self, from_s: float, until_s: float) -> tuple[TrackedSequence, int] | None:
-        """Frames recorded in [from_s, until_s], as many around them as poses are interpolated over.
+        """Frames recorded in [from_s, until_s], and those AROUND_S before.
 
         Args:
             from_s, until_s: stamps; frames after `until_s` are never looked at.
@@ -65,7 +68,7 @@ class FrameBuffer:
         numbered = [
             (number, frame)
             for number, frame in enumerate(self._frames, start=self._first_number)
-            if from_s - MAX_GAP_S <= frame.t_s <= until_s
+            if from_s - AROUND_S <= frame.t_s <= until_s
         ]
         if not numbered or all(frame.image is None for _, frame in numbered):
             return None

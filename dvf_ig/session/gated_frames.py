@@ -31,6 +31,7 @@ from dvf_ig.registration import (
 
 from .calibrations import UltrasoundCalibration
 from .heart import Heart
+from .probe_motion import smoothed_poses
 
 MAX_FRAMES = 48
 MIN_FRAMES = 16
@@ -129,7 +130,7 @@ def gate_recording(
     event_s = ultrasound.t_s + recording.calibrations.lag_s
     first, last = (int(i) for i in np.searchsorted(event_s, [from_s, until_s]))
     here = slice(first, last)
-    rotations, translations, tracked = ultrasound.stream("tracker", "probe").at_many(event_s[here])
+    rotations, translations, tracked = smoothed_poses(ultrasound.stream("tracker", "probe"), event_s[here])
     by_s = until_s if known_s is None else known_s
     images, mm = recording.images, recording.calibrations.probe_from_image.scale_mm_per_px
     information = frame_information(

@@ -5,9 +5,8 @@ import pytest
 
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.core.rigid import is_rigid
-from dvf_ig.core.stream import MAX_GAP_S
 from dvf_ig.session import TrackedFrame
-from dvf_ig.session.frame_buffer import KEEP_S, FrameBuffer
+from dvf_ig.session.frame_buffer import AROUND_S, KEEP_S, FrameBuffer
 
 STEP_S = 0.1
 NO_PLACE = np.eye(4)
@@ -35,7 +34,7 @@ def test_a_part_holds_the_frames_around_it_and_nothing_later() -> None:
     part = filled(50).between(2.0, 3.0)
     assert part is not None
     sequence, first = part
-    assert first == round((2.0 - MAX_GAP_S) / STEP_S + 0.5)
+    assert first == round((2.0 - AROUND_S) / STEP_S + 0.5)
     np.testing.assert_allclose(sequence.t_s, STEP_S * np.arange(first, 31))
     assert sequence.images is not None
     np.testing.assert_array_equal(sequence.images[:, 1, 2], np.arange(first, 31))

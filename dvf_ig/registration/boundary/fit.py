@@ -14,7 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import HEART_RADIUS_MM, FloatArray, IntArray, Rigid, read_only_arrays, require_same_frame
+from dvf_ig.core import (
+    HEART_RADIUS_MM,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Rigid,
+    read_only_arrays,
+    require_same_frame,
+)
 from dvf_ig.core.rigid import nearest_rotation
 from dvf_ig.kernels.boundary import (
     RIGHT,
@@ -108,11 +116,12 @@ class BoundaryFit:
     evaluations: int
 
 
-class BoundaryProblem:
-    """Points and target as the kernels want them, with one buffer; serves one thread."""
+class _Problem:
+    """Points and target as the kernels want them."""
 
     def __init__(self, boundary: Boundary, center_mm: FloatArray) -> None:
         points, target = boundary.points, boundary.target
+        self.source, self.target = points.frame, target.frame
         self.points = OrientedPoints(
             points.points_mm,
             points.normals,
@@ -122,32 +131,30 @@ class BoundaryProblem:
         self.splines = DistanceSplines(target.coefficients, target.knots_from_mm, target.polarity)
         self.center_mm = np.array(center_mm, dtype=np.float64)
         self.total = float(points.weights.sum())
-        self.out = np.empty(SUMS)
 
-    def sums(self, pose: FloatArray, offset_mm: float, sigma_mm: float) -> FloatArray:
-        """(SUMS,) of `boundary_step_sums` at a (3, 4) pose: the buffer."""
-        boundary_step_sums(
-            self.points,
-            self.splines,
-            pose,
-            self.center_mm,
-            HEART_RADIUS_MM,
-            offset_mm,
-            sigma_mm,
-            self.out,
-        )
-        return self.out
+    def require_frames_of(self, start: Rigid) -> None:
+        require_same_frame(self.source, start.source, "boundary registration")
+        require_same_frame(self.target, start.target, "boundary registration")
+
+    def sums(self, poses: FloatArray, offsets_mm: FloatArray, sigma_mm: float) -> FloatArray:
+        """(m, SUMS) of `boundary_step_sums` at each of (m, 3, 4) poses."""
+        out = np.empty((len(poses), SUMS))
+        for pose, offset_mm, sums in zip(poses, offsets_mm.tolist(), out, strict=True):
+            boundary_step_sums(
+                self.points, self.splines, pose, self.center_mm, HEART_RADIUS_MM, offset_mm, sigma_mm, sums
+            )
+        return out
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class _End:
-    """Where a descent ended; `pose` is (3, 4), R and t: no value is made and checked at every step."""
+class _Ends:
+    """Where m descents ended; `poses` is (m, 3, 4), R and t: no value is made and checked at every step."""
 
-    pose: FloatArray
-    offset_mm: float
-    converged: bool
-    evaluations: int
+    poses: FloatArray
+    offsets_mm: FloatArray
+    converged: BoolArray
+    evaluations: IntArray
 
 
 def fit_boundary(
@@ -165,83 +172,93 @@ def fit_boundary(
     Raises:
         FrameMismatchError: frames do not meet.
     """
-    require_same_frame(boundary.points.frame, start.source, "boundary registration")
-    require_same_frame(boundary.target.frame, start.target, "boundary registration")
     opts = options or BoundaryFitOptions()
-    problem = BoundaryProblem(boundary, center_mm)
-    return _fit_of(problem, start, _descend(problem, start, opts), opts)
+    problem = _Problem(boundary, center_mm)
+    return _fit_of(problem, start, _descend(problem, [start], opts), 0, opts)
 
 
-def _descend(problem: BoundaryProblem, start: Rigid, opts: BoundaryFitOptions) -> _End:
-    pose, offset, used, converged = start.matrix[:3], opts.expected_offset_mm, 0, False
+def _descend(problem: _Problem, starts: Sequence[Rigid], opts: BoundaryFitOptions) -> _Ends:
+    """Descents from all starts, side by side: a step of one costs less than the calls it takes."""
+    problem.require_frames_of(starts[0])
+    poses = np.stack([start.matrix[:3] for start in starts])
+    offsets = np.full(len(starts), opts.expected_offset_mm)
+    converged, used = np.zeros(len(starts), dtype=np.bool_), np.zeros(len(starts), dtype=np.int64)
     for level, sigma in enumerate(opts.sigmas_mm):
         last = level == len(opts.sigmas_mm) - 1
         size = UNKNOWNS if sigma <= opts.free_offset_mm else UNKNOWNS - 1
+        tolerance_mm = opts.tolerance_mm * (1 if last else 10)
+        going = np.arange(len(starts))
         for _ in range(opts.last_steps if last else opts.steps):
-            step = _step(problem.sums(pose, offset, sigma), offset, size, opts)
-            used += 1
-            pose = _moved(pose, step, problem.center_mm)
-            offset += float(step[6])
-            converged = float(np.linalg.norm(step)) < opts.tolerance_mm * (1 if last else 10)
-            if converged:
+            sums = problem.sums(poses[going], offsets[going], sigma)
+            steps = _steps(sums, offsets[going], size, opts)
+            used[going] += 1
+            poses[going] = _moved(poses[going], steps, problem.center_mm)
+            offsets[going] += steps[:, 6]
+            converged[going] = np.linalg.norm(steps, axis=1) < tolerance_mm
+            going = going[~converged[going]]
+            if len(going) == 0:
                 break
-    return _End(pose, offset, converged, used)
+    return _Ends(poses, offsets, converged, used)
 
 
-def _moved(pose: FloatArray, xi_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
-    """(3, 4) R and t after a step in the coordinates of `PoseChart`."""
-    turn = Rotation.from_rotvec(xi_mm[:3] / HEART_RADIUS_MM).as_matrix()
-    out = turn @ pose
-    out[:, 3] += center_mm - turn @ center_mm + xi_mm[3:6]
+def _moved(poses: FloatArray, xi_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
+    """(m, 3, 4) R and t after steps (m, >= 6) in the coordinates of `PoseChart`."""
+    turns = Rotation.from_rotvec(xi_mm[:, :3] / HEART_RADIUS_MM).as_matrix()
+    out = turns @ poses
+    out[:, :, 3] += center_mm - turns @ center_mm + xi_mm[:, 3:6]
     return np.asarray(out)
 
 
-def _step(sums: FloatArray, offset_mm: float, size: int, opts: BoundaryFitOptions) -> FloatArray:
-    """(7,) Gauss–Newton step of the first `size` unknowns, the others 0; none where nothing matches."""
-    matrix, right = normal_matrix(sums), sums[RIGHT:SHARE]
-    curvature = matrix[:size, :size].copy()
-    downhill = -right[:size]
+def _steps(sums: FloatArray, offsets_mm: FloatArray, size: int, opts: BoundaryFitOptions) -> FloatArray:
+    """(m, 7) Gauss–Newton steps of the first `size` unknowns, the others 0; none where nothing matches."""
+    matrices = _normal_matrices(sums)
+    curvature, downhill = matrices[:, :size, :size].copy(), -sums[:, RIGHT : RIGHT + size]
     if size == UNKNOWNS:
         prior = POINTS_PER_OBSERVATION * (NEAR_MM / opts.offset_sigma_mm) ** 2
-        curvature[6, 6] += prior
-        downhill[6] -= prior * (offset_mm - opts.expected_offset_mm)
-    mean = float(np.trace(matrix[:6, :6])) / 6
-    step = np.zeros(UNKNOWNS)
-    if mean > 0:
-        step[:size] = np.linalg.solve(curvature + 1e-3 * mean * np.eye(size), downhill)
-    length = float(np.linalg.norm(step[:6]))
-    return step * min(1.0, opts.cap_mm / max(length, 1e-12))
+        curvature[:, 6, 6] += prior
+        downhill[:, 6] -= prior * (offsets_mm - opts.expected_offset_mm)
+    mean = np.trace(matrices[:, :6, :6], axis1=1, axis2=2) / 6
+    steps, matched = np.zeros((len(sums), UNKNOWNS)), mean > 0
+    damped = curvature[matched] + 1e-3 * mean[matched, None, None] * np.eye(size)
+    steps[matched, :size] = np.linalg.solve(damped, downhill[matched, :, None])[:, :, 0]
+    length = np.linalg.norm(steps[:, :6], axis=1, keepdims=True)
+    return np.asarray(steps * np.minimum(1.0, opts.cap_mm / np.maximum(length, 1e-12)))
 
 
-def _fit_of(problem: BoundaryProblem, start: Rigid, end: _End, opts: BoundaryFitOptions) -> BoundaryFit:
-    sigma = opts.sigmas_mm[-1]
-    sums = problem.sums(end.pose, end.offset_mm, sigma)
+def _pose_of(start: Rigid, pose: FloatArray) -> Rigid:
+    return Rigid(start.target, start.source, nearest_rotation(pose[:, :3]), pose[:, 3])
+
+
+def _fit_of(problem: _Problem, start: Rigid, ends: _Ends, k: int, opts: BoundaryFitOptions) -> BoundaryFit:
+    """The fit that the k-th descent ended with."""
+    pose, offset_mm = ends.poses[k].copy(), float(ends.offsets_mm[k])
+    sums = problem.sums(pose[None], np.array([offset_mm]), opts.sigmas_mm[-1])[0]
     distance, agreement = np.empty((2, len(problem.points.points)))
-    boundary_residuals(problem.points, problem.splines, end.pose, distance, agreement)
-    apart = distance - end.offset_mm
+    boundary_residuals(problem.points, problem.splines, pose, distance, agreement)
+    apart = distance - offset_mm
     near = (np.abs(apart) < NEAR_MM) & (agreement > 0)
     weight = problem.points.weights
     residual = float(np.sqrt(np.mean(apart[near] ** 2))) if near.any() else float("nan")
     return BoundaryFit(
-        pose=Rigid(start.target, start.source, nearest_rotation(end.pose[:, :3]), end.pose[:, 3]),
-        offset_mm=end.offset_mm,
+        pose=_pose_of(start, pose),
+        offset_mm=offset_mm,
         share_near=float(weight[near].sum()) / problem.total,
         residual_mm=residual,
         covariance=_covariance(sums, opts),
         score=float(sums[SHARE]) / problem.total,
-        converged=end.converged and bool(near.any()),
-        evaluations=end.evaluations,
+        converged=bool(ends.converged[k] and near.any()),
+        evaluations=int(ends.evaluations[k]),
     )
 
 
-def normal_matrix(sums: FloatArray) -> FloatArray:
-    """(7, 7) JᵀωJ."""
-    return sums[:RIGHT].reshape(UNKNOWNS, UNKNOWNS)
+def _normal_matrices(sums: FloatArray) -> FloatArray:
+    """(m, 7, 7) JᵀωJ."""
+    return sums[:, :RIGHT].reshape(-1, UNKNOWNS, UNKNOWNS)
 
 
 def _covariance(sums: FloatArray, opts: BoundaryFitOptions) -> FloatArray:
     """Of the pose with the offset unknown: inverse curvature times the variance of one observation."""
-    matrix = normal_matrix(sums)
+    matrix = _normal_matrices(sums[None])[0]
     size = UNKNOWNS if opts.free_offset_mm > 0 else UNKNOWNS - 1
     curvature = matrix[:size, :size]
     weight = float(matrix[6, 6])
@@ -264,18 +281,15 @@ def boundary_influence(
         group: (n,) number of each point's group, 0 to groups − 1.
     """
     opts = options or BoundaryFitOptions()
-    sigma, pose = opts.sigmas_mm[-1], fit.pose.matrix[:3]
     size = UNKNOWNS if opts.free_offset_mm > 0 else UNKNOWNS - 1
-    whole = BoundaryProblem(boundary, center_mm).sums(pose, fit.offset_mm, sigma).copy()
-    curvature = normal_matrix(whole)[:size, :size]
-    right = np.stack(
-        [
-            BoundaryProblem(replace(boundary, points=boundary.points.subset(group == g)), center_mm)
-            .sums(pose, fit.offset_mm, sigma)[RIGHT:SHARE][:size]
-            .copy()
-            for g in range(int(group.max()) + 1)
-        ]
-    )
+    pose, offset = fit.pose.matrix[None, :3], np.array([fit.offset_mm])
+
+    def sums_of(part: Boundary) -> FloatArray:
+        return _Problem(part, center_mm).sums(pose, offset, opts.sigmas_mm[-1])
+
+    curvature = _normal_matrices(sums_of(boundary))[0, :size, :size]
+    parts = [boundary.points.subset(group == g) for g in range(int(group.max()) + 1)]
+    right = np.vstack([sums_of(replace(boundary, points=part))[:, RIGHT : RIGHT + size] for part in parts])
     right = right - right.mean(axis=0)
     return np.asarray(-np.linalg.solve(curvature, right.T).T[:, :6])
 
@@ -307,16 +321,28 @@ def boundary_starts(
     few = replace(boundary, points=boundary.points.subsampled(QUICK_POINTS))
     displacements = random_displacements(rng, count, spread_mm)
     chart = PoseChart(start, np.asarray(center_mm))
-    quick = [
-        fit_boundary(few, chart.pose(xi), center_mm, options=quick_options)
-        for xi in np.vstack([np.zeros(6), displacements])
-    ]
-    best = _best_distinct(quick, chart.center_mm, keep)
-    finished = [fit_boundary(boundary, fit.pose, center_mm, options=finish) for fit in best]
-    return _best_distinct(finished, chart.center_mm, keep)
+    starts = [chart.pose(xi) for xi in np.vstack([np.zeros(6), displacements])]
+    best = _best_distinct(_scored(few, starts, chart.center_mm, quick_options), chart.center_mm, keep)
+    problem = _Problem(boundary, chart.center_mm)
+    ends = _descend(problem, [pose for _, pose in best], finish)
+    finished = [_fit_of(problem, start, ends, k, finish) for k in range(len(best))]
+    ranked = _best_distinct([(fit.score, fit.pose) for fit in finished], chart.center_mm, keep)
+    return tuple(fit for _, pose in ranked for fit in finished if fit.pose is pose)
 
 
-def _best_distinct(fits: Sequence[BoundaryFit], center_mm: FloatArray, count: int) -> tuple[BoundaryFit, ...]:
-    """The best fits that are not one another's neighbours, best first."""
-    ranked = sorted(fits, key=lambda f: -f.score)
-    return tuple(ranked[k] for k in distinct([fit.pose for fit in ranked], center_mm)[:count])
+def _scored(
+    boundary: Boundary, starts: Sequence[Rigid], center_mm: FloatArray, opts: BoundaryFitOptions
+) -> list[tuple[float, Rigid]]:
+    """Score and pose of the end of every start."""
+    problem = _Problem(boundary, center_mm)
+    ends = _descend(problem, starts, opts)
+    scores = problem.sums(ends.poses, ends.offsets_mm, opts.sigmas_mm[-1])[:, SHARE] / problem.total
+    return [(float(score), _pose_of(starts[0], pose)) for score, pose in zip(scores, ends.poses, strict=True)]
+
+
+def _best_distinct(
+    scored: Sequence[tuple[float, Rigid]], center_mm: FloatArray, count: int
+) -> list[tuple[float, Rigid]]:
+    """The best-scored poses that are not one another's neighbours, best first."""
+    ranked = sorted(scored, key=lambda entry: -entry[0])
+    return [ranked[k] for k in distinct([pose for _, pose in ranked], center_mm)[:count]]

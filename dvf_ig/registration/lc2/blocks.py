@@ -41,29 +41,31 @@ def block_gradients(metric: Lc2, pose: Rigid, center_mm: FloatArray, *, block_mm
     """
     slices, patches = metric.slices, metric.patches
     owner = np.repeat(np.arange(len(slices)), np.diff(patches.first))
-    cell = np.floor(patch_centers_mm(slices, patches.first, patches.boxes) / block_mm).astype(np.int64)
+    cell = np.floor(patch_centers_mm(slices, patches.first, patches.centers) / block_mm).astype(np.int64)
     keys, part = np.unique(np.column_stack([owner, cell]), axis=0, return_inverse=True)
     order = np.argsort(part.ravel(), kind="stable")
     counts = np.bincount(part.ravel(), minlength=len(keys))
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    boxes = patches.boxes[order]
-    corner = np.column_stack([np.minimum.reduceat(boxes[:, k], first[:-1]) for k in (0, 2)])
-    boxes = boxes - np.repeat(corner, counts, axis=0)[:, [0, 0, 1, 1]]
+    centers = patches.centers[order]
+    # patches stay centred on every second pixel, which the kernels rely on
+    margin = metric.radius + metric.radius % 2
+    corner = np.minimum.reduceat(centers, first[:-1], axis=0) - margin
+    centers = centers - np.repeat(corner, counts, axis=0)
     parts = metric.with_patches(
-        _cut(slices, keys[:, 0], corner, boxes[:, [1, 3]].max(axis=0)),
-        Patches(first, boxes, patches.moments[order]),
+        _cut(slices, keys[:, 0], corner, centers.max(axis=0) + metric.radius + 1, margin),
+        Patches(first, centers, patches.moments[order]),
     )
     found = parts.cost_gradient(pose, center_mm)
     return BlockGradients(keys[:, 1:], keys[:, 0], found.cost, found.gradient)
 
 
-def _cut(slices: SliceSet, owner: IntArray, corner: IntArray, size: IntArray) -> SliceSet:
-    """Windows of one size: of slice `owner` (b,) from row and column `corner` (b, 2) on."""
+def _cut(slices: SliceSet, owner: IntArray, corner: IntArray, size: IntArray, margin: int) -> SliceSet:
+    """Windows of one size: of slice `owner` (b,) from row and column `corner` (b, 2) on, −margin at least."""
     rows, columns = (int(n) for n in size)
-    pad = ((0, 0), (0, rows), (0, columns))
+    pad = ((0, 0), (margin, rows), (margin, columns))
     images, masks = np.pad(slices.images, pad), np.pad(slices.masks, pad)
-    row = corner[:, 0, None, None] + np.arange(rows)[None, :, None]
-    column = corner[:, 1, None, None] + np.arange(columns)[None, None, :]
+    row = margin + corner[:, 0, None, None] + np.arange(rows)[None, :, None]
+    column = margin + corner[:, 1, None, None] + np.arange(columns)[None, None, :]
     number = owner[:, None, None]
     maps = slices.frame_from_pixel[owner].copy()
     maps[:, :, 2] += maps[:, :, 0] * corner[:, 1, None] + maps[:, :, 1] * corner[:, 0, None]

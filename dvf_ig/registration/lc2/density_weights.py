@@ -16,15 +16,14 @@ LEAST_DENSITY = 0.3
 """Share of the median density below which a patch counts no more: a lone patch is not worth many."""
 
 
-def patch_centers_mm(slices: SliceSet, first: IntArray, boxes: IntArray) -> FloatArray:
+def patch_centers_mm(slices: SliceSet, first: IntArray, centers: IntArray) -> FloatArray:
     """(p, 3) mm, centres of patches in the frame of the slices.
 
     Args:
-        first, boxes: see `lc2.Patches`.
+        first, centers: see `patches.Patches`.
     """
     owner = np.repeat(np.arange(len(slices)), np.diff(first))
-    column, row = boxes[:, 2:].sum(axis=1), boxes[:, :2].sum(axis=1)
-    pixel = np.column_stack([(column - 1) / 2, (row - 1) / 2, np.ones(len(boxes))])
+    pixel = np.column_stack([centers[:, 1], centers[:, 0], np.ones(len(centers))])
     return np.asarray(np.einsum("pij,pj->pi", slices.frame_from_pixel[owner], pixel))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration.pose_chart import PoseChart
 
-from .lc2 import NormalEquations
+from .lc2 import NormalEquations, Slope
 
 DAMPING = 1e-3
 FIXED_FIT_STIFFNESS = 6.0
@@ -32,6 +32,8 @@ class PoseMetric(Protocol):
     """A similarity with an exact gradient: `Lc2` on slices, `VolumeLc2` on a volume."""
 
     def normal_equations(self, target_from_source: Rigid, center_mm: FloatArray) -> NormalEquations: ...
+
+    def slope(self, target_from_source: Rigid, center_mm: FloatArray) -> Slope: ...
 
     @property
     def information(self) -> float: ...
@@ -80,11 +82,10 @@ class Optimum:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Local:
-    """Cost, its gradient (6,), and the curvature (6, 6) to start from."""
+    """Cost and its gradient (6,)."""
 
     cost: float
     gradient: FloatArray
-    curvature: FloatArray
 
 
 def optimise(
@@ -103,15 +104,15 @@ def optimise(
         center_mm: (3,) about which poses turn, target frame.
         prior: what the pose must also agree with, as touched landmarks.
     """
-    pose, here = start, _local(metric, start, center_mm, prior)
-    curvature, used, rejected = here.curvature, 1, 0
+    pose, (here, curvature) = start, _first(metric, start, center_mm, prior)
+    used, rejected = 1, 0
     while used < options.steps:
         damped = curvature + DAMPING * np.diag(np.diag(curvature)) + 1e-12 * np.eye(6)
         step = -np.linalg.solve(damped, here.gradient).astype(np.float64)
         length = float(np.linalg.norm(step))
         step *= min(1.0, options.cap_mm / max(length, 1e-12))
         tried = PoseChart(pose, center_mm).pose(step)
-        there = _local(metric, tried, center_mm, prior)
+        there = _local(metric, metric.slope(tried, center_mm), tried, center_mm, prior)
         used += 1
         curvature = _bfgs(curvature, step, there.gradient - here.gradient)
         if there.cost < here.cost:
@@ -143,15 +144,23 @@ def _bfgs(curvature: FloatArray, step: FloatArray, change: FloatArray) -> FloatA
     )
 
 
-def _local(metric: PoseMetric, pose: Rigid, center_mm: FloatArray, prior: PosePrior | None) -> _Local:
+def _first(
+    metric: PoseMetric, pose: Rigid, center_mm: FloatArray, prior: PosePrior | None
+) -> tuple[_Local, FloatArray]:
+    """Cost and gradient, and the curvature (6, 6) to start from."""
     image = metric.normal_equations(pose, center_mm)
-    left = max(image.weight * (1.0 - image.similarity), 1e-12)
-    cost = 0.5 * math.log(max(1.0 - image.similarity, 1e-12))
-    gradient, curvature = -image.right / left, image.matrix / left / FIXED_FIT_STIFFNESS
+    curvature = image.matrix / image.slope.left / FIXED_FIT_STIFFNESS
+    if prior is not None:
+        curvature = curvature + prior.normal_equations(pose, center_mm)[0] / metric.information
+    return _local(metric, image.slope, pose, center_mm, prior), curvature
+
+
+def _local(
+    metric: PoseMetric, image: Slope, pose: Rigid, center_mm: FloatArray, prior: PosePrior | None
+) -> _Local:
+    cost, gradient = 0.5 * math.log(max(1.0 - image.similarity, 1e-12)), -image.right / image.left
     if prior is None:
-        return _Local(cost, gradient, curvature)
-    touched = prior.normal_equations(pose, center_mm)
+        return _Local(cost, gradient)
     share = 1.0 / metric.information
-    return _Local(
-        cost + share * prior.energy(pose), gradient - share * touched[1], curvature + share * touched[0]
-    )
+    touched = prior.normal_equations(pose, center_mm)[1]
+    return _Local(cost + share * prior.energy(pose), gradient - share * touched)

@@ -187,34 +187,24 @@ def slices_of_volume(
         InvalidInputError: nothing was insonified.
     """
     size = max(values.shape)
-    images: list[NDArray[np.float32]] = []
-    maps: list[FloatArray] = []
-    for axis in range(3):
-        across = [a for a in range(3) if a != axis]
-        for i in range(every // 2, values.shape[axis], every):
-            plane = np.full((size, size), np.nan, dtype=np.float32)
-            cut = np.take(values, i, axis=axis)
-            plane[: cut.shape[0], : cut.shape[1]] = cut
-            if np.isfinite(plane).sum() < 0.05 * size * size:
-                continue
-            images.append(plane)
-            maps.append(
-                np.column_stack(
-                    [axes_mm[:, across[1]], axes_mm[:, across[0]], origin_mm + i * axes_mm[:, axis]]
-                )
-            )
-    if not images:
-        raise InvalidInputError("the ultrasound volume has no plane with enough insonified voxels")
-    stack = np.stack(images)
+    numbers = [np.arange(every // 2, n, every) for n in values.shape]
+    stack = np.full((sum(map(len, numbers)), size, size), np.nan, dtype=np.float32)
+    maps = np.empty((len(stack), 3, 3))
+    end = 0
+    for axis, chosen in enumerate(numbers):
+        rows, columns = (a for a in range(3) if a != axis)
+        part, end = slice(end, end + len(chosen)), end + len(chosen)
+        cuts = values.transpose(axis, rows, columns)[chosen]
+        stack[part, : cuts.shape[1], : cuts.shape[2]] = cuts
+        maps[part, :, 0], maps[part, :, 1] = axes_mm[:, columns], axes_mm[:, rows]
+        maps[part, :, 2] = origin_mm + chosen[:, None] * axes_mm[:, axis]
     masks = np.isfinite(stack)
-    return SliceSet(
-        frame,
-        np.where(masks, stack, 0).astype(np.float32),
-        masks,
-        np.stack(maps),
-        np.full(len(stack), model_phase),
-        np.full(len(stack), t_s),
-    )
+    kept = np.flatnonzero(np.count_nonzero(masks, axis=(1, 2)) >= 0.05 * size * size)
+    if len(kept) == 0:
+        raise InvalidInputError("the ultrasound volume has no plane with enough insonified voxels")
+    np.copyto(stack, np.float32(0), where=~masks)
+    phases, times = np.full(len(stack), model_phase), np.full(len(stack), t_s)
+    return SliceSet(frame, stack, masks, maps, phases, times).subset(kept)
 
 
 def joined(sets: Sequence[SliceSet]) -> SliceSet:
@@ -222,6 +212,8 @@ def joined(sets: Sequence[SliceSet]) -> SliceSet:
     rows, columns = (max(s.images.shape[axis] for s in sets) for axis in (1, 2))
 
     def padded(stack: NDArray[Any]) -> NDArray[Any]:
+        if stack.shape[1:] == (rows, columns):
+            return stack
         return np.pad(stack, ((0, 0), (0, rows - stack.shape[1]), (0, columns - stack.shape[2])))
 
     for other in sets[1:]:

@@ -4,7 +4,6 @@ import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
-from typing import Any
 
 from dvf_ig.kernels.compiled import thread_count
 
@@ -17,8 +16,8 @@ class SliceThreads:
     """
 
     def __init__(self) -> None:
-        self._count = thread_count()
-        self._pool = ThreadPoolExecutor(max(1, self._count - 1))
+        self.count = thread_count()
+        self._pool = ThreadPoolExecutor(max(1, self.count - 1))
 
     def __enter__(self) -> "SliceThreads":
         return self
@@ -31,12 +30,12 @@ class SliceThreads:
     ) -> None:
         self._pool.shutdown()
 
-    def run(self, kernel: Callable[..., Any], arguments: tuple[Any, ...], slices: int) -> None:
-        """kernel(*arguments, begin, end) over 0 <= s < `slices`, in as many ranges as there are threads."""
-        count = max(1, min(self._count, slices))
-        limits = [round(k * slices / count) for k in range(count + 1)]
-        *others, (begin, end) = itertools.pairwise(limits)
-        running = [self._pool.submit(kernel, *arguments, *share) for share in others]
-        kernel(*arguments, begin, end)
+    def run(self, work: Callable[[int, int, int], object], items: int) -> None:
+        """work(worker, begin, end) over 0 <= item < `items`, in a range for each thread."""
+        count = max(1, min(self.count, items))
+        limits = [round(k * items / count) for k in range(count + 1)]
+        own, *others = enumerate(itertools.pairwise(limits))
+        running = [self._pool.submit(work, worker, *share) for worker, share in others]
+        work(own[0], *own[1])
         for share in running:
             share.result()

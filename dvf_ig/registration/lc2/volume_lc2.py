@@ -1,5 +1,6 @@
 """LC2 of a 3-D ultrasound image with cubic patches, against channels of one or several images."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ from dvf_ig.kernels.lc2_blocks import (
     sum_count,
 )
 
-from .lc2 import NormalEquations, Score
+from .lc2 import NormalEquations, Score, Slope
 from .threads import SliceThreads
 
 MIN_FILL = 0.5
@@ -178,17 +179,32 @@ class VolumeLc2:
     def normal_equations(self, target_from_source: Rigid, center_mm: FloatArray) -> NormalEquations:
         """How the score changes with small motions about `center_mm` (3,), target frame."""
         matrix = self._fit(target_from_source, slopes=True)
-        self._threads.run(
+        self._run(
             force_blocks,
-            (self._blocks.voxels, matrix, self._active, self._values, self._gradients, self._coefficients)
-            + (self._forces,),
+            (
+                self._blocks.voxels,
+                matrix,
+                self._active,
+                self._values,
+                self._gradients,
+                self._coefficients,
+                self._forces,
+            ),
             len(self._active),
         )
         rows = self._forces[self._active]
         weight = float(self._weights.sum())
         right = self._wrench(rows.sum(axis=0), center_mm)
         curvature = self._stiffness(rows, center_mm)
-        return NormalEquations(curvature, right, float(self._weights @ self._scores) / weight, weight)
+        return NormalEquations(curvature, Slope(right, float(self._weights @ self._scores) / weight, weight))
+
+    def slope(self, target_from_source: Rigid, center_mm: FloatArray) -> Slope:
+        """The same without the matrix, which is no dearer."""
+        return self.normal_equations(target_from_source, center_mm).slope
+
+    def _run(self, kernel: Callable[..., object], arguments: tuple[object, ...], items: int) -> None:
+        """A kernel over all of `items`, whatever thread it is on."""
+        self._threads.run(lambda _, begin, end: kernel(*arguments, begin, end), items)
 
     @property
     def information(self) -> float:
@@ -229,12 +245,12 @@ class VolumeLc2:
         self._corners_mm = target_from_source.apply_array(
             source.to_mm(voxels.place[first].astype(np.float64))
         )
-        self._threads.run(
+        self._run(
             sample_blocks,
             (voxels, self._channels, matrix, self._active, slopes, self._values, self._gradients, self._sums),
             len(self._active),
         )
-        self._threads.run(
+        self._run(
             fit_patches,
             (voxels, self._weights, self._sums, self._scores, self._coefficients),
             len(self._weights),

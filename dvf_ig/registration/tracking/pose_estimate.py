@@ -184,10 +184,10 @@ def measure_beat(metric: Lc2, pose: Rigid, center_mm: FloatArray) -> BeatMeasure
     chart = PoseChart(pose, center_mm)
     score = metric.score(pose)
     end = optimise(metric, pose, center_mm, _GaussianPrior(chart), BEAT_OPTIMISER)
-    there = metric.normal_equations(end.pose, center_mm)
+    equations = metric.normal_equations(end.pose, center_mm)
+    there = equations.slope
     offset = chart.coordinates(end.pose)
-    left = max(there.weight * (1.0 - there.similarity), 1e-12)
-    information = metric.information * there.matrix / left / FIXED_FIT_STIFFNESS
+    information = metric.information * equations.matrix / there.left / FIXED_FIT_STIFFNESS
     gain = math.log(max(1.0 - score.similarity, 1e-12) / max(1.0 - there.similarity, 1e-12))
     return BeatMeasurement(
         pose=pose,

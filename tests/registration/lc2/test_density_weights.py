@@ -6,7 +6,7 @@ from toy_heart import toy_mr, toy_pose, toy_slices
 
 from dvf_ig.registration import Lc2, SliceSet, channels_from_mr, inverse_density_weights
 from dvf_ig.registration.lc2.density_weights import LEAST_DENSITY, patch_centers_mm
-from dvf_ig.registration.lc2.lc2 import patches_of
+from dvf_ig.registration.lc2.patches import patches_of, pixel_runs
 
 
 def seen(place_mm: list[float], times: int) -> np.ndarray:
@@ -38,11 +38,10 @@ def test_weights_do_not_depend_on_the_order() -> None:
 
 def test_patch_centres_lie_where_the_slices_put_them() -> None:
     slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=4.0, speckle=0.1)
-    patches = patches_of(slices, 2)
-    places = patch_centers_mm(slices, patches.first, patches.boxes)
+    patches = patches_of(slices, pixel_runs(slices), 2)
+    places = patch_centers_mm(slices, patches.first, patches.centers)
     s = 3
-    box = patches.boxes[patches.first[s]]
-    column, row = (box[2] + box[3] - 1) / 2, (box[0] + box[1] - 1) / 2
+    row, column = patches.centers[patches.first[s]]
     np.testing.assert_allclose(
         places[patches.first[s]], slices.frame_from_pixel[s] @ np.array([column, row, 1.0])
     )

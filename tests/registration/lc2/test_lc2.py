@@ -1,5 +1,6 @@
 """LC2: the kernel against its NumPy reference, and what the score must not depend on."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +9,11 @@ from numba import config
 from scipy import ndimage
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import Rigid, VolumeSeries
+from dvf_ig.core import Grid, InvalidInputError, Rigid, VolumeSeries
 from dvf_ig.kernels.lc2 import RIDGE, sample_channels
+from dvf_ig.kernels.lc2_step import sample_gradients
 from dvf_ig.registration import Lc2, ModelChannels, SliceSet, SliceThreads, channels_from_mr
+from dvf_ig.registration.lc2.patches import pixel_runs
 from dvf_ig.registration.pose_chart import PoseChart
 
 
@@ -64,17 +67,63 @@ def test_kernel_equals_readable_twin() -> None:
 def test_sampling_is_trilinear_inside_and_counts_the_overlap() -> None:
     grid = np.stack(np.meshgrid(*(np.arange(8.0),) * 3, indexing="ij"), -1)
     linear = 2 * grid[..., 0] - grid[..., 1] + 0.5 * grid[..., 2]
-    channels = np.stack([linear, -linear], -1)[None].astype(np.float32)
+    channels = np.stack([linear, -linear], -1)[None].astype(np.float32).reshape(1, 8, 8, 16)
     matrix = np.array([[0.5, 0.0, 0.25], [0.0, 0.5, 1.0], [0.0, 0.0, 3.5]])
-    mask = np.ones((20, 10), dtype=bool)
-    out = np.empty((20, 10, 2))
-    inside = sample_channels(channels, 0, matrix, mask, out)
-    row, col = np.mgrid[:20, :10]
+    rows = np.arange(20)
+    # every row twice, from column 0 to 4 and from 6 to 10
+    runs = np.column_stack(
+        [np.repeat(rows, 2), np.tile([0, 6], 20), np.tile([4, 10], 20), 4 * np.arange(40) + 100]
+    )
+    samples, gradients = np.empty((2, 160, 8))
+    inside = sample_channels(channels, 0, matrix, runs, samples)
+    sample_gradients(channels, 0, matrix, runs, gradients)
+    row, col = (a.ravel() for a in np.meshgrid(rows, [0, 1, 2, 3, 6, 7, 8, 9], indexing="ij"))
     within = 0.5 * row + 1 <= 7
     expected = 2 * (0.5 * col + 0.25) - (0.5 * row + 1) + 0.5 * 3.5
-    np.testing.assert_allclose(out[..., 0][within], expected[within], atol=1e-4)
-    np.testing.assert_allclose(out[..., 1], -out[..., 0])
-    assert inside == within.mean()
+    np.testing.assert_allclose(samples[within, 0], expected[within], atol=1e-12)
+    np.testing.assert_allclose(samples[:, 1], -samples[:, 0])
+    assert inside == within.sum()
+    np.testing.assert_allclose(gradients[:, :2], samples[:, :2], atol=1e-12)
+    slope = np.stack([np.full(160, 2.0), np.where(within, -1.0, 0.0), np.full(160, 0.5)], axis=1)
+    np.testing.assert_allclose(gradients[:, 2::2], slope, atol=1e-12)
+    np.testing.assert_allclose(gradients[:, 3::2], -slope, atol=1e-12)
+
+
+def test_pixels_are_kept_in_runs_along_the_rows() -> None:
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=5.0, speckle=0.3)
+    masks = np.random.default_rng(3).random(slices.images.shape) > 0.3
+    masks[1] = False
+    kept = pixel_runs(replace(slices, masks=masks))
+    again = np.zeros_like(masks)
+    for s, (begin, end) in enumerate(itertools.pairwise(kept.first)):
+        for row, first, last, pixel in kept.runs[begin:end]:
+            again[s, row, first:last] = True
+            np.testing.assert_array_equal(
+                kept.values[pixel : pixel + last - first], slices.images[s, row, first:last]
+            )
+    np.testing.assert_array_equal(again, masks)
+    assert len(kept.values) == masks.sum()
+
+
+def test_slices_without_a_pixel_count_for_nothing() -> None:
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
+    masks = slices.masks.copy()
+    masks[2] = False
+    metric = _metric(replace(slices, masks=masks))
+    np.testing.assert_array_equal(metric.per_slice(toy_pose())[2], 0.0)
+    found = metric.cost_gradient(toy_pose(), CENTER_MM)
+    assert found.cost[2] == 0.0
+    np.testing.assert_array_equal(found.gradient[2], 0.0)
+
+
+def test_a_model_of_one_voxel_along_an_axis_is_refused() -> None:
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
+    thick = channels_from_mr(toy_mr(), smoothing_mm=2.0)
+    shape = (*thick.grid.shape[:2], 1)
+    grid = Grid.axis_aligned("mr", shape, thick.grid.origin_mm, thick.grid.spacing_mm)
+    thin = ModelChannels(grid, thick.values[:, :, :, :1].copy(), thick.fractions)
+    with pytest.raises(InvalidInputError, match="two or more"):
+        Lc2(slices, thin, patch_mm=13.0, pitch_mm=3.0)
 
 
 def _metric(slices: SliceSet, threads: SliceThreads | None = None) -> Lc2:
@@ -113,13 +162,14 @@ def test_normal_equations_carry_the_score_and_its_gradient() -> None:
     metric = Lc2(slices, channels_from_mr(toy_mr(), smoothing_mm=3.0), patch_mm=13.0, pitch_mm=3.0)
     away = PoseChart(toy_pose(), CENTER_MM).pose(np.array([2.0, -1.0, 1.5, 1.0, -2.0, 1.5]))
     here = metric.normal_equations(away, CENTER_MM)
-    assert here.similarity == pytest.approx(metric.score(away).similarity, rel=1e-9)
+    assert here.slope.similarity == pytest.approx(metric.score(away).similarity, rel=1e-9)
+    np.testing.assert_array_equal(here.slope.right, metric.slope(away, CENTER_MM).right)
     chart, slope = PoseChart(away, CENTER_MM), np.empty(6)
     for i, step in enumerate(0.05 * np.eye(6)):
         ahead, behind = (metric.score(chart.pose(s)).similarity for s in (step, -step))
-        slope[i] = here.weight * (ahead - behind) / 0.1
+        slope[i] = here.slope.weight * (ahead - behind) / 0.1
     # half the gradient of the weighted score; trilinear channels bend at every voxel
-    np.testing.assert_allclose(2 * here.right, slope, atol=0.04 * np.abs(slope).max())
+    np.testing.assert_allclose(2 * here.slope.right, slope, atol=0.04 * np.abs(slope).max())
     assert np.linalg.eigvalsh(here.matrix).min() > 0
 
 
