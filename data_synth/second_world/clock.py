@@ -51,7 +51,7 @@ def _periodic_cubic(phi: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray
     part = (phi >= x[1]).astype(int) + (phi >= x[2]).astype(int)
 
     def pick(values: FloatArray, index: FloatArray) -> FloatArray:
-        return np.take_along_axis(values, np.asarray(index, dtype=np.int64)[None], axis=0)[0]
+        return np.asarray(np.take_along_axis(values, np.asarray(index, dtype=np.int64)[None], axis=0)[0])
 
     low, width = pick(x, part), pick(np.diff(x, axis=0), part)
     u = (phi - low) / width

@@ -6,7 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from data_synth.heart.anatomy import MARGIN_MM, phantom_anatomy
+from data_synth.heart.anatomy import phantom_anatomy
+from data_synth.heart.beating_anatomy import MARGIN_MM
 from data_synth.heart.motion import MotionPreset
 from data_synth.heart.reference import ReferenceShapes
 from dvf_ig.core import FloatArray, IntArray, Landmarks, read_only_arrays

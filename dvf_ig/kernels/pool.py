@@ -24,7 +24,7 @@ def _block_sum(
                 if mask[a, b, c] == 0:
                     return math.nan
                 total += table[grey[a, b, c]]
-    return total
+    return float(total)
 
 
 @kernel

@@ -83,7 +83,7 @@ def register_pair(
         success_probability=pair.success_probability,
         tre_bound_mm=None,
         statistics=None,
-        outside=None,
+        outside="",
         covariance=checks.covariance,
         center_mm=place.center_mm,
         evidence=Evidence(checks.z_score, pair.halves_mm, 0.0, pair=pair),

@@ -24,7 +24,7 @@ class RegistrationResult:
         covariance: (6, 6) rad², mm²; rotation vector then translation, left perturbation about `center_mm`.
         center_mm: (3,) centre of the heart box in the target frame.
         evidence: what the pose was tested by.
-        statistics: of the slices, and how they lie to the model.
+        statistics: of the slices, and how they lie to the model; None of a pair of organs, which has none.
         outside: why neither probability nor bound can be stated; empty where they are.
         similarity, start_similarity: LC2 at the result and at the start pose.
         overlap: share of the slices inside the model's volume.
@@ -41,7 +41,7 @@ class RegistrationResult:
     covariance: FloatArray
     center_mm: FloatArray
     evidence: Evidence
-    statistics: ImageStatistics
+    statistics: ImageStatistics | None
     outside: str
     similarity: float
     start_similarity: float

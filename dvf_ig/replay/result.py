@@ -219,7 +219,7 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
         "phase_offset_s": None if offset is None else offset.offset_s,
         **_pair_evidence(result.evidence.pair),
         "moved_mm": result.moved_mm,
-        "image_statistics": result.statistics.values(),
+        "image_statistics": None if result.statistics is None else result.statistics.values(),
         "slices": result.slices,
         "seconds": round(result.seconds, 3),
     }

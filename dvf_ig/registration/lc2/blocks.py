@@ -12,7 +12,8 @@ import numpy as np
 from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
 
 from .density_weights import patch_centers_mm
-from .lc2 import Lc2, Patches
+from .lc2 import Lc2
+from .patches import Patches
 from .slices import SliceSet
 
 

@@ -153,7 +153,7 @@ def _measured(done: _Registered) -> Line:
         "success_probability": result.success_probability,
         "tre_bound_mm": result.tre_bound_mm,
         "features": features_of(result.evidence, result.similarity, predicted_error_mm(result.covariance)),
-        "statistics": result.statistics.values(),
+        "statistics": None if result.statistics is None else result.statistics.values(),
         "offset_mm": _offset(result, done.known.truth),
         "covariance_mm2": _listed(result.covariance),
         "similarity": result.similarity,
