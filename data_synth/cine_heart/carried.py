@@ -63,7 +63,7 @@ def contraction(cine: VolumeSeries, held: NDArray[np.bool_], es_phase: int) -> F
     Args:
         held: (nx, ny, nz) voxels of the heart at end-diastole.
     """
-    near = binary_dilation(held, np.ones((3, 3, 1)), ROI_PIXELS)
+    near = binary_dilation(held, np.ones((3, 3, 1), dtype=np.bool_), ROI_PIXELS)
     grey = np.asarray(cine.values, dtype=np.float64)[:, near]
     way = grey[es_phase] - grey[0]
     share = (grey - grey[0]) @ way / (way @ way)

@@ -125,9 +125,9 @@ def scenario(
     """Simulate one intervention: pre-operative data, calibration recordings, ECG, ultrasound, tool, truth.
 
     The same options and seed give bit-identical recordings. With --anatomy surfaces the heart, its motion,
-    the ECG and the hand motion are real; only the ultrasound is simulated. With --anatomy cine the MR is real,
-    and the heart that the ultrasound shows is made of the expert's labels. Truth, and the YAML from which
-    the scenario can be made again, go to OUT/truth.
+    the ECG and the hand motion are real; only the ultrasound is simulated. With --anatomy cine the MR is
+    real, and the heart that the ultrasound shows is made of the expert's labels. Truth, and the YAML from
+    which the scenario can be made again, go to OUT/truth.
     """
     with command(threads):
         from data_synth import describe_faults
