@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
-from data_synth.heart.heart_spec import HEART_KINDS, HeartSpec
+from data_synth.heart.heart_spec import HEART_KINDS, HeartKind, HeartSpec
 from data_synth.heart.motion_report import jacobian_determinant
 from data_synth.heart.reference import tissue_at
 from data_synth.heart.tissue import Tissue, bssfp_signal
@@ -70,10 +70,10 @@ def row(anatomy: PhantomAnatomy, axes: list[Axes]) -> None:
     across /= np.linalg.norm(across)
 
     def short(u: FloatArray, v: FloatArray) -> FloatArray:
-        return middle + (u[:, None] + 15.0) * across + v[:, None] * np.cross(tilt, across)
+        return np.asarray(middle + (u[:, None] + 15.0) * across + v[:, None] * np.cross(tilt, across))
 
     def long(u: FloatArray, v: FloatArray) -> FloatArray:
-        return middle + 12.0 * tilt + (u[:, None] + 15.0) * across - v[:, None] * tilt
+        return np.asarray(middle + 12.0 * tilt + (u[:, None] + 15.0) * across - v[:, None] * tilt)
 
     views = [(place, phase) for place in (short, long) for phase in (0.0, anatomy.es_fraction)]
     for ax, (place, phase) in zip(axes, views, strict=True):
@@ -88,7 +88,7 @@ def main() -> None:
         int([*sys.argv, "1001"][2]) if len(sys.argv) > 2 else 1001,
         int(sys.argv[3]) if len(sys.argv) > 3 else 12,
     )
-    kind = next((known for known in HEART_KINDS if known in sys.argv[4:]), "varied")
+    kind: HeartKind = next((known for known in HEART_KINDS if known in sys.argv[4:]), "varied")
     rows = (count + 2) // 3
     figure, grid = plt.subplots(rows, 12, figsize=(18, 2.1 * rows), squeeze=False)
     for ax in grid.ravel():

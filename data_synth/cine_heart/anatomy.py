@@ -4,8 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
-from data_synth.surfaces.anatomy import EPICARDIAL, LV, RV, AtrialStub, SurfaceAnatomy, surface_anatomy
+from data_synth.surfaces.anatomy import EPICARDIAL, LV, RV, SurfaceAnatomy, surface_anatomy
+from data_synth.surfaces.atria import AtrialStub
 from dvf_ig.core import (
     AnyArray,
     FloatArray,
@@ -113,8 +115,6 @@ def _depth(name: str, labels: AnyArray, heart: CineHeart, base_first: bool) -> S
 
 def _grown(held: NDArray[np.bool_], spacing_mm: FloatArray) -> NDArray[np.bool_]:
     """The right ventricle's cavity with its wall, slice by slice."""
-    from scipy.ndimage import distance_transform_edt
-
     out = np.zeros_like(held)
     for k in range(held.shape[2]):
         if held[:, :, k].any():

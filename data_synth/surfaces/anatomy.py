@@ -28,12 +28,12 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.mesh import enclosed_volume_mm3
 
+from .atria import AtrialStub
 from .closing import ClosedSeries, closed_series, refined
 from .motion import GriddedMotion, SurfaceMotion, dense_motion, periodic_spline
 
 EPICARDIAL, LV, RV = "EPICARDIAL", "LV_ENDOCARDIAL", "RV_ENDOCARDIAL"
 MIN_VERTICES = 8000
-ATRIAL_WALL_MM = 2.5
 _BAND_MM = {EPICARDIAL: 14.0, LV: 6.0, RV: 6.0}
 
 
@@ -69,36 +69,6 @@ def depth_grid(
     inside = np.logical_xor.accumulate(flips[..., :-1], axis=2)
     values = np.where(inside, 1.0, -1.0) * np.sqrt(squared)
     return DepthGrid(values.astype(np.float32), np.array(box_mm[0]), spacing_mm)
-
-
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class AtrialStub:
-    """Atria where only the ventricles are known: blood beyond the valve plane, within the epicardium.
-
-    Attributes:
-        valves_mm: (3,) a point of the plane at which they begin.
-        along: (3,) unit vector from the ventricles to the atria.
-        left_mm, right_mm: (3,) middle of each ventricle; the septum lies half-way between.
-    """
-
-    valves_mm: FloatArray
-    along: FloatArray
-    left_mm: FloatArray
-    right_mm: FloatArray
-
-    def layers(self, xyz_mm: FloatArray, organ: FloatArray) -> Layers:
-        """Wall, then the blood of either side, to be painted over the base tissue."""
-        above = (xyz_mm - self.valves_mm) @ self.along
-        across = self.left_mm - self.right_mm
-        across = across - (across @ self.along) * self.along
-        side = (xyz_mm - 0.5 * (self.left_mm + self.right_mm)) @ (across / np.linalg.norm(across))
-        room = np.minimum(organ - ATRIAL_WALL_MM, above)
-        return [
-            (Tissue.ATRIAL_WALL, above + ATRIAL_WALL_MM),
-            (Tissue.LA_BLOOD, np.minimum(room, side - 1.5)),
-            (Tissue.RA_BLOOD, np.minimum(room, -side - 1.5)),
-        ]
 
 
 @read_only_arrays

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 import dvf_ig
 import dvf_ig.cli.synth.scenario as scenario_command
-from data_synth import PRESETS, ScenarioSpec, describe_faults
+from data_synth import PRESETS, HeartSpec, ScenarioSpec, describe_faults
 from dvf_ig.cli.synth.commands import app
 from dvf_ig.cli.synth.spec import SpecFile, read_spec, scenario_spec, spec_text
 from dvf_ig.core import InvalidInputError, Scenario, UnreadableFileError
@@ -98,6 +98,36 @@ def test_print_spec_prints_yaml_and_makes_nothing(tmp_path: Path) -> None:
     path.write_text(done.stdout)
     again = CliRunner().invoke(app, ["scenario", "--spec", str(path), "--print-spec", "--seed", "5"])
     assert again.stdout == done.stdout.replace("seed: 4", "seed: 5")
+
+
+def test_kind_and_seeds_of_the_heart_are_in_the_yaml_and_read_back(tmp_path: Path) -> None:
+    options = ["scenario", "--heart", "dilated", "--seed", "3", "--mismatch-seed", "9", "--print-spec"]
+    done = CliRunner().invoke(app, options)
+    assert done.exit_code == 0
+    assert "anatomy_seed" not in done.stdout
+    spec = from_text(tmp_path, done.stdout)
+    assert spec.heart == HeartSpec("dilated", mismatch_seed=9)
+    assert (spec.seeds.anatomy, spec.seeds.mismatch) == (3, 9)
+    for text in ("heart: broken\n", "heart: varied\nanatomy: surfaces\n", "speckle_seed: -1\n"):
+        with pytest.raises(InvalidInputError, match=r"heart|seeds"):
+            from_text(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--cine", "c.nii", "--labels", "l.nii", "--es-labels", "e.nii@3"],
+        ["--anatomy", "cine", "--cine", "c.nii", "--labels", "l.nii"],
+        ["--anatomy", "cine", "--surfaces", "s"],
+    ],
+)
+def test_what_a_cine_needs_belongs_to_it(tmp_path: Path, options: list[str]) -> None:
+    assert CliRunner().invoke(app, ["scenario", *options, "-o", str(tmp_path / "out")]).exit_code == 2
+
+
+def test_end_systolic_labels_come_with_their_phase(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match="FILE@PHASE"):
+        scenario_command._on_a_cine(ScenarioSpec(), tmp_path / "c.nii", tmp_path / "l.nii", "e.nii")
 
 
 def test_without_a_folder_or_with_two_presets_it_is_a_usage_error(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """A scenario's streams fit together: on a ball for the rules, once on the phantom for the whole chain."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,14 @@ from recorded import latency_of, nwire_of, pivot_of, tool_of
 
 import data_synth.scenario.live as live_module
 import data_synth.scenario.recording as scenario_module
-from data_synth import HeartSpec, ScenarioSpec, phantom_scenario, replayed_path, surface_scenario
+from data_synth import (
+    HeartSpec,
+    ScenarioSpec,
+    cine_scenario,
+    phantom_scenario,
+    replayed_path,
+    surface_scenario,
+)
 from data_synth.heart.anatomy import PhantomAnatomy
 from data_synth.heart.tissue import Tissue
 from data_synth.ultrasound.probe import SectorProbe
@@ -203,3 +211,26 @@ def test_images_show_the_heart_where_and_when_the_truth_says(
     threshold = 0.5 * (np.mean(muscle) + np.mean(pool))
     wrong = 0.5 * ((muscle < threshold).mean() + (pool > threshold).mean())
     assert wrong < 0.15  # muscle that runs along the beam is up to 12 dB darker
+
+
+@pytest.mark.usefixtures("on_a_ball")
+def test_a_cines_scenario_has_what_the_laboratory_has(monkeypatch: pytest.MonkeyPatch, ball: Any) -> None:
+    given = []
+
+    def anatomy(heart: Any, *, mismatch_mm: float, seed: int) -> Any:
+        given.append((mismatch_mm, seed))
+        return ball
+
+    monkeypatch.setattr(scenario_module, "cine_anatomy", anatomy)
+    heart = SimpleNamespace(patient_id="somebody", preop=ball.preop)
+    first, other = (
+        cine_scenario(ScenarioSpec(seconds=10.0, seed=3, heart=HeartSpec(mismatch_seed=seed)), heart)
+        for seed in (3, 9)
+    )
+    assert first.preop.patient_id == "ball"
+    assert "somebody" in first.name
+    assert first.start is not None
+    assert given[0][0] == given[1][0] == 1.2
+    assert given[0][1] != given[1][1]
+    for a, b in zip(arrays(first), arrays(other), strict=True):
+        assert np.array_equal(a, b, equal_nan=True)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import tool_of
 
-from dvf_ig.core import InvalidInputError, OutputError, Preop, Scenario, UnreadableFileError
+from dvf_ig.core import InvalidInputError, OutputError, Preop, Scenario, UnreadableFileError, Volume
 from dvf_ig.io import ScenarioNotes, read_scenario, write_scenario
 
 Make = Callable[..., Scenario]
@@ -58,6 +58,26 @@ def test_without_optional_parts(tmp_path: Path, make_scenario: Make, assert_same
     )
     write_scenario(bare, tmp_path / "s")
     assert_same(read_scenario(tmp_path / "s"), bare)
+
+
+def test_a_cine_with_labels_of_end_diastole_alone_comes_back(tmp_path: Path, make_scenario: Make) -> None:
+    full = make_scenario(2)
+    assert full.preop.labels is not None
+    labels = Volume(full.preop.labels.grid, full.preop.labels.values[0])
+    cine = full.preop.mr
+    assert cine is not None
+    preop = Preop("heart-7", mr=cine, ed_labels=labels, label_names=((1, "lv_blood"),), organ_labels=(1,))
+    write_scenario(replace(full, preop=preop), tmp_path / "s")
+    again = read_scenario(tmp_path / "s").preop
+    assert again.labels is None
+    assert again.ed_labels is not None
+    assert np.array_equal(again.ed_labels.values, labels.values)
+    assert again.mr is not None
+    assert np.array_equal(again.mr.values, cine.values)
+    assert (again.lv_label, again.organ_labels) == (1, (1,))
+    for wrong in (replace(preop, ed_phase=1), replace(preop, mr=None)):
+        with pytest.raises(InvalidInputError, match="first phase"):
+            write_scenario(replace(full, preop=wrong), tmp_path / "other")
 
 
 def test_deleting_the_truth_changes_nothing_else(
