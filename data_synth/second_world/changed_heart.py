@@ -15,8 +15,8 @@ from data_synth.heart.reference import ReferenceMap
 from data_synth.seeds import child_rng
 from dvf_ig.core import FloatArray, IntArray, Landmarks, Rigid, read_only_arrays
 
+from .drawn import Drawn
 from .random_fields import GridField, grid_nodes, random_displacement_field, solved_inverse
-from .ranges import Drawn
 from .resting_heart import HeartMotion, RestingHeart, box_of
 from .rigid_fit import best_rigid
 

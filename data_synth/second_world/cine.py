@@ -14,8 +14,8 @@ from data_synth.threads import for_each
 from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, VolumeSeries, read_only_arrays
 
 from .clock import CycleLaw
+from .drawn import Drawn
 from .random_fields import grid_noise, wide_noise
-from .ranges import Drawn
 from .resting_heart import HeartMotion, RestingHeart
 from .tissue_fields import TissueFields
 

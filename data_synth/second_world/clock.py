@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
+from dvf_ig.core import FloatArray, IntArray, InvalidInputError, read_only_arrays
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +48,10 @@ def _periodic_cubic(phi: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray
     slope = np.diff(y).reshape(3, *(1,) * phi.ndim) / np.diff(x, axis=0)
     joint = np.stack([_harmonic(slope[2], slope[0]), _harmonic(slope[0], slope[1]),
                       _harmonic(slope[1], slope[2]), _harmonic(slope[2], slope[0])])  # fmt: skip
-    part = (phi >= x[1]).astype(int) + (phi >= x[2]).astype(int)
+    part = (phi >= x[1]).astype(np.int64) + (phi >= x[2]).astype(np.int64)
 
-    def pick(values: FloatArray, index: FloatArray) -> FloatArray:
-        return np.asarray(np.take_along_axis(values, np.asarray(index, dtype=np.int64)[None], axis=0)[0])
+    def pick(values: FloatArray, index: IntArray) -> FloatArray:
+        return np.asarray(np.take_along_axis(values, index[None], axis=0)[0])
 
     low, width = pick(x, part), pick(np.diff(x, axis=0), part)
     u = (phi - low) / width

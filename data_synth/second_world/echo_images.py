@@ -16,8 +16,8 @@ from data_synth.ultrasound.scan_lines import envelope_lines
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 
 from .changed_heart import ChangedHeart
+from .drawn import Drawn
 from .probes import insonified
-from .ranges import Drawn
 
 Echoes = NDArray[np.float32]
 Report = Callable[[float], None]

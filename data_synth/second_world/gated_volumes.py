@@ -15,12 +15,12 @@ from dvf_ig.core import FloatArray, Landmarks, Preop, Rigid, TrackedVolume
 
 from .changed_heart import ChangedHeart, changed_heart
 from .cine import cine
+from .drawn import Drawn
 from .echo_images import drawn_display
 from .floor import RigidFloor, floor_of
 from .measured_poses import DistortedField, distorted_field
 from .operating_room import constant_path, cycle_law, miscalibrated, planted_pose
 from .probes import insonified, sector_of
-from .ranges import Drawn
 from .recording import SecondWorldSpec
 from .resting_heart import RestingHeart, box_of, four_chamber_heart
 from .sweeps import probe_place

@@ -10,8 +10,8 @@ from data_synth.signals.smooth_noise import smooth_noise
 from data_synth.signals.tracker import PosePath, TrackerSpec
 from dvf_ig.core import FloatArray
 
+from .drawn import Drawn
 from .random_fields import GridField, random_displacement_field
-from .ranges import Drawn
 
 _TABLE_MM = 25.0
 _MARGIN_MM = 80.0

@@ -16,9 +16,9 @@ from dvf_ig.core import FloatArray, ImageMap, Points, Rigid, read_only_arrays
 
 from .changed_heart import ChangedHeart, changed_heart
 from .clock import CycleLaw, NoisyClock
+from .drawn import Drawn
 from .measured_poses import DistortedField, distorted_field
 from .probes import drawn_probe
-from .ranges import Drawn
 from .resting_heart import RestingHeart, box_of
 from .sweeps import sweep
 from .tissue_fields import TissueFields, tissue_fields

@@ -6,7 +6,8 @@ import numpy as np
 
 from data_synth.ultrasound.probe import SectorProbe
 
-from .ranges import KINDS, Drawn
+from .drawn import Drawn
+from .ranges import KINDS
 
 MARGIN_PX = 8.0
 

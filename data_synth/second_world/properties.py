@@ -6,7 +6,7 @@ from data_synth.heart.tissue import Tissue
 from data_synth.seeds import child_rng
 from dvf_ig.core import FloatArray
 
-from .ranges import Drawn
+from .drawn import Drawn
 
 EFFUSION = 40
 """Code of pericardial fluid, beside those of `Tissue`."""

@@ -1,21 +1,11 @@
 """Every value of the second world with the range it is drawn from: the one table of this world.
 
-The ranges are physical and clinical ones, written down before anything was registered in this world, and not
-changed since (docs/decisions/0014-second-world.md). The seeds 5001 to 5010 served to look at pictures.
+The ranges are physical and clinical ones, never chosen by how a registration fares. What was changed before
+the freeze, and why, is told in docs/decisions/0014-second-world.md. Seeds 5001 to 5010 served to look at
+pictures.
 """
 
-import math
 from dataclasses import dataclass
-from typing import Literal
-
-from data_synth.seeds import child_rng
-from dvf_ig.core import InvalidInputError
-
-Quality = Literal["calm", "poor-image"]
-QUALITIES: tuple[Quality, ...] = ("calm", "poor-image")
-
-SEVERITY: dict[Quality, tuple[float, float]] = {"calm": (0.0, 0.6), "poor-image": (0.4, 1.0)}
-"""Share of the way from the mild to the severe end of a range within which each quality draws."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,44 +297,3 @@ SEGMENTATION: dict[str, Range] = {
 
 RANGES: dict[str, Range] = HEART | RHYTHM | ACOUSTICS | SCANNER | PROBE | TRACKER | MR | SEGMENTATION
 """All of them; a name is the same in every section."""
-
-
-@dataclass(frozen=True, slots=True)
-class Drawn:
-    """What one heart of the second world drew: `drawn["image.persistence"]`.
-
-    Every value has a random generator of its own, chosen by its name.
-    """
-
-    seed: int
-    quality: Quality
-
-    def __post_init__(self) -> None:
-        if self.seed < 0 or self.quality not in QUALITIES:
-            raise InvalidInputError(
-                f"seed {self.seed}, quality '{self.quality}'; needed a non-negative seed and one of "
-                f"{', '.join(QUALITIES)}"
-            )
-
-    def __getitem__(self, name: str) -> float:
-        known, rng = RANGES[name], child_rng(self.seed, f"second world {name}")
-        share = float(rng.uniform())
-        if known.graded:
-            mild, severe = SEVERITY[self.quality]
-            share = mild + share * (severe - mild)
-        low, high = known.low, known.high
-        if known.log:
-            size = math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
-        else:
-            size = low + share * (high - low)
-        return size * float(rng.choice((-1.0, 1.0))) if known.either_sign else size
-
-    def choice(self, name: str, weights: dict[str, float]) -> str:
-        """One of the keys of `weights`, as often as their values say."""
-        names = list(weights)
-        share = [weights[key] / sum(weights.values()) for key in names]
-        return str(child_rng(self.seed, f"second world {name}").choice(names, p=share))
-
-    def table(self) -> dict[str, float]:
-        """Every value, by name."""
-        return {name: self[name] for name in RANGES}

@@ -38,12 +38,12 @@ from dvf_ig.core import (
 )
 
 from .cine import cine
+from .drawn import Drawn, Quality
 from .echo_images import echo_images
 from .floor import RigidFloor, rigid_floor
 from .measured_poses import probe_sensor, tool_sensor
 from .operating_room import TOOL_MM, OperatingRoom, constant_path, cycle_law, operating_room
 from .probes import probe_kind
-from .ranges import Drawn, Quality
 from .resting_heart import RestingHeart, four_chamber_heart
 from .sweeps import sweep_way
 
@@ -94,14 +94,19 @@ class SecondWorldRecording:
         scenario: as any other.
         floor: what no rigid registration can remove.
         probe, sweep: what the heart was looked at with, and how it was swept.
-        drawn: every value of the table of ranges.
+        room: the heart before and under the probe, and all that was drawn.
     """
 
     scenario: Scenario
     floor: RigidFloor
     probe: str
     sweep: str
-    drawn: Drawn
+    room: OperatingRoom
+
+    @property
+    def drawn(self) -> Drawn:
+        """Every value of the table of ranges."""
+        return self.room.drawn
 
 
 def second_world_scenario(spec: SecondWorldSpec, progress: Report | None = None) -> Scenario:
@@ -150,7 +155,7 @@ def second_world_recording(
     )
     report(1.0)
     return SecondWorldRecording(
-        scenario, rigid_floor(room, taken_s), probe_kind(drawn), sweep_way(drawn), drawn
+        scenario, rigid_floor(room, taken_s), probe_kind(drawn), sweep_way(drawn), room
     )
 
 

@@ -14,8 +14,8 @@ from data_synth.signals.smooth_noise import smooth_noise
 from data_synth.signals.tracker import PosePath
 from dvf_ig.core import FloatArray
 
+from .drawn import Drawn
 from .probes import probe_kind
-from .ranges import Drawn
 from .resting_heart import RestingHeart
 
 WAYS: dict[str, dict[str, float]] = {

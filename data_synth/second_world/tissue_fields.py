@@ -13,9 +13,9 @@ from data_synth.seeds import child_rng
 from data_synth.threads import for_each
 from dvf_ig.core import FloatArray, read_only_arrays
 
+from .drawn import Drawn
 from .properties import BLOODS, EFFUSION, MUSCLES, TRABECULA, property_table
 from .random_fields import wide_noise
-from .ranges import Drawn
 from .resting_heart import RestingHeart
 
 SPACING_MM = 1.25

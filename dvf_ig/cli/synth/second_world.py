@@ -14,6 +14,10 @@ if TYPE_CHECKING:
 
     from .spec import SpecFile
 
+FAULTS = (
+    "The second world: the heart has changed since the MR, contours are noisy, and images, tracker, "
+    "calibrations and gates have errors that were drawn for this heart.",
+)
 _KEYS = {"schema_", "world", "quality", "motion", "seconds", "seed", "us_rate_hz"}
 
 
@@ -33,7 +37,8 @@ def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_
         raise typer.BadParameter(
             "--world second takes --quality, --motion, --seconds, --seed, --us-rate-hz only"
         )
-    spec = SecondWorldSpec(file.seed, file.quality or "calm", _motion(file), file.seconds, file.us_rate_hz)
+    motion: Any = file.motion  # checked there
+    spec = SecondWorldSpec(file.seed, file.quality or "calm", motion, file.seconds, file.us_rate_hz)
     if print_spec:
         print(_text(spec), end="")
         return
@@ -44,16 +49,11 @@ def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_
 
     with progress("scenario of the second world") as report:
         made = second_world_recording(spec, progress=report)
-    notes = ScenarioNotes((), _text(spec, made), preview_png(made.scenario))
+    notes = ScenarioNotes(FAULTS, _text(spec, made), preview_png(made.scenario))
     write_scenario(made.scenario, out, notes)
     facts = _facts(made, out)
     emit(facts, [(key.replace("_", " "), str(value)) for key, value in facts.items()], as_json=as_json)
     wrote(out, "mr, tracker")
-
-
-def _motion(file: "SpecFile") -> Any:
-    """Motion as given; the recording's specification checks it."""
-    return file.motion
 
 
 def _text(spec: "SecondWorldSpec", made: "SecondWorldRecording | None" = None) -> str:

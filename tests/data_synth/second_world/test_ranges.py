@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 import data_synth.second_world
+from data_synth.second_world.drawn import QUALITIES, SEVERITY, Drawn, Quality
 from data_synth.second_world.probes import drawn_probe, probe_kind
-from data_synth.second_world.ranges import KINDS, QUALITIES, RANGES, SEVERITY, Drawn, Quality
+from data_synth.second_world.ranges import KINDS, RANGES
 from dvf_ig.core import InvalidInputError
 
 SEEDS = range(5001, 5011)
@@ -58,7 +59,8 @@ def test_every_value_lies_in_its_range_and_in_the_part_of_its_quality(quality: Q
             size = abs(value) if known.either_sign else value
             ends = (known.low, known.high)
             if known.graded:
-                ends = tuple(known.low + share * (known.high - known.low) for share in (mild, severe))
+                wide = known.high - known.low
+                ends = (known.low + mild * wide, known.low + severe * wide)
             assert min(ends) - 1e-9 <= size <= max(ends) + 1e-9, name
 
 
