@@ -27,12 +27,14 @@ LANDMARKS_MM = 4.0
 """Landmark fits of tuning seeds 101–106 lie 0.9 to 1.4 mm from the truth over the heart, good poses 2 mm."""
 JUMP_MM = 2.5
 """Repeated registrations of an undisturbed patient move by up to 1.2 mm."""
-SHIFT_LIMIT = 34.0
+SHIFT_LIMIT = 45.0
 """Statistic of `ShiftDetector` that suspends the pose in use: at most one false alarm in an hour of beats
-(4320) with poor images. There, on tuning hearts 1001–1004, 226 beats reach 26.4, and the exponential tail of
-the largest tenth (mean excess 2.9) puts one beat in 4320 above 34. Calm, 171 beats reach 12.3."""
-SHIFT_EXPLAINED = 17.0
-"""The same up to which beats bring a suspended pose back: the upper 1 % of χ² of six degrees."""
+(4320) even where all images are poor. There, on tuning hearts 1001–1006, 341 beats reach 36.9, and the
+exponential tail of the largest tenth (above 19.0, mean excess 4.3) puts one beat in 4320 above 45. Calm, 345
+beats reach 16.1 and 20 would do; 4 mm are found within 3 beats all the same."""
+SHIFT_EXPLAINED = 20.0
+"""The same up to which beats bring a suspended pose back: quiet beats lie below in nine of ten with poor
+images, calm in more than 999 of 1000."""
 SUSPEND_LOG_RATIO, SUSPEND_LOG_RATIO_ALONE = 7.0, 12.0
 """Log-likelihood ratio of a beat's best pose against the pose in use, which two beats in a row or one alone
 must exceed to suspend it: all there is where LC2's optimum does not tell where the heart is (surface-only

@@ -43,7 +43,16 @@ def test_no_module_stands_there_twice_and_every_step_of_the_session_once() -> No
     paths = [path for path, _ in ROWS]
     assert len(paths) == len(set(paths))
     steps = {path.relative_to(ROOT).as_posix() for path in (ROOT / "dvf_ig/session").glob("*.py")}
-    beside = {"__init__", "calibrations", "heart", "history", "refusal", "setup", "touched_landmarks"}
+    beside = {
+        "__init__",
+        "calibrations",
+        "doubt",
+        "heart",
+        "history",
+        "refusal",
+        "setup",
+        "touched_landmarks",
+    }
     beside |= {"recording_checks", "volume_registration"}  # before a session; of gated 3-D images, not frames
     assert steps - set(paths) == {f"dvf_ig/session/{name}.py" for name in beside}
 

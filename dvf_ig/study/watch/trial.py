@@ -8,6 +8,7 @@ from data_synth import ScenarioSpec, child_rng, phantom_scenario
 from dvf_ig.core import FloatArray, mean_displacement_mm
 from dvf_ig.registration import ShiftDetector
 from dvf_ig.session import RegistrationMonitor
+from dvf_ig.study.hearts.trial import MOTION, VARIED
 from dvf_ig.study.trials import Line, Settings
 
 from .recording import DisplacedBeat, WatchedBeat, WatchedRecording, moved, watch_recording
@@ -16,8 +17,6 @@ SHIFTS_MM = (4.0, 8.0)
 ONSET_EVERY, FIRST_ONSET, FOLLOWED_BEATS = 6, 4, 10
 """A shift begins at every sixth beat from the fifth on; each is followed for ten beats at most."""
 DRIFTS_MM_PER_MIN = (1.0, 3.0, 10.0)
-MOTION = ("paper5mm", "physiological")
-"""Of hearts with even and with odd numbers."""
 
 
 def watch_trial(settings: Settings, number: int) -> Line:
@@ -28,7 +27,7 @@ def watch_trial(settings: Settings, number: int) -> Line:
         number: seed of the heart.
     """
     motion: Any = MOTION[number % 2]
-    spec = ScenarioSpec(settings["preset"], motion, settings["seconds"], number)
+    spec = ScenarioSpec(settings["preset"], motion, settings["seconds"], number, heart=VARIED)
     return measured(watch_recording(phantom_scenario(spec), number), number)
 
 
