@@ -126,6 +126,17 @@ def _grown(request: BuildRequest, image: VolumeSeries) -> tuple[Volume, tuple[in
 
 def _warn_of_limits(result: "CineModel", request: BuildRequest) -> None:
     quality = result.quality
+    for replaced in result.motion.replaced:
+        warn(
+            f"the motion of phase {replaced.phase} was rejected: {replaced.reason.value}. It is interpolated "
+            "between the phases around it; look at the frame"
+        )
+    if result.open_ends:
+        ends = " and ".join(f"slice {end.index} (across axis {'ijk'[end.axis]})" for end in result.open_ends)
+        warn(
+            f"the image ends within the organ at {ends}: beyond, the surface is not known; it is closed "
+            "half a voxel further on"
+        )
     if quality.slice_pitch_mm is not None:
         warn(
             f"slices lie {quality.slice_pitch_mm:.1f} mm apart: motion was estimated within them only, "
@@ -163,6 +174,14 @@ def _payload(result: "CineModel", request: BuildRequest) -> dict[str, Any]:
             "p95": quality.closure_p95_mm,
         },
         "slice_pitch_mm": quality.slice_pitch_mm,
+        "replaced_phases": [
+            {"phase": r.phase, "reason": r.reason.name.lower(), "jump_mm": r.jump_mm}
+            for r in result.motion.replaced
+        ],
+        "not_known_beyond": [
+            {"axis": "ijk"[end.axis], "index": end.index, "position_mm": end.position_mm.tolist()}
+            for end in result.open_ends
+        ],
         "segmentation_mm": {
             "voxel_sd": budget.voxel_mm,
             "shrinkage_compensated": budget.shrinkage_mm,
