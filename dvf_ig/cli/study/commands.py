@@ -4,6 +4,7 @@ import typer
 
 from .blending import blending
 from .calibration import calibration
+from .cines import cines
 from .distance import distance_maps
 from .gating import gating
 from .options import TrialsCommand
@@ -16,6 +17,7 @@ from .training import training
 app = typer.Typer(help="Many trials with a known truth.", no_args_is_help=True)
 app.command("tracking")(tracking)
 app.command("distance")(distance_maps)
+app.command("cines")(cines)
 app.command("blending")(blending)
 app.command("gating")(gating)
 app.command("retiming")(retiming)
