@@ -48,6 +48,9 @@ from .motion.image_match import match_images as match_images
 from .motion.quality import MotionQuality as MotionQuality
 from .motion.quality import assess_motion as assess_motion
 from .motion.quality import dice as dice
+from .motion.slice_stack import axis_of_lost_spacing as axis_of_lost_spacing
+from .segment.enough_seeds import SeedShortage as SeedShortage
+from .segment.enough_seeds import seed_shortage as seed_shortage
 from .segment.seeded import SegmentOptions as SegmentOptions
 from .segment.seeded import segment_from_seeds as segment_from_seeds
 from .spline.field import SplineField as SplineField
@@ -72,3 +75,4 @@ from .surface.normals import vertex_normals as vertex_normals
 from .surface.rasterise import rasterise as rasterise
 from .surface.rasterise import rasterise_meshes as rasterise_meshes
 from .surface.topology import count_edges as count_edges
+from .voxel_size import with_voxel_size as with_voxel_size

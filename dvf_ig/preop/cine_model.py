@@ -20,6 +20,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.preop.motion.cavity import cavity_volumes_mm3
 from dvf_ig.preop.motion.cycle import CycleMotion, MotionOptions, propagate_surface, track_cycle
+from dvf_ig.preop.motion.open_ends import OpenEnd, open_ends
 from dvf_ig.preop.motion.quality import MotionQuality, assess_motion
 from dvf_ig.preop.segment.components import largest_component
 from dvf_ig.preop.surface.budget import SurfaceBudget, surface_budget
@@ -69,6 +70,7 @@ class CineModel:
         motion, quality: the motion that propagated it, and its quality.
         budget: error budget of the end-diastolic surface itself.
         volume_mm3: (n,) of the left ventricle's cavity, or enclosed by the surface where none is labelled.
+        open_ends: borders of the image within the organ; beyond them the surface is closed, not measured.
     """
 
     model: DvfModel
@@ -77,6 +79,7 @@ class CineModel:
     quality: MotionQuality
     budget: SurfaceBudget
     volume_mm3: FloatArray
+    open_ends: tuple[OpenEnd, ...]
 
 
 def model_from_cine(
@@ -108,8 +111,14 @@ def model_from_cine(
     surface = surface_of_mask(organ, image.grid)
     caps = border_caps(surface, image.grid)
     _require_imaged(surface, caps, image.grid)
+    ends = open_ends(organ, image.grid)
     motion = track_cycle(
-        image, organ, ed_phase=options.ed_phase, options=options.motion, progress=lambda x: report(0.8 * x)
+        image,
+        organ,
+        ed_phase=options.ed_phase,
+        blood=np.isin(labels.values, options.cavity_labels) if cavities else None,
+        options=options.motion,
+        progress=lambda x: report(0.8 * x),
     )
     surfaces = propagate_surface(motion, image, surface, options.surface, patient_id)
     volumes = cavity_volumes_mm3(motion, cavities[0]) if cavities else surfaces.volumes_mm3()
@@ -127,14 +136,14 @@ def model_from_cine(
         cavity_mm3=volumes,
         options=options.model,
         progress=lambda x: report(0.8 + 0.2 * x),
-        sources=sources,
+        sources=(*sources, *(end.told for end in ends)),
         chambers=[
             _chamber(motion, image, mask, label_name(value, dict(options.label_names)))
             for value, mask in zip(options.cavity_labels, cavities, strict=True)
         ],
     )
     budget = surface_budget(image.grid.spacing_mm, surface.volume_mm3())
-    return CineModel(model, surfaces, motion, quality, budget, volumes)
+    return CineModel(model, surfaces, motion, quality, budget, volumes, ends)
 
 
 def _require_imaged(surface: Mesh, caps: BoolArray, grid: Grid) -> None:
@@ -147,7 +156,8 @@ def _require_imaged(surface: Mesh, caps: BoolArray, grid: Grid) -> None:
         axis = int(np.argmin(np.array(grid.shape) * grid.spacing_mm))
         raise InvalidInputError(
             f"the 4-D image cuts the organ off nearly everywhere: it is {grid.shape[axis]} voxels of "
-            f"{grid.spacing_mm[axis]:g} mm thick; give more slices, or check the voxel size in its header"
+            f"{grid.spacing_mm[axis]:g} mm thick; give more slices, or check the voxel size in its header "
+            "(--voxel-mm gives the right one)"
         )
 
 

@@ -17,6 +17,7 @@ from dvf_ig.cli.shell import (
     whole_numbers,
     wrote,
 )
+from dvf_ig.cli.voxel_size import VoxelOption, voxel_size
 from dvf_ig.core import DvfModel
 
 from . import options as given
@@ -53,6 +54,7 @@ def build(
     organ: given.OrganOption = None,
     timing: given.TimingOption = None,
     patient: given.PatientOption = None,
+    voxel_mm: VoxelOption = None,
     knot_mm: given.KnotOption = None,
     accuracy_mm: given.AccuracyOption = None,
     margin_mm: given.MarginOption = 15.0,
@@ -80,6 +82,7 @@ def build(
             margin_mm=margin_mm,
             threads=cores_or(threads),
             seed=seed,
+            voxel_mm=voxel_size(voxel_mm),
         )
         _build(request, as_json=as_json)
 
@@ -119,6 +122,7 @@ def check(
             help="With --labels: label values inside the surface, for example 1,2,5 (default: all but 0).",
         ),
     ] = None,
+    voxel_mm: VoxelOption = None,
     threads: ThreadsOption = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
@@ -144,7 +148,9 @@ def check(
         rows = model_rows(model, result, seconds, size_mb) + phase_rows(model, result)
         payload = model_payload(model, result, seed, seconds, size_mb)
         if given_labels is not None:
-            payload["labels"], told = check_with_labels(model, given_labels, values, points, seed)
+            payload["labels"], told = check_with_labels(
+                model, given_labels, values, points, seed, voxel_size(voxel_mm)
+            )
             rows += told
         emit(payload, rows, as_json=as_json)
 

@@ -1,12 +1,13 @@
 """`dvf-ig model build --image 4D`: from an image and its labels or seeds to the model, with evidence."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from dvf_ig.cli.shell import emit, progress, warn, wrote
-from dvf_ig.core import DvfModel, Preop, Volume, VolumeSeries
+from dvf_ig.core import DvfModel, InvalidInputError, Preop, Volume, VolumeSeries
 
 from .blood import labels_told, warn_of_no_blood
 from .labels import anatomical_error_mm
@@ -32,7 +33,7 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
     refuse_foreign(evidence, kind="model")
     refuse_foreign(picture)
     image = read_volume_series(path, request.timing)
-    preop, labels, truth = _preop(request, path, image)
+    image, preop, labels, truth = _sized(request, image, *_preop(request, path, image))
     options = cine_options(preop, request.motion_options(), request.model_options())
     with progress("motion, then fitting phases") as report:
         result = model_from_cine(
@@ -54,6 +55,25 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
         emit({}, _phase_rows(result), as_json=False)
         emit({}, _summary_rows(result), as_json=False)
     return result.model, {"motion": payload, "anatomical_error_mm": error}
+
+
+def _sized(
+    request: BuildRequest,
+    image: VolumeSeries,
+    preop: Preop,
+    labels: Volume,
+    truth: VolumeSeries | None,
+) -> tuple[VolumeSeries, Preop, Volume, VolumeSeries | None]:
+    """Image and labels, with the voxel size that was given in place of the header's."""
+    from dvf_ig.preop import with_voxel_size
+
+    if request.voxel_mm is None:
+        return image, preop, labels, truth
+    grid = with_voxel_size(image.grid, request.voxel_mm)
+    image, labels = VolumeSeries(grid, image.values, image.timing), Volume(grid, labels.values)
+    if truth is not None:
+        truth = VolumeSeries(grid, truth.values, truth.timing)
+    return image, replace(preop, mr=image, ed_labels=labels), labels, truth
 
 
 def _beside(request: BuildRequest) -> tuple[Path, Path]:
@@ -110,7 +130,7 @@ def _preop(
 def _grown(request: BuildRequest, image: VolumeSeries) -> tuple[Volume, tuple[int, ...]]:
     """Labels grown from seeds, also written beside the model, and the cavity's values."""
     from dvf_ig.io import read_seeds, write_volume
-    from dvf_ig.preop import segment_from_seeds
+    from dvf_ig.preop import seed_shortage, segment_from_seeds
     from dvf_ig.preop.segment.seeded import CAVITY
 
     if request.seeds is None:
@@ -120,12 +140,28 @@ def _grown(request: BuildRequest, image: VolumeSeries) -> tuple[Volume, tuple[in
     path = request.output.with_name(f"{request.output.stem}_ed_labels.nii.gz")
     write_volume(labels, path)
     wrote(path, labels.grid.frame)
+    shortage = seed_shortage(labels, seeds)
+    if shortage.told:
+        raise InvalidInputError(
+            f"the seeds are too few: {'; '.join(shortage.told)}. What grew from them is in {path.name}"
+        )
     warn(f"labels grown from seeds are a first segmentation: correct {path.name} and give it as --labels")
     return labels, (CAVITY,) if len(seeds.cavity) else ()
 
 
 def _warn_of_limits(result: "CineModel", request: BuildRequest) -> None:
     quality = result.quality
+    for replaced in result.motion.replaced:
+        warn(
+            f"the motion of phase {replaced.phase} was rejected: {replaced.reason.value}. It is interpolated "
+            "between the phases around it; look at the frame"
+        )
+    if result.open_ends:
+        ends = " and ".join(f"slice {end.index} (across axis {'ijk'[end.axis]})" for end in result.open_ends)
+        warn(
+            f"the image ends within the organ at {ends}: beyond, the surface is not known; it is closed "
+            "half a voxel further on"
+        )
     if quality.slice_pitch_mm is not None:
         warn(
             f"slices lie {quality.slice_pitch_mm:.1f} mm apart: motion was estimated within them only, "
@@ -163,6 +199,14 @@ def _payload(result: "CineModel", request: BuildRequest) -> dict[str, Any]:
             "p95": quality.closure_p95_mm,
         },
         "slice_pitch_mm": quality.slice_pitch_mm,
+        "replaced_phases": [
+            {"phase": r.phase, "reason": r.reason.name.lower(), "jump_mm": r.jump_mm}
+            for r in result.motion.replaced
+        ],
+        "not_known_beyond": [
+            {"axis": "ijk"[end.axis], "index": end.index, "position_mm": end.position_mm.tolist()}
+            for end in result.open_ends
+        ],
         "segmentation_mm": {
             "voxel_sd": budget.voxel_mm,
             "shrinkage_compensated": budget.shrinkage_mm,

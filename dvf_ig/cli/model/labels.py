@@ -56,13 +56,20 @@ def labels_at(text: str) -> LabelsAt:
 
 
 def check_with_labels(
-    model: DvfModel, given: LabelsAt, organ: tuple[int, ...], points: int, seed: int
+    model: DvfModel,
+    given: LabelsAt,
+    organ: tuple[int, ...],
+    points: int,
+    seed: int,
+    voxel_mm: tuple[float, float, float] | None = None,
 ) -> tuple[dict[str, Any], list[tuple[str, str]]]:
     """What is printed of the agreement with labels: JSON and rows."""
     from dvf_ig.io import read_labels
-    from dvf_ig.preop import check_labels
+    from dvf_ig.preop import check_labels, with_voxel_size
 
     labels, fraction = _labels_of(model, given, read_labels(given.path, model.frame))
+    if voxel_mm is not None:
+        labels = Volume(with_voxel_size(labels.grid, voxel_mm), labels.values)
 
     def agreement(at: float) -> "LabelCheck":
         rng = np.random.default_rng(seed)

@@ -29,6 +29,7 @@ class BuildRequest:
         patient: identifier; None takes it from the file's name.
         knot_mm, accuracy_mm, margin_mm, threads: of the fit; see ModelOptions.
         seed: of the random points at which errors are measured.
+        voxel_mm: of an image whose header has lost it.
     Raises:
         typer.BadParameter: options that do not go together.
         OutputError: the folder of the output does not exist.
@@ -51,10 +52,13 @@ class BuildRequest:
     margin_mm: float
     threads: int
     seed: int
+    voxel_mm: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         if (self.surfaces is None) == (self.labels is None and self.image is None):
             raise typer.BadParameter("give --surfaces DIR, --labels SERIES, or --image and labels or seeds")
+        if self.image is None and self.voxel_mm is not None:
+            raise typer.BadParameter("--voxel-mm belongs to --image, the 4-D image whose header has lost it")
         if self.image is None and self.seeds is not None:
             raise typer.BadParameter("--seeds needs --image, the 4-D image that they are set in")
         if self.surfaces is not None and (self.organ or self.cavity):
@@ -79,6 +83,10 @@ class BuildRequest:
             raise typer.BadParameter(f"--motion is '{self.method}'; needed one of {', '.join(METHODS)}")
         if (self.labels is None) == (self.seeds is None):
             raise typer.BadParameter("--image needs either --labels (of end-diastole) or --seeds FILE")
+        if self.voxel_mm is not None and self.seeds is not None:
+            raise typer.BadParameter(
+                "--voxel-mm needs --labels: seeds were set in the coordinates of the header"
+            )
         if self.seeds is not None and (self.organ or self.cavity):
             raise typer.BadParameter("--organ and --cavity belong to --labels; seeds name what they are in")
 

@@ -5,6 +5,7 @@ import typer
 from .blending import blending
 from .calibration import calibration
 from .constants import constants
+from .cines import cines
 from .distance import distance_maps
 from .gating import gating
 from .hearts import hearts
@@ -20,6 +21,7 @@ from .watch import watch
 app = typer.Typer(help="Many trials with a known truth.", no_args_is_help=True)
 app.command("tracking")(tracking)
 app.command("distance")(distance_maps)
+app.command("cines")(cines)
 app.command("blending")(blending)
 app.command("gating")(gating)
 app.command("retiming")(retiming)

@@ -32,6 +32,7 @@ from dvf_ig.core.frames import require_same_frame
 from .demons import DemonsOptions, DisplacementField, match_images_by_demons
 from .free_form import FreeForm, Lattice
 from .image_match import FreeFormOptions, match_images
+from .outliers import AnyDeformation, ReplacedPhase, replace_outliers
 from .slice_stack import axis_of_lost_spacing, observable_axes
 
 Progress = Callable[[float], None]
@@ -40,6 +41,10 @@ Method = Literal["bspline", "demons"]
 INVERSE_STEPS = 12
 PADDING_MM = 8.0
 """Image kept beyond the voxels that are compared, for tissue that moves in from outside."""
+
+THIN_WALL_MM = 5.0
+"""Width of the rim beside blood without a labelled wall. Chosen on ACDC 002 and 003, with knots every 6 mm:
+without, the thin right ventricle of 002 is matched with the fat beside it (Dice 0.57 against 0.82)."""
 
 
 class Deformation(Protocol):
@@ -91,6 +96,7 @@ class CycleMotion:
         mask: voxels of that grid that were compared.
         observable: (3,) axes of the grid along which motion was estimated; not across a stack of slices.
         spacing_lost: slices differ as if they lay much further apart than the header says.
+        replaced: phases whose own motion could not be right; theirs is interpolated in time.
     """
 
     ed_phase: int
@@ -101,6 +107,7 @@ class CycleMotion:
     mask: BoolArray
     observable: BoolArray
     spacing_lost: bool = False
+    replaced: tuple[ReplacedPhase, ...] = ()
 
     @property
     def grid(self) -> Grid:
@@ -116,6 +123,7 @@ def track_cycle(
     organ: BoolArray,
     *,
     ed_phase: int = 0,
+    blood: BoolArray | None = None,
     options: MotionOptions = MotionOptions(),
     progress: Progress | None = None,
 ) -> CycleMotion:
@@ -125,6 +133,9 @@ def track_cycle(
         image: grey levels.
         organ: (nx, ny, nz) voxels of the organ at end-diastole.
         ed_phase: the phase in which the organ was labelled.
+        blood: voxels of it that are labelled as blood, where that is known. Where blood borders on what is
+            not labelled (the right ventricle, whose wall is thin), the rim is narrower: what lies beyond
+            slides along it.
         progress: called with the fraction done.
     Raises:
         InvalidInputError: an organ of another shape or without voxels, or no such phase.
@@ -137,6 +148,8 @@ def track_cycle(
     if not organ.any():
         raise InvalidInputError("the organ has no voxels at end-diastole; check the label values")
     box, mask = _region(organ, image.grid, options.rim_mm)
+    if blood is not None:
+        mask &= ~_beyond_thin_wall(organ[box], blood[box], image.grid.spacing_mm)
     grid = _cropped_grid(image.grid, box)
     grey = image.values[(slice(None), *box)]
     lost = axis_of_lost_spacing(grey[ed_phase], grid.spacing_mm)
@@ -144,8 +157,8 @@ def track_cycle(
     identity = _identity(grid, observable, options)
     counter = _Counter(phases, progress)
 
-    def chain(order: Sequence[int]) -> list[Deformation]:
-        found: list[Deformation] = []
+    def chain(order: Sequence[int]) -> list[AnyDeformation]:
+        found: list[AnyDeformation] = []
         for phase in order:
             before = found[-1] if found else identity
             found.append(_match(grey[ed_phase], grey[phase], mask, before, observable, options))
@@ -160,8 +173,10 @@ def track_cycle(
     by_phase = {**dict(zip(backwards, behind, strict=True)), **dict(zip(forwards, ahead, strict=True))}
     by_phase[ed_phase] = identity
     start = (int(box[0].start), int(box[1].start), int(box[2].start))
-    ordered = tuple(by_phase[i] for i in range(phases))
-    return CycleMotion(ed_phase, ordered, forwards[-1], behind[-1], start, mask, observable, lost is not None)
+    ordered, replaced = replace_outliers([by_phase[i] for i in range(phases)], grey, mask, ed_phase)
+    return CycleMotion(
+        ed_phase, ordered, forwards[-1], behind[-1], start, mask, observable, lost is not None, replaced
+    )
 
 
 def propagate_surface(
@@ -212,20 +227,16 @@ def _match(
     fixed: AnyArray,
     moving: AnyArray,
     mask: BoolArray,
-    before: Deformation,
+    before: AnyDeformation,
     observable: BoolArray,
     options: MotionOptions,
-) -> Deformation:
+) -> AnyDeformation:
     if isinstance(before, FreeForm):
         return match_images(fixed, moving, mask, before, options.free_form, observable=observable)
-    if isinstance(before, DisplacementField):
-        return match_images_by_demons(fixed, moving, mask, before, options.demons, observable=observable)
-    raise InvalidInputError(
-        f"the initial deformation is a {type(before).__name__}; needed FreeForm or DisplacementField"
-    )
+    return match_images_by_demons(fixed, moving, mask, before, options.demons, observable=observable)
 
 
-def _identity(grid: Grid, observable: BoolArray, options: MotionOptions) -> Deformation:
+def _identity(grid: Grid, observable: BoolArray, options: MotionOptions) -> AnyDeformation:
     """No motion; across slices one knot each."""
     if options.method == "demons":
         return DisplacementField.identity(grid)
@@ -243,6 +254,13 @@ def _region(organ: BoolArray, grid: Grid, rim_mm: float) -> tuple[tuple[slice, s
     )
     from_organ_mm = ndimage.distance_transform_edt(~organ[x, y, z], sampling=grid.spacing_mm)
     return (x, y, z), np.asarray(from_organ_mm <= rim_mm)
+
+
+def _beyond_thin_wall(organ: BoolArray, blood: BoolArray, spacing_mm: FloatArray) -> BoolArray:
+    """Voxels further than THIN_WALL_MM from the organ, the nearest of which is labelled as blood."""
+    within = np.where(observable_axes(spacing_mm), spacing_mm, 10.0 * THIN_WALL_MM)
+    from_mm, nearest = ndimage.distance_transform_edt(~organ, sampling=within, return_indices=True)
+    return np.asarray((from_mm > THIN_WALL_MM) & blood[tuple(nearest)])
 
 
 def _cropped_grid(grid: Grid, box: tuple[slice, slice, slice]) -> Grid:

@@ -32,8 +32,8 @@ class FreeFormOptions:
         tolerance: a level ends when a step lowers the cost by less than this share.
     """
 
-    pitch_mm: float = 10.0
-    stiffness_mm2: float = 3.0
+    pitch_mm: float = 6.0
+    stiffness_mm2: float = 1.0
     blurs_mm: tuple[float, ...] = (3.0, 1.0)
     steps: int = 6
     inner_steps: int = 15

@@ -36,10 +36,10 @@ def test_labels_follow_a_stack_whatever_its_header_says(stack, lost):
     assert assess_motion(motion, image, labels[0] > 0).slice_pitch_mm == (1.0 if lost else 10.0)
     moved = propagate_labels(motion, image, Volume(image.grid, labels[0]), END_SYSTOLE)
     for k in range(image.grid.shape[2]):
-        for value in (WALL, CAVITY):  # an outline half a pixel off leaves 0.9 of the smallest cavity
+        for value, least in ((WALL, 0.85), (CAVITY, 0.9)):  # outlines half a pixel off, at the apex
             there = labels[END_SYSTOLE, ..., k] == value
-            assert dice(moved[..., k] == value, there) > 0.9
-            assert dice(labels[0, ..., k] == value, there) < 0.9
+            assert dice(moved[..., k] == value, there) > least
+            assert dice(moved[..., k] == value, there) > dice(labels[0, ..., k] == value, there) + 0.05
 
 
 def test_the_slice_pitch_is_seen_in_the_grey_levels():
