@@ -26,7 +26,7 @@ SESSION_MODULES = (
     "registration_monitor",
 )
 """Modules of the session that decide on registrations."""
-_HEARTS = re.compile(r"[^.]*\b(?:seeds?|patients?|hearts?)\b[^.]*\d{3}[^.]*\.?")
+_NAMED_HEARTS = re.compile(r"\b(?:seeds?|patients?|hearts?)\b.*\d{3}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +114,16 @@ def _text(node: ast.stmt | None) -> str:
 
 
 def _first(text: str) -> str:
-    return re.split(r"(?<=[^0-9])\. |: on |: tuning ", text, maxsplit=1)[0].rstrip(".")
+    return next(iter(_sentences(text)), "")
+
+
+def _sentences(text: str) -> list[str]:
+    return re.split(r"(?<=[.:])\s+(?=[A-Z])", " ".join(text.split()))
 
 
 def _hearts(text: str) -> str:
-    """The sentence that names seeds, patients or hearts."""
-    found = _HEARTS.search(" ".join(text.split()))
-    return found.group().strip() if found else ""
+    """The first sentence that names seeds, patients or hearts by number."""
+    return next(filter(_NAMED_HEARTS.search, _sentences(text)), "")
 
 
 def _attributes(docstring: str) -> dict[str, str]:

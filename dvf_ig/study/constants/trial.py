@@ -6,7 +6,7 @@ from time import perf_counter
 
 import numpy as np
 
-from data_synth import PRESETS, ScenarioSpec, child_rng, phantom_scenario
+from data_synth import HeartSpec, ScenarioSpec, child_rng, phantom_scenario
 from dvf_ig.core import DvfIgError, Points, Rigid
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay import register_scenario
@@ -32,6 +32,23 @@ class _Recorded:
     targets: Points
 
 
+ELSEWHERE = (
+    "pair",
+    "surface_points.",
+    "tracking.",
+    "session.beat",
+    "session.conf",
+    "session.pose",
+    "session.regis",
+)
+"""Beginnings of labels of constants that do not act in the registration of a sweep, and are not varied."""
+
+
+def varied_constants() -> list[Constant]:
+    """Those that the trials vary."""
+    return [constant for constant in registration_constants() if not constant.label.startswith(ELSEWHERE)]
+
+
 def trial_numbers(constants: int) -> range:
     """Numbers of the trials: each constant smaller, then larger; the last one leaves all as they are."""
     return range(len(FACTORS) * constants + 1)
@@ -44,7 +61,7 @@ def constant_trial(settings: Settings, number: int) -> Line:
         settings: `hearts`, how many tuning hearts.
         number: one of `trial_numbers`.
     """
-    constants = registration_constants()
+    constants = varied_constants()
     place, which = divmod(number, len(FACTORS))
     if place == len(constants):
         return {"constant": "", "factor": 1.0, **_measured(settings["hearts"])}
@@ -79,7 +96,7 @@ def _recordings(hearts: int) -> tuple[_Recorded, ...]:
 
 
 def _recorded(seed: int, quality: str) -> _Recorded:
-    spec = ScenarioSpec(quality, "paper5mm", SWEEP_S, seed, changed=PRESETS[quality])
+    spec = ScenarioSpec(quality, "paper5mm", SWEEP_S, seed, heart=HeartSpec("varied"))
     scenario = replace(phantom_scenario(spec), landmarks_mr=None, landmarks_tracker=None)
     truth = scenario.truth
     if truth is None:

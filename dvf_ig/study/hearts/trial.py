@@ -6,7 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from data_synth import PRESETS, PairSpec, Preset, ScenarioSpec, child_rng, image_pair, phantom_scenario
+from data_synth import (
+    PRESETS,
+    HeartSpec,
+    PairSpec,
+    Preset,
+    ScenarioSpec,
+    child_rng,
+    image_pair,
+    phantom_scenario,
+)
 from dvf_ig.core import FloatArray, Points, Rigid, Scenario, read_only_arrays
 from dvf_ig.registration import PoseChart, RegistrationResult, covariance_to_mm, target_errors_mm
 from dvf_ig.replay import register_scenario
@@ -14,6 +23,8 @@ from dvf_ig.study.registration.problem import GATED, volume_problem
 from dvf_ig.study.registration.trial import KnownTruth, start_with_error
 from dvf_ig.study.trials import Line, Settings
 
+VARIED = HeartSpec("varied")
+"""Drawn from a population of healthy, dilated and hypertrophic hearts."""
 MOTION = ("paper5mm", "physiological")
 """Of hearts with even and with odd numbers."""
 SWEEP_S = 14.0
@@ -68,7 +79,7 @@ def _sweep(seed: int, quality: str, disturbed: bool, rng: np.random.Generator) -
     if disturbed:
         preset, drawn = _disturbed(preset, rng)
     motion: Any = MOTION[seed % 2]
-    spec = ScenarioSpec(quality, motion, drawn["sweep_s"], seed, changed=preset)
+    spec = ScenarioSpec(quality, motion, drawn["sweep_s"], seed, changed=preset, heart=VARIED)
     scenario = _untouched(phantom_scenario(spec))
     truth = scenario.truth
     if truth is None:
@@ -113,7 +124,7 @@ def _volumes(seed: int, quality: str, disturbed: bool, rng: np.random.Generator)
     named: Any = quality
     change: Any = str(rng.choice(["none", "deformation", "motion"])) if disturbed else "none"
     late = float(rng.uniform(0.0, 0.06)) if disturbed else 0.0
-    pair = image_pair(PairSpec(seed, motion, named, change))
+    pair = image_pair(PairSpec(seed, motion, named, change, VARIED))
     problem = volume_problem(pair, pair.volumes(GATED, phase_error=late))
     start = _start(problem, disturbed, rng)
     result = problem.register(start, np.random.default_rng(seed))
