@@ -145,7 +145,17 @@ def _checks(result: "RegistrationResult") -> list[tuple[str, str]]:
         ("half-volumes disagree by", evidence.half_volume_mm),
         ("boundary and LC2 disagree by", evidence.boundary_mm),
     )
-    return [(name, f"{value:.2f} mm") for name, value in disagreements if value is not None]
+    rows = [(name, f"{value:.2f} mm") for name, value in disagreements if value is not None]
+    pair = evidence.pair
+    if pair is None:
+        return rows
+    return [
+        *rows,
+        ("parts left out predict", f"{pair.jackknife_mm:.2f} mm"),
+        ("starts that end here", f"{100 * pair.agreeing_starts:.0f} %"),
+        ("next best pose explains", f"{100 * pair.next_best_share:.0f} % as much"),
+        ("mirrored anatomy explains", f"{100 * pair.mirrored_share:.0f} % as much"),
+    ]
 
 
 def _triple(values: Any) -> str:
