@@ -207,8 +207,12 @@ def _eroded(fan: BoolArray, spacing_mm: FloatArray) -> BoolArray:
 
 
 def _box(usable: BoolArray) -> tuple[slice, slice, slice]:
-    found = ndimage.find_objects(usable.view(np.uint8))[0]
-    return found[0], found[1], found[2]
+    flat = usable.any(axis=2)
+    ends = [
+        np.flatnonzero(row)[[0, -1]] for row in (flat.any(axis=1), flat.any(axis=0), usable.any(axis=(0, 1)))
+    ]
+    first, second, third = (slice(int(low), int(high) + 1) for low, high in ends)
+    return first, second, third
 
 
 def _wider(box: tuple[slice, slice, slice], grid: Grid, margin_mm: float) -> tuple[slice, slice, slice]:

@@ -137,6 +137,22 @@ def test_a_pair_of_files_is_registered_and_its_error_evaluated(files: Path, tmp_
     assert json.loads(said.stdout)["tre_mm"]["mean"] == pytest.approx(errors.mean(), abs=1e-6)
 
 
+def test_several_contrasts_are_registered_together(files: Path, tmp_path: Path) -> None:
+    blank = empty((50, 52, 48), (1.6, 1.7, 1.7), (5.0, 25.0, -15.0))
+    level = np.array([[10, 60], [100, 90], [200, 20], [20, 150]])
+    other = level[np.abs(organ(centers_mm(blank))[..., None] - level[:, 0]).argmin(axis=-1), 1]
+    SimpleITK.WriteImage(filled(blank, other), str(tmp_path / "t2.nii.gz"))
+    done = invoke(
+        *("register", "--fixed", files / "us.nii.gz", "--moving", files / "mr.nii.gz"),
+        *("--moving", tmp_path / "t2.nii.gz", "-o", tmp_path, "--json"),
+    )
+    assert done.exit_code == 0, done.output
+    matrix = np.array(json.loads(done.stdout)["moving_from_fixed"])
+    errors = np.linalg.norm(POINTS @ matrix[:3, :3].T + matrix[:3, 3] - moving_of(POINTS), axis=1)
+    assert errors.mean() < 0.7  # half a voxel of the ultrasound
+    assert "mr.nii.gz and t2.nii.gz" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
 def test_the_page_beside_the_transform_holds_the_same_numbers(files: Path, tmp_path: Path) -> None:
     done = invoke(
         *("register", "--fixed", files / "us.nii.gz", "--moving", files / "mr.nii.gz"),

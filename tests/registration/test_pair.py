@@ -2,6 +2,7 @@
 
 from functools import lru_cache
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from data_synth.organ_pair.pair import OrganPair, displaced_start, organ_pair
 from dvf_ig.core import Grid, InvalidInputError, NoOverlapError, Rigid, Stop, Volume
-from dvf_ig.registration import RegistrationResult, register_pair
+from dvf_ig.registration import PairEvidence, RegistrationResult, register_pair
 from dvf_ig.registration.lc2.volume_lc2 import VolumeChannels
-from dvf_ig.registration.pair_check import mirrored
+from dvf_ig.registration.pair_check import jackknife_covariance, jackknife_mm, mirrored
 from dvf_ig.registration.pair_images import (
     EROSION_MM,
     channels_around,
@@ -20,6 +21,7 @@ from dvf_ig.registration.pair_images import (
     share_inside,
     usable_voxels,
 )
+from dvf_ig.registration.pair_search import place_of
 
 HERE = Rigid.identity("moving", "fixed")
 MIDDLE = np.array([30.0, -20.0, 12.0])
@@ -167,3 +169,46 @@ def test_misuse_says_what_to_do() -> None:
             clock=perf_counter,
             mask=Volume(elsewhere, np.ones(image.grid.shape)),
         )
+
+
+def evidence(**changed: Any) -> PairEvidence:
+    usual: dict[str, Any] = {
+        "agreeing_starts": 0.5,
+        "similarity": 0.3,
+        "chance": 0.1,
+        "elsewhere": np.array([0.2, 0.15]),
+        "jackknife_mm": 0.5,
+        "halves_mm": 0.8,
+        "mirrored_share": 0.9,
+    }
+    return PairEvidence(**(usual | changed))
+
+
+def test_the_strongest_doubt_names_the_reason() -> None:
+    assert evidence().stop is Stop.CONVERGED
+    assert evidence().next_best_share == pytest.approx(0.5)
+    apart = evidence(jackknife_mm=3.0, halves_mm=4.0)
+    assert apart.stop is Stop.DISAGREEMENT
+    assert "disagree by 3.5 mm" in apart.sentence
+    alone = evidence(agreeing_starts=1 / 31, elsewhere=np.array([0.29]))
+    assert alone.stop is Stop.AMBIGUOUS
+    assert "3 % of the starts end at this pose" in alone.sentence
+    assert evidence(elsewhere=np.zeros(0), agreeing_starts=1.0).success_probability > 0.99
+
+
+def test_what_no_limit_depends_on() -> None:
+    """LC2 twice as large, everywhere, and another decoy change nothing."""
+    scaled = evidence(similarity=0.6, chance=0.2, elsewhere=np.array([0.4, 0.3]), mirrored_share=0.2)
+    assert scaled.doubt == pytest.approx(evidence().doubt)
+
+
+def test_parts_that_agree_leave_a_covariance_that_is_never_open() -> None:
+    place = place_of(np.random.default_rng(0).normal(0, 20, (100, 3)), HERE)
+    same = [HERE] * 8
+    assert jackknife_mm(same, place) == pytest.approx(0.0, abs=1e-12)
+    assert np.linalg.eigvalsh(jackknife_covariance(same, HERE, place)).min() > 0
+    # each part left out moves the pose by 1 mm: 5/6 of the sum of six squares
+    moved = [HERE.perturbed_left(np.zeros(3), shift, np.zeros(3)) for shift in [*np.eye(3), *-np.eye(3)]]
+    assert jackknife_mm(moved, place) == pytest.approx(np.sqrt(5 / 6 * 6))
+    assert jackknife_mm([], place) == np.inf
+    assert np.isfinite(jackknife_covariance([], HERE, place)).all()

@@ -146,7 +146,18 @@ def _checks(result: "RegistrationResult") -> list[tuple[str, str]]:
         ("half-volumes disagree by", evidence.half_volume_mm),
         ("boundary and LC2 disagree by", evidence.boundary_mm),
     )
-    return [(name, "not determined" if value is None else f"{value:.2f} mm") for name, value in disagreements]
+    pair = evidence.pair
+    if pair is None:
+        return [
+            (name, "not determined" if value is None else f"{value:.2f} mm") for name, value in disagreements
+        ]
+    return [
+        (disagreements[0][0], f"{evidence.split_half_mm:.2f} mm"),
+        ("parts left out predict", f"{pair.jackknife_mm:.2f} mm"),
+        ("starts that end here", f"{100 * pair.agreeing_starts:.0f} %"),
+        ("next best pose explains", f"{100 * pair.next_best_share:.0f} % as much"),
+        ("mirrored anatomy explains", f"{100 * pair.mirrored_share:.0f} % as much"),
+    ]
 
 
 def _triple(values: Any) -> str:

@@ -7,13 +7,16 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, Stop, read_only_arrays
 
-USUAL_MM = 1.2
+USUAL_MM = 1.05
 """Error predicted by parts of the ultrasound at which that speaks neither for nor against a pose."""
 USUAL_STARTS = 0.1
 """The same share of agreeing starts: with 31, three."""
 USUAL_SHARE = 0.65
 """The same share of LC2, above chance, that the next best pose has."""
-PARTS_WEIGHT, STARTS_WEIGHT, SHARE_WEIGHT = 2.5, 1.5, 6.0
+PARTS_WEIGHT, STARTS_WEIGHT, SHARE_WEIGHT = 3.5, 1.5, 5.0
+"""Of their log-odds. On 113 runs of tuning pairs 1001–1018, six of them with a fifth to a half of the usual
+contrast, 54 errors below 2 mm are accepted and 56 of 57 above 3 mm refused; each of the three alone orders
+them with an AUC of 0.98 to 1.00, the sum with 1.00."""
 
 
 @read_only_arrays
