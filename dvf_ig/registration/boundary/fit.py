@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import HEART_RADIUS_MM, FloatArray, IntArray, Rigid, read_only_arrays, require_same_frame
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, read_only_arrays, require_same_frame
 from dvf_ig.core.rigid import nearest_rotation
 from dvf_ig.kernels.boundary import (
     RIGHT,
@@ -249,35 +249,6 @@ def _covariance(sums: FloatArray, opts: BoundaryFitOptions) -> FloatArray:
         return np.full((6, 6), np.nan)
     variance = POINTS_PER_OBSERVATION * float(sums[SQUARES]) / weight
     return covariance_from_mm(np.asarray((variance * np.linalg.inv(curvature))[:6, :6], dtype=np.float64))
-
-
-def boundary_influence(
-    boundary: Boundary,
-    fit: BoundaryFit,
-    center_mm: FloatArray,
-    group: IntArray,
-    options: BoundaryFitOptions | None = None,
-) -> FloatArray:
-    """(groups, 6) first-order influence of each group of points on the fitted pose; see `evidence.sandwich`.
-
-    Args:
-        group: (n,) number of each point's group, 0 to groups − 1.
-    """
-    opts = options or BoundaryFitOptions()
-    sigma, pose = opts.sigmas_mm[-1], fit.pose.matrix[:3]
-    size = UNKNOWNS if opts.free_offset_mm > 0 else UNKNOWNS - 1
-    whole = BoundaryProblem(boundary, center_mm).sums(pose, fit.offset_mm, sigma).copy()
-    curvature = normal_matrix(whole)[:size, :size]
-    right = np.stack(
-        [
-            BoundaryProblem(replace(boundary, points=boundary.points.subset(group == g)), center_mm)
-            .sums(pose, fit.offset_mm, sigma)[RIGHT:SHARE][:size]
-            .copy()
-            for g in range(int(group.max()) + 1)
-        ]
-    )
-    right = right - right.mean(axis=0)
-    return np.asarray(-np.linalg.solve(curvature, right.T).T[:, :6])
 
 
 def boundary_starts(

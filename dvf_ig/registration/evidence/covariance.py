@@ -14,7 +14,8 @@ from collections.abc import Callable
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid
-from dvf_ig.registration.boundary.fit import Boundary, BoundaryFit, boundary_influence
+from dvf_ig.registration.boundary.fit import Boundary, BoundaryFit
+from dvf_ig.registration.boundary.influence import boundary_influence
 from dvf_ig.registration.lc2.blocks import BlockGradients, block_gradients
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.slices import SliceSet
@@ -30,9 +31,9 @@ from .sandwich import BLOCK_MM, blended_influence, lc2_influence, sandwich
 MODEL_SHARE, UNSEEN_MM = 0.5, 0.22
 """How much of the inverse curvatures counts, and the standard deviation per coordinate of what every block
 shares: the rigid part of the difference between patient and pre-operative images, the bias of LC2. The
-squared error by the covariance, 6 where it is right, is then 5.9 on average in calm and 4.9 in poor images
-(26 sweeps of tuning seeds 1001 and 1002 with 8 fields of mismatch of 1.2 to 3.2 mm; ten more fields raise poor
-images by a quarter). With 0 and 0.39: 5.7 and 6.5; 1 and 0.22: 4.3 and 3.3."""
+squared error by the covariance, 6 where it is right, is then 5.9 on average in calm and 5.0 in poor images:
+26 sweeps of tuning seeds 1001 and 1002 with 8 fields of mismatch of 1.2 to 3.2 mm. With 0 and 0.39 it is 5.7
+and 6.5, with 1 and 0.22 4.3 and 3.3."""
 
 
 def blocks_of(
