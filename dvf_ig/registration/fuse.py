@@ -50,23 +50,23 @@ def fuse(
     def metric_of(slices: SliceSet) -> Lc2:
         return replace(data.coarse, slices=slices).metric(options, threads)
 
-    boundary, share, apart, pose = None, 0.0, np.zeros(6), base
+    boundary, share, pose = None, 0.0, base
     if data.visible_boundary is not None:
         boundary = fit_boundary(data.visible_boundary, base, data.center_mm)
-        share, apart = options.boundary_share, chart.coordinates(boundary.pose)
-        pose = chart.pose(share * apart)
+        share = options.boundary_share
+        pose = chart.pose(share * chart.coordinates(boundary.pose))
     covariance = np.full((6, 6), np.nan)
     curvature, landmarks = _curvature(data, refined, chart)
-    if _definite(curvature) and covered.masks.any():
+    determined = _definite(curvature) and (boundary is None or np.isfinite(boundary.covariance).all())
+    if determined and covered.masks.any():
         spread = covariance_mm2(
             blocks_of(covered, metric_of, base, data.center_mm),
             curvature,
             refined.inside.information,
+            chart=chart,
             boundary=data.visible_boundary,
             fit=boundary,
-            center_mm=data.center_mm,
             share=share,
-            apart_mm=apart,
             landmarks=landmarks,
         )
         if data.placement is not None:

@@ -53,6 +53,8 @@ def frames_shown(registration: Registration, name: str, mr: VolumeSeries | None)
         ],
         landmarks_mm=_apart_mm(result, registration.landmarks, heart),
         touched=registration.touched,
+        frames=len(frames.used),
+        frames_rejected={str(reason): count for reason, count in gated.rejected.items() if count},
     )
 
 

@@ -1,7 +1,7 @@
 """A registration handed to its page: outcome, evidence, findings and transform in words and numbers."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,8 @@ class RegisteredInput:
         data: rows of what was registered and how much of it was used.
         landmarks_mm: distance of the pose from that of touched landmarks; None without any.
         touched: how far points touched on the surface lie from it; None without any.
+        frames: that were compared with the model; None of volumes and of a pair.
+        frames_rejected: how many were not, by reason.
     """
 
     title: str
@@ -45,6 +47,8 @@ class RegisteredInput:
     data: Sequence[tuple[str, str]]
     landmarks_mm: float | None = None
     touched: SurfaceDisagreement | None = None
+    frames: int | None = None
+    frames_rejected: Mapping[str, int] = field(default_factory=dict)
 
 
 def registration_page(

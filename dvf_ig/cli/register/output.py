@@ -83,6 +83,8 @@ def payload_of(registered: Registered, name: str, seed: int) -> dict[str, Any]:
         "stop": result.stop.name,
         "reason": result.sentence,
         **evidence_of(result),
+        "frames": shown.frames,
+        "frames_rejected": dict(shown.frames_rejected),
         "surface_points": _surface_points(shown.touched),
         "threads": thread_count(),
         "seed": seed,

@@ -116,7 +116,7 @@ class BoundaryFit:
     evaluations: int
 
 
-class _Problem:
+class BoundaryProblem:
     """Points and target as the kernels want them."""
 
     def __init__(self, boundary: Boundary, center_mm: FloatArray) -> None:
@@ -173,11 +173,11 @@ def fit_boundary(
         FrameMismatchError: frames do not meet.
     """
     opts = options or BoundaryFitOptions()
-    problem = _Problem(boundary, center_mm)
+    problem = BoundaryProblem(boundary, center_mm)
     return _fit_of(problem, start, _descend(problem, [start], opts), 0, opts)
 
 
-def _descend(problem: _Problem, starts: Sequence[Rigid], opts: BoundaryFitOptions) -> _Ends:
+def _descend(problem: BoundaryProblem, starts: Sequence[Rigid], opts: BoundaryFitOptions) -> _Ends:
     """Descents from all starts, side by side: a step of one costs less than the calls it takes."""
     problem.require_frames_of(starts[0])
     poses = np.stack([start.matrix[:3] for start in starts])
@@ -211,7 +211,7 @@ def _moved(poses: FloatArray, xi_mm: FloatArray, center_mm: FloatArray) -> Float
 
 def _steps(sums: FloatArray, offsets_mm: FloatArray, size: int, opts: BoundaryFitOptions) -> FloatArray:
     """(m, 7) Gauss–Newton steps of the first `size` unknowns, the others 0; none where nothing matches."""
-    matrices = _normal_matrices(sums)
+    matrices = normal_matrices(sums)
     curvature, downhill = matrices[:, :size, :size].copy(), -sums[:, RIGHT : RIGHT + size]
     if size == UNKNOWNS:
         prior = POINTS_PER_OBSERVATION * (NEAR_MM / opts.offset_sigma_mm) ** 2
@@ -229,7 +229,7 @@ def _pose_of(start: Rigid, pose: FloatArray) -> Rigid:
     return Rigid(start.target, start.source, nearest_rotation(pose[:, :3]), pose[:, 3])
 
 
-def _fit_of(problem: _Problem, start: Rigid, ends: _Ends, k: int, opts: BoundaryFitOptions) -> BoundaryFit:
+def _fit_of(problem: BoundaryProblem, start: Rigid, ends: _Ends, k: int, opts: BoundaryFitOptions) -> BoundaryFit:
     """The fit that the k-th descent ended with."""
     pose, offset_mm = ends.poses[k].copy(), float(ends.offsets_mm[k])
     sums = problem.sums(pose[None], np.array([offset_mm]), opts.sigmas_mm[-1])[0]
@@ -251,14 +251,14 @@ def _fit_of(problem: _Problem, start: Rigid, ends: _Ends, k: int, opts: Boundary
     )
 
 
-def _normal_matrices(sums: FloatArray) -> FloatArray:
+def normal_matrices(sums: FloatArray) -> FloatArray:
     """(m, 7, 7) JᵀωJ."""
     return sums[:, :RIGHT].reshape(-1, UNKNOWNS, UNKNOWNS)
 
 
 def _covariance(sums: FloatArray, opts: BoundaryFitOptions) -> FloatArray:
     """Of the pose with the offset unknown: inverse curvature times the variance of one observation."""
-    matrix = _normal_matrices(sums[None])[0]
+    matrix = normal_matrices(sums[None])[0]
     size = UNKNOWNS if opts.free_offset_mm > 0 else UNKNOWNS - 1
     curvature = matrix[:size, :size]
     weight = float(matrix[6, 6])
@@ -266,32 +266,6 @@ def _covariance(sums: FloatArray, opts: BoundaryFitOptions) -> FloatArray:
         return np.full((6, 6), np.nan)
     variance = POINTS_PER_OBSERVATION * float(sums[SQUARES]) / weight
     return covariance_from_mm(np.asarray((variance * np.linalg.inv(curvature))[:6, :6], dtype=np.float64))
-
-
-def boundary_influence(
-    boundary: Boundary,
-    fit: BoundaryFit,
-    center_mm: FloatArray,
-    group: IntArray,
-    options: BoundaryFitOptions | None = None,
-) -> FloatArray:
-    """(groups, 6) first-order influence of each group of points on the fitted pose; see `evidence.sandwich`.
-
-    Args:
-        group: (n,) number of each point's group, 0 to groups − 1.
-    """
-    opts = options or BoundaryFitOptions()
-    size = UNKNOWNS if opts.free_offset_mm > 0 else UNKNOWNS - 1
-    pose, offset = fit.pose.matrix[None, :3], np.array([fit.offset_mm])
-
-    def sums_of(part: Boundary) -> FloatArray:
-        return _Problem(part, center_mm).sums(pose, offset, opts.sigmas_mm[-1])
-
-    curvature = _normal_matrices(sums_of(boundary))[0, :size, :size]
-    parts = [boundary.points.subset(group == g) for g in range(int(group.max()) + 1)]
-    right = np.vstack([sums_of(replace(boundary, points=part))[:, RIGHT : RIGHT + size] for part in parts])
-    right = right - right.mean(axis=0)
-    return np.asarray(-np.linalg.solve(curvature, right.T).T[:, :6])
 
 
 def boundary_starts(
@@ -323,7 +297,7 @@ def boundary_starts(
     chart = PoseChart(start, np.asarray(center_mm))
     starts = [chart.pose(xi) for xi in np.vstack([np.zeros(6), displacements])]
     best = _best_distinct(_scored(few, starts, chart.center_mm, quick_options), chart.center_mm, keep)
-    problem = _Problem(boundary, chart.center_mm)
+    problem = BoundaryProblem(boundary, chart.center_mm)
     ends = _descend(problem, [pose for _, pose in best], finish)
     finished = [_fit_of(problem, start, ends, k, finish) for k in range(len(best))]
     ranked = _best_distinct([(fit.score, fit.pose) for fit in finished], chart.center_mm, keep)
@@ -334,7 +308,7 @@ def _scored(
     boundary: Boundary, starts: Sequence[Rigid], center_mm: FloatArray, opts: BoundaryFitOptions
 ) -> list[tuple[float, Rigid]]:
     """Score and pose of the end of every start."""
-    problem = _Problem(boundary, center_mm)
+    problem = BoundaryProblem(boundary, center_mm)
     ends = _descend(problem, starts, opts)
     scores = problem.sums(ends.poses, ends.offsets_mm, opts.sigmas_mm[-1])[:, SHARE] / problem.total
     return [(float(score), _pose_of(starts[0], pose)) for score, pose in zip(scores, ends.poses, strict=True)]

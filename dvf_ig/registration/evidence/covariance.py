@@ -1,10 +1,12 @@
 """Covariance of a registered pose: what varies from block to block, and what no block can see.
 
-    C = Σ ψψᵀ (sandwich)  +  H⁻¹ P H⁻¹  +  s² δδᵀ  +  C_placement  +  UNSEEN_MM² I
+    C = S + MODEL_SHARE ((1 − s) H⁻¹ + s B)  +  H⁻¹ P H⁻¹  +  s² δδᵀ  +  C_placement  +  UNSEEN_MM² I
 
-ψ are the influences of blocks of space and of slices on the blended pose (`evidence.sandwich`), P the
-information of touched landmarks, δ the disagreement of LC2 and the boundary that the pose went the share s
-of, C_placement what calibrations and clocks leave open (`placement`).
+S = Σ ψψᵀ is the sandwich: ψ are the influences of blocks of space and of slices on the pose, which goes the
+share s of the way from LC2's to the boundary's (`evidence.sandwich`). H⁻¹ and B are what independent
+observations would leave of either: some tens of blocks tell how much a pose varies better than in which
+direction. P is the information of touched landmarks, δ the disagreement of LC2 and the boundary, C_placement
+what calibrations and clocks leave open (`placement`).
 """
 
 from collections.abc import Callable
@@ -12,7 +14,8 @@ from collections.abc import Callable
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid
-from dvf_ig.registration.boundary.fit import Boundary, BoundaryFit, boundary_influence
+from dvf_ig.registration.boundary.fit import Boundary, BoundaryFit
+from dvf_ig.registration.boundary.influence import boundary_influence
 from dvf_ig.registration.lc2.blocks import BlockGradients, block_gradients
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.slices import SliceSet
@@ -21,14 +24,16 @@ from dvf_ig.registration.placement import (
     clock_covariance_mm2,
     image_covariance_mm2,
 )
+from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm
 
 from .sandwich import BLOCK_MM, blended_influence, lc2_influence, sandwich
 
-UNSEEN_MM = 0.39
-"""Standard deviation per coordinate of what every block shares: the rigid part of the difference between
-patient and pre-operative images, the bias of LC2. With it the squared error by the covariance, 6 where it
-is right, is 5.6 on average in calm and 6.7 in poor images: 25 sweeps of tuning seeds 1001 and 1002, with 8
-fields of mismatch of 1.2 to 3.2 mm."""
+MODEL_SHARE, UNSEEN_MM = 0.5, 0.22
+"""How much of the inverse curvatures counts, and the standard deviation per coordinate of what every block
+shares: the rigid part of the difference between patient and pre-operative images, the bias of LC2. The
+squared error by the covariance, 6 where it is right, is then 5.9 on average in calm and 5.0 in poor images:
+26 sweeps of tuning seeds 1001 and 1002 with 8 fields of mismatch of 1.2 to 3.2 mm. With 0 and 0.39 it is 5.7
+and 6.5, with 1 and 0.22 4.3 and 3.3."""
 
 
 def blocks_of(
@@ -43,11 +48,10 @@ def covariance_mm2(
     curvature: FloatArray,
     information: float,
     *,
+    chart: PoseChart,
     boundary: Boundary | None,
     fit: BoundaryFit | None,
-    center_mm: FloatArray,
     share: float,
-    apart_mm: FloatArray,
     landmarks: FloatArray,
 ) -> FloatArray:
     """(6, 6) without what the slices' placement adds, in the coordinates of `PoseChart`.
@@ -55,7 +59,8 @@ def covariance_mm2(
     Args:
         curvature: (6, 6) of −log posterior at LC2's pose, positive definite.
         information: number of observations in −n/2·log(1 − S).
-        share: of the way to the boundary's pose that the pose went; apart_mm: (6,) that way.
+        chart: of LC2's pose.
+        share: of the way to the boundary's pose that the pose went; nought without a fit.
         landmarks: (6, 6) information of touched landmarks, nought without.
     """
     pulls = lc2_influence(blocks, information, curvature)
@@ -67,15 +72,21 @@ def covariance_mm2(
             pulls,
             cells,
             numbers,
-            boundary_influence(boundary, fit, center_mm, group.ravel()),
+            boundary_influence(boundary, fit, chart.center_mm, group.ravel()),
             own_cells,
             share,
         )
-    spread = sandwich(pulls, cells, numbers)
     inverse = np.linalg.inv(curvature)
-    away = share * apart_mm
+    independent = (
+        inverse if fit is None else (1.0 - share) * inverse + share * covariance_to_mm(fit.covariance)
+    )
+    away = np.zeros(6) if fit is None else share * chart.coordinates(fit.pose)
     return np.asarray(
-        spread + inverse @ landmarks @ inverse + np.outer(away, away) + UNSEEN_MM**2 * np.eye(6)
+        sandwich(pulls, cells, numbers)
+        + MODEL_SHARE * independent
+        + inverse @ landmarks @ inverse
+        + np.outer(away, away)
+        + UNSEEN_MM**2 * np.eye(6)
     )
 
 
