@@ -163,7 +163,7 @@ def load4(typing: Any, sums: Any, i: Any, k: Any) -> Float64x4:
 
 
 @intrinsic
-def store4(typing: Any, sums: Any, i: Any, k: Any, row: Float64x4) -> None:
+def store4(typing: Any, sums: Any, i: Any, k: Any, row: Float64x4) -> Any:
     """sums[i, k:k+4] = row; as `load4`."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
