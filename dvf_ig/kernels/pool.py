@@ -15,14 +15,14 @@ Corner = tuple[int, int, int]
 @inlined
 def _block_sum(
     grey: NDArray[np.uint8], mask: NDArray[np.uint8], table: NDArray[np.float32], low: Corner, step: int
-) -> float:
+) -> np.float32:
     """Σ `table[grey]` over one block; NaN from the first voxel outside the mask on."""
     total = np.float32(0.0)
     for a in range(low[0], low[0] + step):
         for b in range(low[1], low[1] + step):
             for c in range(low[2], low[2] + step):
                 if mask[a, b, c] == 0:
-                    return math.nan
+                    return np.float32(math.nan)
                 total += table[grey[a, b, c]]
     return float(total)
 

@@ -109,11 +109,13 @@ def _target(volumes: Sequence[TrackedVolume], heart: Heart, mr: VolumeSeries | N
     phases = np.array([volume.model_phase for volume in volumes])
     nearest = heart.fine.nearest_phase(phases)
     _tell_distant_phases(phases, heart.fine.fractions[nearest])
-    channels = heart.fine
-    if mr is not None:
-        used = np.unique(nearest).tolist()
-        channels = channels_from_mr(mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=used)
-    return VolumeTarget(channels, heart.center_mm, heart.surface, heart.boundary_share, heart.brightness)
+    if mr is None:
+        return VolumeTarget(
+            heart.fine, heart.center_mm, heart.surface, heart.boundary_share, heart.brightness
+        )
+    used = np.unique(nearest).tolist()
+    channels = channels_from_mr(mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=used)
+    return VolumeTarget(channels, heart.center_mm, heart.surface, brightness=heart.brightness)
 
 
 def _tell_distant_phases(phases: FloatArray, nearest: FloatArray) -> None:

@@ -9,7 +9,7 @@ from numba import config
 from scipy import ndimage
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import Grid, InvalidInputError, Rigid, VolumeSeries
+from dvf_ig.core import FloatArray, Grid, InvalidInputError, Rigid, VolumeSeries
 from dvf_ig.kernels.lc2 import RIDGE, sample_channels
 from dvf_ig.kernels.lc2_step import sample_gradients
 from dvf_ig.registration import Lc2, ModelChannels, SliceSet, SliceThreads, channels_from_mr
@@ -62,6 +62,49 @@ def test_kernel_equals_readable_twin() -> None:
     score, weight = lc2_reference(holed, model, toy_pose(), radius=2)
     assert out[:, 1].sum() == pytest.approx(weight, rel=1e-5)
     assert out[:, 0].sum() == pytest.approx(score, rel=1e-5)
+
+
+def matrix_reference(slices: SliceSet, model: ModelChannels, pose: Rigid, radius: int) -> FloatArray:
+    """JᵀJ spelt out: patches fitted one by one, channels differenced over the pose at every pixel."""
+    out, (rows, cols) = np.zeros((6, 6)), slices.images.shape[1:]
+    row, col = np.mgrid[:rows, :cols]
+    for image, mask, to_mm in zip(slices.images, slices.masks, slices.frame_from_pixel, strict=True):
+        place = np.stack([col, row, np.ones_like(row)], -1) @ to_mm.T
+
+        def channels(at: Rigid, place: FloatArray = place) -> FloatArray:
+            index = np.moveaxis(model.grid.to_index(at.apply_array(place)), -1, 0)
+            both = [model.values[0, ..., c].astype(float) for c in range(2)]
+            return np.stack([ndimage.map_coordinates(v, index, order=1, mode="nearest") for v in both])
+
+        chart = PoseChart(pose, CENTER_MM)
+        steps = 1e-4 * np.eye(6)
+        slope = np.stack(
+            [(channels(chart.pose(x)) - channels(chart.pose(-x))) / 2e-4 for x in steps], axis=-1
+        )
+        value = channels(pose)
+        for r, c in itertools.product(range(0, rows, 2), range(0, cols, 2)):
+            window = np.zeros_like(mask)
+            window[max(0, r - radius) : r + radius + 1, max(0, c - radius) : c + radius + 1] = True
+            window &= mask
+            if not mask[r, c] or window.sum() < 0.6 * (2 * radius + 1) ** 2:
+                continue
+            u, design = image[window].astype(float), value[:, window].T
+            design = design - design.mean(axis=0)
+            normal = design.T @ design / window.sum() + RIDGE * np.eye(2)
+            fit = np.linalg.solve(normal, design.T @ (u - u.mean()) / window.sum())
+            jacobian = np.einsum("c,cni->ni", fit, slope[:, window])
+            out += jacobian.T @ jacobian / (window.sum() * u.std())
+    return out
+
+
+def test_matrix_equals_readable_twin() -> None:
+    slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=5.0, speckle=0.3)
+    few = slices.subset(np.array([0, 7]))
+    model = channels_from_mr(toy_mr(), smoothing_mm=2.0)
+    metric = Lc2(few, model, patch_mm=20.0, pitch_mm=5.0)
+    expected = matrix_reference(few, model, toy_pose(), radius=2)
+    found = metric.normal_equations(toy_pose(), CENTER_MM).matrix
+    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
 
 
 def test_sampling_is_trilinear_inside_and_counts_the_overlap() -> None:
