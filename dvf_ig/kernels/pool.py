@@ -24,7 +24,7 @@ def _block_sum(
                 if mask[a, b, c] == 0:
                     return np.float32(math.nan)
                 total += table[grey[a, b, c]]
-    return float(total)
+    return total
 
 
 @kernel

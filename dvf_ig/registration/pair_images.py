@@ -207,7 +207,7 @@ def _eroded(fan: BoolArray, spacing_mm: FloatArray) -> BoolArray:
 
 
 def _box(usable: BoolArray) -> tuple[slice, slice, slice]:
-    flat = usable.any(axis=2)
+    flat: BoolArray = np.any(usable, axis=2)
     ends = [
         np.flatnonzero(row)[[0, -1]] for row in (flat.any(axis=1), flat.any(axis=0), usable.any(axis=(0, 1)))
     ]

@@ -4,8 +4,8 @@ import typer
 
 from .blending import blending
 from .calibration import calibration
-from .constants import constants
 from .cines import cines
+from .constants import constants
 from .distance import distance_maps
 from .gating import gating
 from .hearts import hearts

@@ -229,7 +229,9 @@ def _pose_of(start: Rigid, pose: FloatArray) -> Rigid:
     return Rigid(start.target, start.source, nearest_rotation(pose[:, :3]), pose[:, 3])
 
 
-def _fit_of(problem: BoundaryProblem, start: Rigid, ends: _Ends, k: int, opts: BoundaryFitOptions) -> BoundaryFit:
+def _fit_of(
+    problem: BoundaryProblem, start: Rigid, ends: _Ends, k: int, opts: BoundaryFitOptions
+) -> BoundaryFit:
     """The fit that the k-th descent ended with."""
     pose, offset_mm = ends.poses[k].copy(), float(ends.offsets_mm[k])
     sums = problem.sums(pose[None], np.array([offset_mm]), opts.sigmas_mm[-1])[0]
