@@ -4,11 +4,14 @@ Whole interventions (`phantom_scenario`, `surface_scenario`) and image pairs (`i
 each of use alone: a beating heart, its MR and ultrasound, signals, calibration phantoms, an operator's hands.
 """
 
-from .heart.anatomy import BeatingAnatomy as BeatingAnatomy
 from .heart.anatomy import PhantomAnatomy as PhantomAnatomy
 from .heart.anatomy import phantom_anatomy as phantom_anatomy
+from .heart.beating_anatomy import BeatingAnatomy as BeatingAnatomy
 from .heart.clock import HeartClock as HeartClock
 from .heart.clock import two_segment_phase as two_segment_phase
+from .heart.heart_spec import HEART_KINDS as HEART_KINDS
+from .heart.heart_spec import HeartKind as HeartKind
+from .heart.heart_spec import HeartSpec as HeartSpec
 from .heart.motion import MotionPreset as MotionPreset
 from .heart.tissue import Tissue as Tissue
 from .mr.cine import MrProtocol as MrProtocol

@@ -3,7 +3,7 @@
 import numpy as np
 
 from data_synth.kernels import lv
-from dvf_ig.core import FloatArray, Landmarks, Points, Rigid
+from dvf_ig.core import FloatArray, Landmarks, Points
 
 from .shapes import HeartShape
 
@@ -20,14 +20,14 @@ TOUCHABLE = (
 """Targets on the outer surface that an operator could touch with a stylus."""
 
 
-def heart_landmarks(h: HeartShape, mr_from_heart: Rigid) -> tuple[tuple[str, ...], FloatArray]:
-    """Names and (n, 3) end-diastolic positions of the phantom's anatomical points, frame "mr"."""
+def heart_landmarks(h: HeartShape) -> tuple[tuple[str, ...], FloatArray]:
+    """Names and (n, 3) places of anatomical points in the standard heart at end-diastole, heart frame."""
     base = lv.BASE
     mitral = np.array([h.la_center[0] * 0.7, h.la_center[1] * 0.7, base])
     tricuspid = np.array([h.ra_center[0], h.ra_center[1], base])
     points = {
         "apex": np.zeros(3),
-        "apex_endocardial": np.array([0.0, 0.0, lv.CAVITY_APEX]),
+        "apex_endocardial": np.array([0.0, 0.0, h.lv_cavity[1]]),
         "mitral_lateral": mitral + np.array([-14.0, 0.0, 0.0]),
         "mitral_anterior": mitral + np.array([0.0, 13.0, 0.0]),
         "mitral_inferior": mitral + np.array([0.0, -13.0, 0.0]),
@@ -43,7 +43,7 @@ def heart_landmarks(h: HeartShape, mr_from_heart: Rigid) -> tuple[tuple[str, ...
         "pulmonary_root": h.pulmonary_path[1] + np.array([6.0, 10.0, 3.0]),
         "right_atrium": h.ra_center + h.ra_semi * np.array([0.8, -0.4, 0.0]),
     }
-    return tuple(points), mr_from_heart.apply_array(np.array(list(points.values())))
+    return tuple(points), np.array(list(points.values()))
 
 
 def with_box_grid(frame: str, names: tuple[str, ...], points: FloatArray, box_mm: FloatArray) -> Landmarks:

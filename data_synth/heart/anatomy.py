@@ -1,91 +1,61 @@
-"""The contract every synthetic heart fulfils, and the closed-form phantom that fulfils it."""
+"""The four-chamber phantom: the standard heart in closed form, or one person's."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from data_synth.kernels.lv import BASE
 from dvf_ig.core import FloatArray, IntArray, Landmarks, Points, Rigid, read_only_arrays
 
 from .anatomical_points import TOUCHABLE, heart_landmarks, with_box_grid
-from .mismatch import SmoothField, random_mismatch, tabulated_inverse
-from .motion import ES_FRACTION, MotionPreset, PullBack, preset_scale
+from .beating_anatomy import MARGIN_MM, REFERENCE_SPACING_MM
+from .heart_spec import HeartKind, HeartSeeds, HeartSpec
+from .mismatch import TABLE_MM as MISMATCH_TABLE_MM
+from .mismatch import SmoothField, TabulatedMap, random_mismatch, tabulated
+from .motion import ES_FRACTION, MotionPreset, preset_scale
 from .outline import outline, project_to_outline
 from .phantom_motion import PhantomMotion
+from .population import PumpFunction, draw_kind, draw_pump_function
 from .reference import Layers, ReferenceMap, build_reference, tissue_at
 from .shapes import HeartShape, heart_shape, outside_layers
 from .tissue import Tissue
+from .varied_shape import CENTER_MM, varied_shape
+from .warp import TABLE_MM, PlacedWarp
 
 RR_S = 0.86
-"""RR interval of the phantom's pre-operative acquisition (about 70 per minute)."""
+"""RR interval of the standard heart's pre-operative acquisition (about 70 per minute)."""
 
-REFERENCE_SPACING_MM = 1.25
-MARGIN_MM = 32.0
-
-
-class BeatingAnatomy(Protocol):
-    """One beating heart: the anatomy that the intervention meets.
-
-    Frame "mr" throughout. `model_phase`: fraction of the pre-operative cycle, cyclic; 0 is end-diastole.
-
-    Attributes:
-        rr_s: RR interval of the pre-operative acquisition.
-        es_fraction: end-systole as a fraction of that cycle.
-        box_mm: (2, 3) heart box.
-        surface_triangles: (m, 3) of the epicardial surface, outward, watertight.
-        reference: tissue fields at end-diastole.
-        inverse_motion: intra-operative position to reference position (motion and mismatch).
-    """
-
-    @property
-    def rr_s(self) -> float: ...
-    @property
-    def es_fraction(self) -> float: ...
-    @property
-    def box_mm(self) -> FloatArray: ...
-    @property
-    def surface_triangles(self) -> IntArray: ...
-    @property
-    def reference(self) -> ReferenceMap: ...
-    @property
-    def inverse_motion(self) -> PullBack: ...
-
-    def tissue(self, xyz_mm: FloatArray, model_phase: float) -> NDArray[np.uint8]:
-        """(n,) tissue codes of the intra-operative anatomy at (n, 3) points."""
-        ...
-
-    def material(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        """(n, 3) reference positions X = χ⁻¹(x) that scatterers ride on."""
-        ...
-
-    def surface_vertices(self, model_phase: float) -> FloatArray:
-        """(v, 3) true epicardial surface of the intra-operative anatomy."""
-        ...
-
-    def targets(self) -> Landmarks:
-        """Named points and a 27-point grid of the heart box at which registration errors are declared."""
-        ...
-
-    def landmarks(self) -> Landmarks:
-        """Points on the pre-operative end-diastolic surface that a stylus could touch."""
-        ...
+TURN_DEG, VARIED_TURN_DEG = 8.0, 14.0
+"""Largest turn in the thorax about each axis, of the standard and of other hearts."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PhantomShapes:
-    """The heart's implicit shapes and its neighbours, in frame "mr"."""
+    """The heart's implicit shapes and its neighbours, in frame "mr".
+
+    Depths of a person's heart are those of the standard heart at W⁻¹(x), in the standard heart's mm.
+
+    Attributes:
+        heart: in the standard heart's frame.
+        mr_from_heart: pose of the heart.
+        center_mm: of the heart.
+        standard: W⁻¹; None: this is the standard heart.
+        base: tissue between the parts.
+    """
 
     heart: HeartShape
     mr_from_heart: Rigid
     center_mm: FloatArray
+    standard: TabulatedMap | None = None
     base: Tissue = Tissue.ATRIAL_WALL
 
     def _local(self, xyz_mm: FloatArray) -> FloatArray:
-        return (xyz_mm - self.mr_from_heart.translation_mm) @ self.mr_from_heart.rotation
+        points = xyz_mm if self.standard is None else self.standard.at(xyz_mm)
+        return (points - self.mr_from_heart.translation_mm) @ self.mr_from_heart.rotation
 
     def organ(self, xyz_mm: FloatArray) -> FloatArray:
         return self.heart.organ(self._local(xyz_mm))
@@ -105,14 +75,18 @@ class PhantomShapes:
 class PhantomAnatomy:
     """A four-chamber heart whose motion is known everywhere (see `kernels.lv` and `kernels.flow`).
 
-    The wall of the left ventricle moves exactly incompressibly; right ventricle, atria and great vessels ride
-    on the extension of that map after a smooth flow, which empties the right ventricle and fills the atria.
+    In the standard heart the wall of the left ventricle moves exactly incompressibly; right ventricle, atria
+    and great vessels ride on the extension of that map after a smooth flow, which empties the right ventricle
+    and fills the atria. A person's heart is W(standard heart), and so is all that rides on it.
 
     Attributes:
         shapes: implicit shapes at end-diastole.
         scale: factor on the activation.
         mismatch: pre-operative to intra-operative difference.
-        seed: what it was drawn from.
+        seeds: what it was drawn from.
+        kind: of heart; never "varied".
+        pump: how it beats; None: as the standard heart.
+        warp: W; None: the standard heart.
     """
 
     shapes: PhantomShapes
@@ -120,33 +94,48 @@ class PhantomAnatomy:
     mismatch: SmoothField
     ed_vertices_mm: FloatArray
     triangles: IntArray
-    seed: int
-    rr_s: float = RR_S
-    es_fraction: float = ES_FRACTION
+    seeds: HeartSeeds
+    kind: HeartKind = "standard"
+    pump: PumpFunction | None = None
+    warp: PlacedWarp | None = None
+
+    @property
+    def rr_s(self) -> float:
+        return RR_S if self.pump is None else self.pump.rr_s
+
+    @property
+    def es_fraction(self) -> float:
+        return ES_FRACTION if self.pump is None else self.pump.es_fraction
 
     @property
     def box_mm(self) -> FloatArray:
-        return np.array([self.ed_vertices_mm.min(axis=0), self.ed_vertices_mm.max(axis=0)])
+        return _box(self.ed_vertices_mm)
 
     @property
     def surface_triangles(self) -> IntArray:
         return self.triangles
 
     @cached_property
+    def long_axis_mm(self) -> FloatArray:
+        """(2, 3) epicardial apex of the left ventricle and middle of its base at end-diastole."""
+        return self.placed(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, BASE]]))
+
+    @cached_property
     def reference(self) -> ReferenceMap:
-        return build_reference(self.shapes, self._wide_box(), REFERENCE_SPACING_MM)
+        return build_reference(self.shapes, _wide(self.box_mm), REFERENCE_SPACING_MM)
 
     @cached_property
     def resting_motion(self) -> PhantomMotion:
         """χ of the pre-operative anatomy."""
-        return PhantomMotion(self.shapes.mr_from_heart, self.shapes.heart.lobes(), self.scale)
+        return self._motion(self.shapes.standard)
 
     @cached_property
     def inverse_motion(self) -> PhantomMotion:
         """χ of the intra-operative anatomy."""
         if self.mismatch.rms_mm == 0:
             return self.resting_motion
-        return replace(self.resting_motion, mismatch=tabulated_inverse(self.mismatch, self._wide_box()))
+        spacing_mm = MISMATCH_TABLE_MM if self.warp is None else TABLE_MM
+        return self._motion(tabulated(self._standard_from_now, _wide(self.box_mm), spacing_mm))
 
     def deformed(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
         """χ: (n, 3) positions at a phase of (n, 3) reference points, without mismatch."""
@@ -159,50 +148,114 @@ class PhantomAnatomy:
         return tissue_at(self.shapes, self.material(xyz_mm, model_phase))
 
     def surface_vertices(self, model_phase: float) -> FloatArray:
-        return self.mismatch.forward(self.deformed(self.ed_vertices_mm, model_phase))
+        moved = self.resting_motion.push_standard(self._standard_vertices_mm, model_phase)
+        return self.mismatch.forward(moved)
 
     def targets(self) -> Landmarks:
-        names, points = heart_landmarks(self.shapes.heart, self.shapes.mr_from_heart)
-        return with_box_grid("mr", names, points, self.box_mm)
+        names, points = heart_landmarks(self.shapes.heart)
+        return with_box_grid("mr", names, self.placed(points), self.box_mm)
 
     def landmarks(self) -> Landmarks:
-        names, points = heart_landmarks(self.shapes.heart, self.shapes.mr_from_heart)
-        chosen = points[[names.index(name) for name in TOUCHABLE]]
+        names, points = heart_landmarks(self.shapes.heart)
+        chosen = self.placed(points)[[names.index(name) for name in TOUCHABLE]]
         return Landmarks(TOUCHABLE, Points("mr", project_to_outline(self.shapes.organ, chosen)))
 
-    def _wide_box(self) -> FloatArray:
-        return np.asarray(self.box_mm + np.array([[-MARGIN_MM], [MARGIN_MM]]))
+    @cached_property
+    def _standard_vertices_mm(self) -> FloatArray:
+        """(v, 3) of the outline in the standard heart."""
+        return self.ed_vertices_mm if self.warp is None else self.warp.inverse(self.ed_vertices_mm)
+
+    def placed(self, points: FloatArray) -> FloatArray:
+        """(n, 3) positions of points of the standard heart's frame."""
+        standard = self.shapes.mr_from_heart.apply_array(points)
+        return standard if self.warp is None else self.warp.forward(standard)
+
+    def _standard_from_now(self, xyz_mm: FloatArray) -> FloatArray:
+        before = self.mismatch.inverse(xyz_mm)
+        return before if self.warp is None else self.warp.inverse(before)
+
+    def _motion(self, before: TabulatedMap | None) -> PhantomMotion:
+        heart, cavity = self.shapes.heart, self.shapes.heart.lv_cavity
+        return PhantomMotion(
+            self.shapes.mr_from_heart,
+            heart.lobes(),
+            self.scale,
+            cavity if self.pump is None else self.pump.cavity(cavity),
+            self.es_fraction,
+            self.warp,
+            before,
+        )
 
 
-def phantom_anatomy(*, motion: MotionPreset, mismatch_mm: float, seed: int) -> PhantomAnatomy:
+def phantom_anatomy(
+    *, motion: MotionPreset, mismatch_mm: float, seed: int, heart: HeartSpec | None = None
+) -> PhantomAnatomy:
     """The four-chamber phantom.
 
     Args:
-        motion: "paper5mm" (largest epicardial motion 4.96 mm) or "physiological" (13.9 mm).
+        motion: "paper5mm" (largest epicardial motion of the standard heart 4.96 mm) or "physiological"
+            (13.9 mm).
         mismatch_mm: RMS over the heart box of the smooth non-rigid difference to the pre-operative anatomy.
-        seed: draws shape, place and mismatch; the same seed gives the same heart for either motion.
+        seed: draws what `heart` leaves open; the same seed gives the same heart for either motion.
+        heart: kind of heart and separate seeds; None is the standard heart.
     Raises:
         InvalidInputError: unknown motion, or a mismatch outside 0 … 8 mm.
     """
+    spec = heart or HeartSpec()
+    seeds = spec.seeds(seed)
     scale = preset_scale(motion)
-    shape_seed, place_seed, mismatch_seed = np.random.SeedSequence([seed, 0x4EA7]).spawn(3)
-    shape = heart_shape(np.random.default_rng(shape_seed))
-    pose = _place_in_thorax(np.random.default_rng(place_seed))
-    shapes = PhantomShapes(shape, pose, pose.apply_array(np.array([6.0, 2.0, 68.0])))
-    vertices, triangles = outline(shapes.organ, shapes.center_mm)
-    box = np.array([vertices.min(axis=0), vertices.max(axis=0)])
-    field = random_mismatch(box, mismatch_mm, np.random.default_rng(mismatch_seed))
-    return PhantomAnatomy(shapes, scale, field, vertices, triangles, seed)
+    shape_seed, place_seed, _ = _seed_sequences(seeds.anatomy)
+    place_rng, mismatch_rng = (
+        np.random.default_rng(place_seed),
+        np.random.default_rng(_seed_sequences(seeds.mismatch)[2]),
+    )
+    if spec.kind == "standard":
+        shape, pose = heart_shape(np.random.default_rng(shape_seed)), _place_in_thorax(place_rng, TURN_DEG)
+        shapes = PhantomShapes(shape, pose, pose.apply_array(CENTER_MM))
+        vertices, triangles = outline(shapes.organ, shapes.center_mm)
+        field = random_mismatch(_box(vertices), mismatch_mm, mismatch_rng)
+        return PhantomAnatomy(shapes, scale, field, vertices, triangles, seeds)
+    rng = np.random.default_rng(np.random.SeedSequence([seeds.anatomy, 0x5A2E]))
+    kind = draw_kind(spec.kind, rng)
+    drawn, pose = varied_shape(kind, rng), _place_in_thorax(place_rng, VARIED_TURN_DEG)
+    center = pose.apply_array(CENTER_MM)
+    standard, triangles = outline(PhantomShapes(drawn.heart, pose, center).organ, center)
+    warp = PlacedWarp(drawn.warp, pose, _wide(_wide(_box(standard))))
+    vertices = warp.forward(standard)
+    shapes = PhantomShapes(
+        drawn.heart,
+        pose,
+        warp.forward(center[None])[0],
+        tabulated(warp.inverse, _wide(_box(vertices)), TABLE_MM),
+    )
+    motion_rng = np.random.default_rng(np.random.SeedSequence([seeds.motion, 0xBEA7]))
+    pump = draw_pump_function(kind, drawn.heart.lv_cavity, motion_rng)
+    field = random_mismatch(_box(vertices), mismatch_mm, mismatch_rng)
+    scale *= pump.contractility
+    return PhantomAnatomy(shapes, scale, field, vertices, triangles, seeds, kind, pump, warp)
 
 
-def _place_in_thorax(rng: np.random.Generator) -> Rigid:
-    """mr_from_heart: apex to the left, front and below (LPS); a few degrees and mm vary with the heart."""
+def _seed_sequences(seed: int) -> list[np.random.SeedSequence]:
+    """Of shape, place and mismatch."""
+    return np.random.SeedSequence([seed, 0x4EA7]).spawn(3)
+
+
+def _box(vertices_mm: FloatArray) -> FloatArray:
+    return np.array([vertices_mm.min(axis=0), vertices_mm.max(axis=0)])
+
+
+def _wide(box_mm: FloatArray) -> FloatArray:
+    return np.asarray(box_mm + np.array([[-MARGIN_MM], [MARGIN_MM]]))
+
+
+def _place_in_thorax(rng: np.random.Generator, turn_deg: float) -> Rigid:
+    """mr_from_heart: apex to the left, front and below (LPS); up to `turn_deg` about each axis, and 12 mm."""
     z = np.array([-0.65, 0.55, 0.52])
     z /= np.linalg.norm(z)
     x = np.array([-0.63, -0.77, 0.03])
     x -= (x @ z) * z
     x /= np.linalg.norm(x)
     base = np.column_stack([x, np.cross(z, x), z])
-    turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-8, 8, 3))).as_matrix()
+    turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-turn_deg, turn_deg, 3))).as_matrix()
     shift = np.array([62.0, -71.0, -38.0]) + rng.uniform(-12, 12, 3)
     return Rigid("mr", "heart", turn @ base, shift)

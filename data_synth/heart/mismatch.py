@@ -1,5 +1,6 @@
 """The non-rigid difference between the heart that was imaged and the heart that is operated on."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,8 +65,8 @@ class SmoothField:
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class InverseField:
-    """The inverse of a smooth field on a grid, cubic between nodes: x + displacement(x).
+class TabulatedMap:
+    """A smooth map of space on a grid, cubic between nodes: x + displacement(x).
 
     Attributes:
         displacement_mm: (nx, ny, nz, 3).
@@ -78,21 +79,28 @@ class InverseField:
     spacing_mm: float
 
     def at(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n, 3) pre-operative positions of (n, 3) intra-operative ones."""
+        """(n, 3) images of (n, 3) points."""
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
         cubic_at(points, self.displacement_mm, self.origin_mm, 1.0 / self.spacing_mm, out)
         return points + out
 
 
-def tabulated_inverse(field: SmoothField, box_mm: FloatArray, spacing_mm: float = TABLE_MM) -> InverseField:
-    """`field.inverse` over `box_mm` (2, 3) and one node around it; to about 0.001 mm for a 5 mm field."""
+def tabulated(
+    image: Callable[[FloatArray], FloatArray], box_mm: FloatArray, spacing_mm: float = TABLE_MM
+) -> TabulatedMap:
+    """A map of (n, 3) points over `box_mm` (2, 3) and one node around it."""
     origin = box_mm[0] - spacing_mm
     count = np.ceil((box_mm[1] - box_mm[0]) / spacing_mm).astype(int) + 3
     axes = [origin[k] + spacing_mm * np.arange(count[k]) for k in range(3)]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     flat = nodes.reshape(-1, 3)
-    return InverseField((field.inverse(flat) - flat).reshape(nodes.shape), origin, spacing_mm)
+    return TabulatedMap((image(flat) - flat).reshape(nodes.shape), origin, spacing_mm)
+
+
+def tabulated_inverse(field: SmoothField, box_mm: FloatArray) -> TabulatedMap:
+    """`field.inverse` over `box_mm` (2, 3); to about 0.001 mm for a 5 mm field."""
+    return tabulated(field.inverse, box_mm)
 
 
 def random_mismatch(
@@ -100,6 +108,7 @@ def random_mismatch(
     rms_mm: float,
     rng: np.random.Generator,
     correlation_mm: float = CORRELATION_MM,
+    modes: int = MODES,
 ) -> SmoothField:
     """A smooth random field of exactly `rms_mm` over the heart box, without any rigid part there.
 
@@ -111,14 +120,15 @@ def random_mismatch(
         rms_mm: root mean square of the 3-D displacement, 0 … 8 mm.
         rng: draws the field.
         correlation_mm: SD of the Gaussian correlation of the field.
+        modes: number of random waves.
     Raises:
         InvalidInputError: negative or too large RMS.
     """
     if not 0 <= rms_mm <= 8:
         raise InvalidInputError(f"mismatch is {rms_mm:g} mm RMS; needed 0 to 8 mm (more would fold space)")
     center = box_mm.mean(axis=0)
-    waves = rng.normal(0.0, 1.0 / correlation_mm, (MODES, 3))
-    cosine, sine = rng.normal(size=(2, MODES, 3))
+    waves = rng.normal(0.0, 1.0 / correlation_mm, (modes, 3))
+    cosine, sine = rng.normal(size=(2, modes, 3))
     zero = np.zeros(3)
     if rms_mm == 0:
         return SmoothField(waves, cosine, sine, zero, zero, center, 0.0)

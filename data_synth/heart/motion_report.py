@@ -91,7 +91,8 @@ def lv_wall_points(anatomy: PhantomAnatomy, rng: np.random.Generator, count: int
     They keep clear of its two surfaces, and of the lowest 2 mm of the pointed apex.
     """
     z, angle = rng.uniform(2.0, lv.BASE - 0.01, count), rng.uniform(0.0, 2 * np.pi, count)
-    outer, inner = np.array([lv.radii(height) for height in z]).T
+    cavity = anatomy.shapes.heart.lv_cavity
+    outer, inner = np.array([lv.radii(height, cavity) for height in z]).T
     return _from_cylinder(anatomy, z, inner + (outer - inner) * rng.uniform(0.02, 0.98, count), angle)
 
 
@@ -114,18 +115,18 @@ def _lv_wall(anatomy: PhantomAnatomy, model_phase: float) -> tuple[float, float]
     """Mean thickness of the wall's material half-way up, and height of the mitral plane above the apex."""
     angle = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
     height = np.full(24, lv.BASE / 2)
-    radius = []
-    for r in lv.radii(lv.BASE / 2):
-        here = _in_heart(anatomy, _from_cylinder(anatomy, height, np.full(24, r), angle), model_phase)
-        radius.append(np.hypot(here[:, 0], here[:, 1]).mean())
+    outer, inner = (
+        anatomy.deformed(_from_cylinder(anatomy, height, np.full(24, r), angle), model_phase)
+        for r in lv.radii(lv.BASE / 2, anatomy.shapes.heart.lv_cavity)
+    )
     ends = _from_cylinder(anatomy, np.array([0.0, lv.BASE]), np.array([0.0, 29.0]), np.zeros(2))
     apex, base = _in_heart(anatomy, ends, model_phase)
-    return float(radius[0] - radius[1]), float(base[2] - apex[2])
+    return float(np.linalg.norm(outer - inner, axis=1).mean()), float(base[2] - apex[2])
 
 
 def _largest_lv_motion(anatomy: PhantomAnatomy, model_phase: float) -> float:
     z, angle = np.meshgrid(np.linspace(0.0, lv.BASE, 60), np.linspace(0.0, 2 * np.pi, 24))
-    outer = np.array([lv.radii(height)[0] for height in z.ravel()])
+    outer = np.array([lv.outer_radius(height) for height in z.ravel()])
     points = _from_cylinder(anatomy, z.ravel(), outer, angle.ravel())
     return float(np.linalg.norm(anatomy.deformed(points, model_phase) - points, axis=1).max())
 
@@ -134,7 +135,7 @@ def _from_cylinder(
     anatomy: PhantomAnatomy, z_mm: FloatArray, radius_mm: FloatArray, angle_rad: FloatArray
 ) -> FloatArray:
     local = np.column_stack([radius_mm * np.cos(angle_rad), radius_mm * np.sin(angle_rad), z_mm])
-    return anatomy.shapes.mr_from_heart.apply_array(local)
+    return anatomy.placed(local)
 
 
 def _in_heart(anatomy: PhantomAnatomy, xyz_mm: FloatArray, model_phase: float) -> FloatArray:

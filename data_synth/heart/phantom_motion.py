@@ -5,60 +5,80 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.kernels import heart_motion
-from dvf_ig.core import AnyArray, FloatArray, Rigid, read_only_arrays
+from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 
-from .mismatch import InverseField
-from .motion import activation
+from .mismatch import TabulatedMap
+from .motion import ES_FRACTION, activation
+from .warp import PlacedWarp
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PhantomMotion:
-    """χ and χ⁻¹ of the phantom in frame "mr", for any phase, without tables in between.
+    """χ and χ⁻¹ of the phantom in frame "mr", for any phase.
 
-    ‖χ(χ⁻¹(x)) − x‖ stays below 0.01 mm, creases at the walls included (see `motion_report`).
+    A person's heart W(standard heart) moves by W ∘ χ_standard ∘ W⁻¹. ‖χ(χ⁻¹(x)) − x‖ stays below 0.01 mm for
+    the standard heart and below 0.05 mm for others, creases at the walls included (see `motion_report`).
 
     Attributes:
         mr_from_heart: pose of the heart.
         lobes: (n, 7) swelling atria, see `kernels.flow.velocity`.
         scale: factor on the activation.
-        mismatch: intra-operative to pre-operative positions, applied before χ⁻¹; None: the same anatomy.
+        cavity: (6,) of the left ventricle, see `kernels.lv`.
+        es_fraction: where the activation peaks, as a fraction of the cycle.
+        warp: W; None: the standard heart.
+        before: where a point now was in the standard heart's contracted state, mismatch undone; None: there.
     """
 
     mr_from_heart: Rigid
     lobes: FloatArray
     scale: float
-    mismatch: InverseField | None = None
+    cavity: FloatArray
+    es_fraction: float = ES_FRACTION
+    warp: PlacedWarp | None = None
+    before: TabulatedMap | None = None
 
     def levels(self, model_phase: FloatArray | float, count: int) -> FloatArray:
         """(count,) activations at one phase, or at (count,) of them."""
-        return np.array(np.broadcast_to(self.scale * activation(model_phase), (count,)))
+        phase = model_phase if self.es_fraction == ES_FRACTION else self._usual_phase(model_phase)
+        return np.array(np.broadcast_to(self.scale * activation(phase), (count,)))
 
     def push_forward(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
         """χ: (n, 3) positions of (n, 3) reference points, without mismatch."""
+        start = xyz_mm if self.warp is None else self.warp.inverse(xyz_mm)
+        return self.push_standard(start, model_phase)
+
+    def push_standard(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
+        """Positions of (n, 3) points of the standard heart at end-diastole, W⁻¹(reference points)."""
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
-        heart_motion.forward(points, self.levels(model_phase, len(points)), *self._place(), out)
-        return out
+        place = (self.mr_from_heart.rotation, self.mr_from_heart.translation_mm, self.lobes, self.cavity)
+        heart_motion.forward(points, self.levels(model_phase, len(points)), *place, out)
+        return out if self.warp is None else self.warp.forward(out)
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
         """χ⁻¹ behind the inverse mismatch: (n, 3) reference positions of (n, 3) points."""
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
-        field = _NO_FIELD if self.mismatch is None else self.mismatch
+        field = _NO_FIELD if self.before is None else self.before
         heart_motion.inverse(
             points,
             self.levels(model_phase, len(points)),
-            *self._place(),
+            self.mr_from_heart.rotation,
+            self.mr_from_heart.translation_mm,
+            self.lobes,
+            self.cavity,
             field.displacement_mm,
             field.origin_mm,
             1.0 / field.spacing_mm,
             out,
         )
-        return out
+        return out if self.warp is None else self.warp.table.at(out)
 
-    def _place(self) -> tuple[AnyArray, AnyArray, AnyArray]:
-        return self.mr_from_heart.rotation, self.mr_from_heart.translation_mm, self.lobes
+    def _usual_phase(self, model_phase: FloatArray | float) -> FloatArray:
+        """Phase at which the activation curve has the level of this heart at `model_phase`."""
+        phase = np.asarray(model_phase, dtype=np.float64) % 1.0
+        return np.interp(phase, [0.0, self.es_fraction, 1.0], [0.0, ES_FRACTION, 1.0])
 
 
-_NO_FIELD = InverseField(np.zeros((0, 0, 0, 3)), np.zeros(3), 1.0)
+_NO_FIELD = TabulatedMap(np.zeros((0, 0, 0, 3)), np.zeros(3), 1.0)

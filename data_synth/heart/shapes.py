@@ -4,11 +4,11 @@ Depths are approximate signed distances in mm, positive inside. Heart frame: ape
 origin, z towards the base, x towards the right ventricle, y towards the outflow tracts.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from data_synth.kernels.lv import BASE, CAVITY_APEX, INNER, OUTER, POWER
+from data_synth.kernels.lv import BASE, OUTER, POWER, STANDARD_CAVITY
 from dvf_ig.core import FloatArray, read_only_arrays
 
 from .reference import Layers
@@ -79,7 +79,10 @@ def smooth_union(a: FloatArray, b: FloatArray, blend_mm: float = BLEND_MM) -> Fl
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class HeartShape:
-    """Sizes and places of the parts around the left ventricle, heart frame, mm."""
+    """Sizes and places of the left ventricle's cavity and of the parts around it, heart frame, mm.
+
+    `lv_cavity` is the (6,) cavity of `kernels.lv`; the left ventricle's epicardium is that of every heart.
+    """
 
     rv_center: FloatArray
     rv_semi: FloatArray
@@ -97,6 +100,7 @@ class HeartShape:
     pulmonary_radius_mm: float = 13.0
     vein_radius_mm: float = 7.0
     cava_radius_mm: float = 10.5
+    lv_cavity: FloatArray = field(default_factory=STANDARD_CAVITY.copy)
     papillary: FloatArray = field(
         default_factory=lambda: np.array(
             [[[-10.0, 15.5, 36.0], [-6.0, 8.0, 60.0]], [[-14.0, -13.0, 36.0], [-7.0, -7.0, 60.0]]]
@@ -140,7 +144,7 @@ class HeartShape:
             (Tissue.VESSEL_WALL, np.minimum(aorta, above)),
             (Tissue.PULMONARY_ARTERY, np.minimum(pulmonary - 2.0, np.minimum(above - 1.0, lumen))),
             (Tissue.AORTA, np.minimum(aorta - 2.0, np.minimum(above - 1.0, lumen))),
-            (Tissue.LV_BLOOD, bullet_depth(p, CAVITY_APEX, INNER)),
+            (Tissue.LV_BLOOD, self._lv_blood(p)),
         ]
 
     def inside_ultrasound_only(self, p: FloatArray) -> Layers:
@@ -148,7 +152,7 @@ class HeartShape:
         papillary = np.full(len(p), -np.inf)
         for path in self.papillary:
             papillary = np.maximum(papillary, tube_depth(p, path, np.array([4.0, 2.5])))
-        cavity = bullet_depth(p, CAVITY_APEX, INNER)
+        cavity = self._lv_blood(p)
         disc = 0.8 - np.abs(p[:, 2] - (BASE + 0.5))
         mitral = np.minimum(disc, ellipsoid_depth(p, self.la_center, self.la_semi) - 1.5)
         tricuspid = np.minimum(disc, ellipsoid_depth(p, self.ra_center, self.ra_semi) - 1.5)
@@ -181,6 +185,9 @@ class HeartShape:
     def _lv(self, p: FloatArray) -> FloatArray:
         return bullet_depth(p, 0.0, OUTER, RIM_MM)
 
+    def _lv_blood(self, p: FloatArray) -> FloatArray:
+        return bullet_depth(p, self.lv_cavity[1], self.lv_cavity[0])
+
     def _radii(self, radius: float) -> FloatArray:
         return np.full(3, radius)
 
@@ -210,6 +217,15 @@ def heart_shape(rng: np.random.Generator) -> HeartShape:
         pulmonary_path=pulmonary,
         vein_paths=_outward(la_center, PULMONARY_VEINS, 12.0, 40.0),
         cava_paths=_outward(ra_center, VENAE_CAVAE, 12.0, 40.0),
+    )
+
+
+def with_vessels(heart: HeartShape, turn: FloatArray) -> HeartShape:
+    """`heart` with pulmonary veins and venae cavae that leave its atria in directions turned by `turn`."""
+    return replace(
+        heart,
+        vein_paths=_outward(heart.la_center, PULMONARY_VEINS @ turn.T, 12.0, 40.0),
+        cava_paths=_outward(heart.ra_center, VENAE_CAVAE @ turn.T, 12.0, 40.0),
     )
 
 

@@ -12,7 +12,7 @@ from numba import njit
 from dvf_ig.core import AnyArray
 
 from .interpolation import Point
-from .lv import BASE, radii
+from .lv import BASE, outer_radius
 
 STEPS = 2
 SEPTUM_MM = 14.0
@@ -53,7 +53,7 @@ def velocity(x: float, y: float, z: float, lobes: AnyArray) -> Point:
         dx, dy, dz = x - lobes[0, 0], y - lobes[0, 1], z - lobes[0, 2]
         rate = _lobe(dx, dy, dz, lobes[0])
         if rate != 0.0:
-            rho = np.sqrt(x * x + y * y) - radii(z)[0]
+            rho = np.sqrt(x * x + y * y) - outer_radius(z)
             if rho > 0.0:
                 rate *= smooth_step(rho / SEPTUM_MM) * smooth_step(z / APEX_MM)
                 rate *= smooth_step((BASE + RV_ABOVE - z) / (2.0 * RV_ABOVE))

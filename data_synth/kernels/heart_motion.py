@@ -25,6 +25,7 @@ def forward(
     rotation: AnyArray,
     translation: AnyArray,
     lobes: AnyArray,
+    cavity: AnyArray,
     out: AnyArray,
 ) -> None:
     """χ of (n, 3) points at (n,) activations into `out`; `rotation`, `translation`: mr_from_heart."""
@@ -34,7 +35,7 @@ def forward(
             points[i, 0] - translation[0], points[i, 1] - translation[1], points[i, 2] - translation[2], back
         )
         x, y, z = flow_point(x, y, z, levels[i], lobes)
-        x, y, z = forward_point(x, y, z, levels[i])
+        x, y, z = forward_point(x, y, z, levels[i], cavity)
         x, y, z = _turned(x, y, z, rotation)
         out[i, 0], out[i, 1], out[i, 2] = x + translation[0], y + translation[1], z + translation[2]
 
@@ -46,6 +47,7 @@ def inverse(
     rotation: AnyArray,
     translation: AnyArray,
     lobes: AnyArray,
+    cavity: AnyArray,
     mismatch: AnyArray,
     mismatch_origin: AnyArray,
     mismatch_inverse_spacing: float,
@@ -68,7 +70,7 @@ def inverse(
         x, y, z = _turned(x - translation[0], y - translation[1], z - translation[2], back)
         level = levels[i]
         ratio = level / last if last > 0.05 else 0.0
-        u, v, w = inverse_point(x, y, z, level, x + ratio * ex, y + ratio * ey, z + ratio * ez)
+        u, v, w = inverse_point(x, y, z, level, cavity, x + ratio * ex, y + ratio * ey, z + ratio * ez)
         ex, ey, ez, last = u - x, v - y, w - z, level
         u, v, w = flow_point(u, v, w, -level, lobes)
         u, v, w = _turned(u, v, w, rotation)

@@ -7,10 +7,15 @@ In the wall (R_i <= R <= R_o, 0 <= Z <= BASE) the map is exactly incompressible:
 Blood scales with the endocardium, r = R r_i/R_i. Outside the epicardium the wall's motion decays with
 exp(-(R - R_o)/ℓ), its longitudinal part more slowly on the right-ventricular side. Above the base the motion
 tapers, which stretches the atria in systole.
+
+The epicardium R_o(Z) is that of every heart (`heart.warp` gives it its size and shape). The cavity and how it
+contracts are in a `cavity` array: radius at the base, height of the apex, H, κ, twist at apex and base.
 """
 
 import numpy as np
 from numba import njit
+
+from dvf_ig.core import AnyArray
 
 from .interpolation import Point
 
@@ -23,6 +28,8 @@ H = 0.16
 KAPPA = 0.32
 TWIST_APEX = np.deg2rad(-10.0)
 TWIST_BASE = np.deg2rad(4.0)
+STANDARD_CAVITY = np.array([INNER, CAVITY_APEX, H, KAPPA, TWIST_APEX, TWIST_BASE])
+"""The `cavity` array of the standard heart; angles in rad."""
 DECAY = 25.0
 RV_EXTRA_DECAY = 35.0
 AXIAL_TAPER = 45.0
@@ -33,25 +40,31 @@ TOLERANCE2 = 2.5e-5
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def radii(z: float) -> tuple[float, float]:
-    """Epicardial and endocardial radius at ED height z; constant above the base, zero below the apices."""
+def outer_radius(z: float) -> float:
+    """Epicardial radius at ED height z; constant above the base, zero below the apex."""
     u = min(max(1.0 - z / BASE, 0.0), 1.0)
-    s = min(max(1.0 - (z - CAVITY_APEX) / (BASE - CAVITY_APEX), 0.0), 1.0)
-    return OUTER * np.sqrt(1.0 - u**POWER), INNER * np.sqrt(1.0 - s**POWER)
+    return float(OUTER * np.sqrt(1.0 - u**POWER))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _axial(z: float) -> tuple[float, float, float, float]:
+def radii(z: float, cavity: AnyArray) -> tuple[float, float]:
+    """Epicardial and endocardial radius at ED height z; constant above the base, zero below the apices."""
+    s = min(max(1.0 - (z - cavity[1]) / (BASE - cavity[1]), 0.0), 1.0)
+    return outer_radius(z), cavity[0] * np.sqrt(1.0 - s**POWER)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _axial(z: float, cavity: AnyArray) -> tuple[float, float, float, float]:
     """Longitudinal shape s(Z), slope measure for incompressibility, twist (rad) and taper at height Z."""
     if z < 0.0:
-        return 0.0, 0.0, TWIST_APEX * np.exp(-((z / 20.0) ** 2)), 1.0
+        return 0.0, 0.0, cavity[4] * np.exp(-((z / 20.0) ** 2)), 1.0
     if z <= BASE:
         w = z / BASE
-        return z * w, 2.0 * w, TWIST_APEX * (1.0 - w) + TWIST_BASE * w, 1.0
+        return z * w, 2.0 * w, cavity[4] * (1.0 - w) + cavity[5] * w, 1.0
     u = z - BASE
     taper = np.exp(-((u / RADIAL_TAPER) ** 2))
     rise = 2.0 * OVERSHOOT * (1.0 - np.exp(-u / OVERSHOOT))
-    return (BASE + rise) * np.exp(-((u / AXIAL_TAPER) ** 2)), 2.0 * taper, TWIST_BASE * taper, taper
+    return (BASE + rise) * np.exp(-((u / AXIAL_TAPER) ** 2)), 2.0 * taper, cavity[5] * taper, taper
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -66,13 +79,13 @@ def rv_side(cos_theta: float, z: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def forward_point(x: float, y: float, z: float, a: float) -> Point:
+def forward_point(x: float, y: float, z: float, a: float, cavity: AnyArray) -> Point:
     """χ_a of one reference point of the heart frame."""
     radius = np.sqrt(x * x + y * y)
-    r_out, r_in = radii(z)
-    s, slope, twist, taper = _axial(z)
-    g = 1.0 - a * H * slope
-    shrink = 1.0 - KAPPA * a * taper
+    r_out, r_in = radii(z, cavity)
+    s, slope, twist, taper = _axial(z, cavity)
+    g = 1.0 - a * cavity[2] * slope
+    shrink = 1.0 - cavity[3] * a * taper
     c = (shrink * shrink - 1.0 / g) * r_in * r_in
     decay, axial_decay = 1.0, 1.0
     if radius <= r_in:
@@ -89,22 +102,24 @@ def forward_point(x: float, y: float, z: float, a: float) -> Point:
     turn = a * twist * decay
     ct, st = np.cos(turn), np.sin(turn)
     scale = r / radius if radius > 1e-12 else (shrink if r_in > 0.0 else 1.0 / np.sqrt(g))
-    return scale * (ct * x - st * y), scale * (st * x + ct * y), z - a * H * s * axial_decay
+    return scale * (ct * x - st * y), scale * (st * x + ct * y), z - a * cavity[2] * s * axial_decay
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _closed_inverse(x: float, y: float, z: float, a: float) -> tuple[bool, float, float, float]:
+def _closed_inverse(
+    x: float, y: float, z: float, a: float, cavity: AnyArray
+) -> tuple[bool, float, float, float]:
     """Whether (x, y, z) comes from the left ventricle's wall or blood, and from where: closed form."""
-    root = 1.0 - 4.0 * a * H * z / BASE
+    root = 1.0 - 4.0 * a * cavity[2] * z / BASE
     if z < 0.0 or root <= 0.0:
         return False, x, y, z
     height = 2.0 * z / (1.0 + np.sqrt(root))
     if height > BASE:
         return False, x, y, z
-    r_out, r_in = radii(height)
+    r_out, r_in = radii(height, cavity)
     w = height / BASE
-    g = 1.0 - 2.0 * a * H * w
-    shrink = 1.0 - KAPPA * a
+    g = 1.0 - 2.0 * a * cavity[2] * w
+    shrink = 1.0 - cavity[3] * a
     squared = x * x + y * y
     if squared <= (shrink * r_in) ** 2:
         scale = 1.0 / shrink
@@ -113,21 +128,23 @@ def _closed_inverse(x: float, y: float, z: float, a: float) -> tuple[bool, float
         if original > r_out * r_out:
             return False, x, y, z
         scale = np.sqrt(original / squared) if squared > 0.0 else np.sqrt(g)
-    turn = a * (TWIST_APEX * (1.0 - w) + TWIST_BASE * w)
+    turn = a * (cavity[4] * (1.0 - w) + cavity[5] * w)
     ct, st = np.cos(turn), np.sin(turn)
     return True, scale * (ct * x + st * y), scale * (ct * y - st * x), height
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def inverse_point(x: float, y: float, z: float, a: float, gx: float, gy: float, gz: float) -> Point:
+def inverse_point(
+    x: float, y: float, z: float, a: float, cavity: AnyArray, gx: float, gy: float, gz: float
+) -> Point:
     """Reference point that χ_a carries to (x, y, z).
 
     Closed form in the left ventricle; elsewhere damped Newton from the guess (gx, gy, gz), to 5 µm.
     """
-    found, hx, hy, hz = _closed_inverse(x, y, z, a)
+    found, hx, hy, hz = _closed_inverse(x, y, z, a, cavity)
     if found:
         return hx, hy, hz
-    fx, fy, fz = forward_point(gx, gy, gz, a)
+    fx, fy, fz = forward_point(gx, gy, gz, a, cavity)
     ex, ey, ez = x - fx, y - fy, z - fz
     worst = ex * ex + ey * ey + ez * ez
     # χ is close to a shift: plain correction steps settle nearly everywhere and cost one evaluation each
@@ -135,7 +152,7 @@ def inverse_point(x: float, y: float, z: float, a: float, gx: float, gy: float, 
         if worst < TOLERANCE2:
             return gx, gy, gz
         tx, ty, tz = gx + ex, gy + ey, gz + ez
-        fx, fy, fz = forward_point(tx, ty, tz, a)
+        fx, fy, fz = forward_point(tx, ty, tz, a, cavity)
         ux, uy, uz = x - fx, y - fy, z - fz
         error = ux * ux + uy * uy + uz * uz
         if error > 0.25 * worst:
@@ -146,9 +163,9 @@ def inverse_point(x: float, y: float, z: float, a: float, gx: float, gy: float, 
         if worst < TOLERANCE2:
             break
         fx, fy, fz = x - ex, y - ey, z - ez
-        ax, ay, az = forward_point(gx + h, gy, gz, a)
-        bx, by, bz = forward_point(gx, gy + h, gz, a)
-        cx, cy, cz = forward_point(gx, gy, gz + h, a)
+        ax, ay, az = forward_point(gx + h, gy, gz, a, cavity)
+        bx, by, bz = forward_point(gx, gy + h, gz, a, cavity)
+        cx, cy, cz = forward_point(gx, gy, gz + h, a, cavity)
         ax, ay, az = (ax - fx) / h, (ay - fy) / h, (az - fz) / h
         bx, by, bz = (bx - fx) / h, (by - fy) / h, (bz - fz) / h
         cx, cy, cz = (cx - fx) / h, (cy - fy) / h, (cz - fz) / h
@@ -159,7 +176,7 @@ def inverse_point(x: float, y: float, z: float, a: float, gx: float, gy: float, 
         step = 1.0
         for _ in range(6):
             tx, ty, tz = gx + step * dx, gy + step * dy, gz + step * dz
-            fx, fy, fz = forward_point(tx, ty, tz, a)
+            fx, fy, fz = forward_point(tx, ty, tz, a, cavity)
             ux, uy, uz = x - fx, y - fy, z - fz
             error = ux * ux + uy * uy + uz * uz
             if error < worst:

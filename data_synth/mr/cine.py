@@ -69,7 +69,7 @@ def cine_preop(
 
     for_each(acquire, range(protocol.phases))
     return Preop(
-        patient_id=f"phantom-{anatomy.seed}",
+        patient_id=f"phantom-{anatomy.seeds.anatomy}",
         mr=VolumeSeries(grid, image, timing),
         labels=VolumeSeries(grid, labels, timing),
         label_names=LABEL_NAMES,

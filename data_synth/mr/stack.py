@@ -10,7 +10,6 @@ from data_synth.heart.clock import two_segment_phase
 from data_synth.heart.motion import PullBack
 from data_synth.heart.reference import ReferenceMap
 from data_synth.heart.respiration import DIRECTION
-from data_synth.kernels import lv
 from data_synth.threads import for_each
 from dvf_ig.core import CycleTiming, FloatArray, Grid, InvalidInputError, VolumeSeries, read_only_arrays
 
@@ -79,7 +78,8 @@ def short_axis_cine(
     pose = anatomy.shapes.mr_from_heart
     local = pose.inverse().apply_array(anatomy.ed_vertices_mm)
     low, high = local.min(axis=0) - margin_mm, local.max(axis=0) + margin_mm
-    low[2], high[2] = -0.5 * chosen.pitch_mm, lv.BASE + chosen.pitch_mm
+    apex, base = pose.inverse().apply_array(anatomy.long_axis_mm)
+    low[2], high[2] = apex[2] - 0.5 * chosen.pitch_mm, base[2] + chosen.pitch_mm
     grid = stack_grid(pose.rotation, pose.apply_array(low), high - low, chosen)
     timing = (anatomy.rr_s, anatomy.es_fraction)
     return stack_cine(anatomy.reference, anatomy.resting_motion, grid, timing, rng, chosen)

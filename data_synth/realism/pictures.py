@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.heart.anatomy import BeatingAnatomy
+from data_synth.heart.beating_anatomy import BeatingAnatomy
 from data_synth.heart.tissue import ACOUSTICS, Tissue
 from data_synth.ultrasound.presets import PROBES
 from data_synth.ultrasound.probe import SectorProbe

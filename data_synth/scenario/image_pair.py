@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
+from data_synth.heart.heart_spec import STANDARD_HEART, HeartSpec
 from data_synth.heart.motion import MotionPreset
 from data_synth.mr.cine import cine_preop
 from data_synth.seeds import child_rng, child_seed
@@ -72,12 +73,14 @@ class PairSpec:
         quality: mismatch, image faults and tracking noise: those of the preset of that name.
         change: what happened to the heart since the MR: nothing; a DEFORMATION_MM mismatch instead of the
             quality's; or the other motion.
+        heart: kind of heart, and seeds that shall differ from `seed`.
     """
 
     seed: int
     motion: MotionPreset = "paper5mm"
     quality: Quality = "calm"
     change: Change = "none"
+    heart: HeartSpec = STANDARD_HEART
 
     def __post_init__(self) -> None:
         if self.seed < 0 or self.quality not in JITTER:
@@ -137,7 +140,7 @@ class ImagePair:
         view_rng = child_rng(self.spec.seed, "pair view")
         poses = [_hand_held(view, view_rng) for view in views]
         rng = child_rng(self.spec.seed, "pair poses")
-        seed = child_seed(self.spec.seed, "pair ultrasound")
+        seed = child_seed(self.spec.heart.seeds(self.spec.seed).speckle, "pair ultrasound")
         rows = array.tall // BEATS_PER_VOLUME
         within = PART_SHARE * ((np.arange(array.tall) % rows + 0.5) / rows - 0.5)
         out = []
@@ -170,7 +173,7 @@ class ImagePair:
         poses = [view for view in views for _ in phases]
         at = np.tile(np.asarray(phases, dtype=np.float64), len(views))
         lines = np.repeat(((at + phase_error) % 1.0)[:, None], sector.lines, axis=1)
-        seed = child_seed(self.spec.seed, "pair ultrasound")
+        seed = child_seed(self.spec.heart.seeds(self.spec.seed).speckle, "pair ultrasound")
         images = simulate_sequence(self.now, sector, poses, lines, seed=seed)
         rng = child_rng(self.spec.seed, "pair poses")
         read = [self._read(pose, rng, "probe") for pose in poses]
@@ -202,13 +205,13 @@ def image_pair(spec: PairSpec) -> ImagePair:
     mismatch = {"no-mismatch": 0.0, "calm": PRESETS["calm"].mismatch_mm}.get(
         spec.quality, PRESETS["poor-image"].mismatch_mm
     )
-    before = phantom_anatomy(motion=spec.motion, mismatch_mm=0.0, seed=spec.seed)
+    before = phantom_anatomy(motion=spec.motion, mismatch_mm=0.0, seed=spec.seed, heart=spec.heart)
     motion: MotionPreset = spec.motion
     if spec.change == "motion":
         motion = "physiological" if spec.motion == "paper5mm" else "paper5mm"
     if spec.change == "deformation":
         mismatch = DEFORMATION_MM
-    now = phantom_anatomy(motion=motion, mismatch_mm=mismatch, seed=spec.seed)
+    now = phantom_anatomy(motion=motion, mismatch_mm=mismatch, seed=spec.seed, heart=spec.heart)
     rng = child_rng(spec.seed, "pair tracker")
     rotation = Rotation.random(rng=rng).as_matrix()
     truth = Rigid("mr", "tracker", rotation, rng.uniform(-200.0, 200.0, 3))

@@ -80,7 +80,7 @@ def tracked_ultrasound(
         world.probe,
         poses,
         _line_phases(world, taken_s),
-        seed=child_seed(spec.seed, "speckle"),
+        seed=child_seed(spec.seeds.speckle, "speckle"),
         progress=lambda done, count: report(done / count),
     )
     images = degraded(images, world.probe, taken_s, options.image, world.rng("image faults"))

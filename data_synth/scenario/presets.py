@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import get_args
 
+from data_synth.heart.heart_spec import STANDARD_HEART, HeartSeeds, HeartSpec
 from data_synth.heart.motion import MotionPreset
 from data_synth.operator.probe_path import SweepSpec
 from data_synth.operator.tool_path import ToolSpec
@@ -176,6 +177,8 @@ class ScenarioSpec:
         mismatch_mm: overrides the preset's mismatch.
         changed: what the preset is replaced by, where it was adapted; None takes it as it is.
         image: a real probe's calibration and image size; None draws one for the standard probe.
+        heart: kind of heart, and seeds that shall differ from `seed`; each draws what `seed` of that number
+            draws. Of a scenario on real anatomy only those of mismatch and speckle count.
     """
 
     preset: str = "calm"
@@ -186,6 +189,7 @@ class ScenarioSpec:
     mismatch_mm: float | None = None
     changed: Preset | None = None
     image: CalibratedImage | None = None
+    heart: HeartSpec = STANDARD_HEART
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "preset", preset_name(self.preset))
@@ -211,3 +215,8 @@ class ScenarioSpec:
     def mismatch(self) -> float:
         """Mismatch in mm that holds."""
         return self.options.mismatch_mm if self.mismatch_mm is None else self.mismatch_mm
+
+    @property
+    def seeds(self) -> HeartSeeds:
+        """Seeds of anatomy, motion, mismatch and speckle that hold."""
+        return self.heart.seeds(self.seed)

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from data_synth.heart.anatomy import phantom_anatomy
+from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
+from data_synth.heart.heart_spec import HeartSpec
 from data_synth.mr.cine import cine_preop
 from data_synth.operator.hand import reframed
 from data_synth.operator.probe_path import ReplayedPath, central_view, sweeping_path
@@ -47,8 +48,7 @@ def phantom_scenario(spec: ScenarioSpec, progress: Report | None = None) -> Scen
         spec: what to make.
         progress: called with the fraction done.
     """
-    seed = child_seed(spec.seed, "anatomy")
-    anatomy = phantom_anatomy(motion=spec.motion, mismatch_mm=spec.mismatch, seed=seed)
+    anatomy = scenario_heart(spec)
     beats = beat_series(spec.options.rhythm, -3.0, spec.seconds + 3.0, child_rng(spec.seed, "rhythm"))
     ecg = synthetic_ecg(beats, spec.seconds, spec.options.ecg, child_rng(spec.seed, "ecg"))
     world = make_world(spec, anatomy, beats.r_peaks_s)
@@ -56,9 +56,20 @@ def phantom_scenario(spec: ScenarioSpec, progress: Report | None = None) -> Scen
     sweep = sweeping_path(
         world.outline, world.window, spec.options.sweep, world.rng("probe path"), world.standoff_mm
     )
-    name = f"four-chamber phantom, {spec.motion}, {spec.preset}, seed {spec.seed}"
+    heart = "four-chamber phantom" if spec.heart.kind == "standard" else f"{anatomy.kind} heart"
+    name = f"{heart}, {spec.motion}, {spec.preset}, seed {spec.seed}"
     preop = cine_preop(anatomy, world.rng("preop"))
     return _assembled(name, world, preop, ecg, sweep, with_start=True, progress=progress)
+
+
+def scenario_heart(spec: ScenarioSpec) -> PhantomAnatomy:
+    """The heart of `phantom_scenario`."""
+    seeds = (spec.seeds.anatomy, spec.seeds.motion, spec.seeds.mismatch)
+    children = (child_seed(seed, "anatomy") for seed in seeds)
+    heart = HeartSpec(spec.heart.kind, *children)
+    return phantom_anatomy(
+        motion=spec.motion, mismatch_mm=spec.mismatch, seed=child_seed(spec.seed, "anatomy"), heart=heart
+    )
 
 
 def surface_scenario(
@@ -87,7 +98,7 @@ def surface_scenario(
             f"the ECG runs from {ecg.start_s:g} to {stop_s:g} s; needed 0 to {spec.seconds:g} s: "
             "take a longer record or fewer seconds"
         )
-    seed = child_seed(spec.seed, "anatomy")
+    seed = child_seed(spec.seeds.mismatch, "anatomy")
     anatomy = surface_anatomy(surfaces, mismatch_mm=spec.mismatch, seed=seed)
     world = make_world(spec, anatomy, np.asarray(r_peaks_s, dtype=np.float64))
     _report_progress(progress, 0.12)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_synth.heart.anatomy import BeatingAnatomy
+from data_synth.heart.beating_anatomy import BeatingAnatomy
 from data_synth.heart.clock import HeartClock
 from data_synth.heart.respiration import Breathing, breathing
 from data_synth.heart.tissue import Tissue

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
 from data_synth.heart.anatomical_points import with_box_grid
-from data_synth.heart.anatomy import MARGIN_MM, REFERENCE_SPACING_MM
+from data_synth.heart.beating_anatomy import MARGIN_MM, REFERENCE_SPACING_MM
 from data_synth.heart.mismatch import SmoothField, random_mismatch, tabulated_inverse
 from data_synth.heart.reference import Layers, ReferenceMap, build_reference, tissue_at
 from data_synth.heart.shapes import outside_layers

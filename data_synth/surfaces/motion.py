@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import lu_factor, lu_solve
 from scipy.spatial import cKDTree
 
-from data_synth.heart.mismatch import InverseField
+from data_synth.heart.mismatch import TabulatedMap
 from data_synth.heart.motion import InverseMotion
 from data_synth.kernels import distance, gridded_motion
 from data_synth.threads import for_each
@@ -78,7 +78,7 @@ class SurfaceMotion:
 
     forward: GriddedMotion
     backward: InverseMotion
-    mismatch: InverseField | None = None
+    mismatch: TabulatedMap | None = None
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
         """(n, 3) reference positions of (n, 3) points."""

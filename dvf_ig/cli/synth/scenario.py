@@ -74,6 +74,12 @@ def scenario(
     motion: Annotated[
         str | None, typer.Option("--motion", help="Phantom only: paper5mm (default) or physiological.")
     ] = None,
+    heart: Annotated[
+        str | None,
+        typer.Option(
+            "--heart", help="Phantom only: standard (default), varied, healthy, dilated or hypertrophic."
+        ),
+    ] = None,
     seconds: Annotated[
         float | None, typer.Option("--seconds", help="Length of the live part (default: 60).")
     ] = None,
@@ -107,6 +113,19 @@ def scenario(
     seed: Annotated[
         int | None, typer.Option("--seed", help="Seed of every random choice (default: 1).")
     ] = None,
+    anatomy_seed: Annotated[
+        int | None, typer.Option("--anatomy-seed", help="Take the phantom's shape from this --seed.")
+    ] = None,
+    motion_seed: Annotated[
+        int | None, typer.Option("--motion-seed", help="Take the phantom's pump function from this --seed.")
+    ] = None,
+    mismatch_seed: Annotated[
+        int | None,
+        typer.Option("--mismatch-seed", help="Take the difference between MR and now from this --seed."),
+    ] = None,
+    speckle_seed: Annotated[
+        int | None, typer.Option("--speckle-seed", help="Take the ultrasound's speckle from this --seed.")
+    ] = None,
     threads: ThreadsOption = None,
 ) -> None:
     """Simulate one intervention: pre-operative data, calibration recordings, ECG, ultrasound, tool, truth.
@@ -135,6 +154,11 @@ def scenario(
             "motion": motion,
             "seconds": seconds,
             "seed": seed,
+            "heart": heart,
+            "anatomy_seed": anatomy_seed,
+            "motion_seed": motion_seed,
+            "mismatch_seed": mismatch_seed,
+            "speckle_seed": speckle_seed,
             "us_rate_hz": us_rate_hz,
             "mismatch_mm": mismatch_mm,
         }

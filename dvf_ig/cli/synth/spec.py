@@ -11,12 +11,13 @@ from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.io.yaml_config import read_yaml
 
 if TYPE_CHECKING:
-    from data_synth import CalibratedImage, Preset, ScenarioSpec
+    from data_synth import CalibratedImage, HeartSpec, Preset, ScenarioSpec
 
 SCHEMA = "dvf_ig.scenario-spec/1"
 _KEYS = {"occlusion": "sight"}
 """Keys of the file that differ from the names of their fields: the format stays as it was."""
 _FIELDS = {key: field for field, key in _KEYS.items()}
+_SEEDS = ("anatomy_seed", "motion_seed", "mismatch_seed", "speckle_seed")
 _HEADER = """\
 # A synthetic scenario. It can be made again from this file: dvf-ig synth scenario --spec FILE -o DIR
 # Under `options` everything may be changed; a key that is left out keeps the value of the named preset.
@@ -32,6 +33,8 @@ class SpecFile(BaseModel):
         anatomy: whose heart beats; the three inputs belong to "surfaces".
         probe_calibration, image_px: file with a real probe's image calibration, and its image's columns and
             rows; both or neither.
+        heart: kind of heart of the phantom.
+        anatomy_seed, motion_seed, mismatch_seed, speckle_seed: where they differ from `seed`.
         options: changes to the preset, as deep as needed.
     """
 
@@ -50,6 +53,11 @@ class SpecFile(BaseModel):
     motion: str = "paper5mm"
     seconds: float = 60.0
     seed: int = 1
+    heart: str = "standard"
+    anatomy_seed: int | None = None
+    motion_seed: int | None = None
+    mismatch_seed: int | None = None
+    speckle_seed: int | None = None
     us_rate_hz: float = 12.0
     mismatch_mm: float | None = None
     options: dict[str, Any] = Field(default_factory=dict)
@@ -93,7 +101,25 @@ def scenario_spec(file: SpecFile) -> "ScenarioSpec":
         file.mismatch_mm,
         changed,
         _calibrated_image(file),
+        _heart(file),
     )
+
+
+def _heart(file: SpecFile) -> "HeartSpec":
+    """Kind and seeds of the heart."""
+    from data_synth import HEART_KINDS, HeartSpec
+
+    kind = next((known for known in HEART_KINDS if known == file.heart), None)
+    if kind is None:
+        raise InvalidInputError(
+            f"there is no kind of heart '{file.heart}'; choose from {', '.join(HEART_KINDS)}"
+        )
+    if file.anatomy != "phantom" and (kind, file.anatomy_seed, file.motion_seed) != ("standard", None, None):
+        raise InvalidInputError(
+            "kind, anatomy and motion of a real heart are its own; leave out --heart, --anatomy-seed and "
+            "--motion-seed, or take --anatomy phantom"
+        )
+    return HeartSpec(kind, file.anatomy_seed, file.motion_seed, file.mismatch_seed, file.speckle_seed)
 
 
 def _calibrated_image(file: SpecFile) -> "CalibratedImage | None":
@@ -118,7 +144,7 @@ def spec_text(file: SpecFile) -> str:
     full = file.model_copy(update={"preset": spec.preset, "options": options})
     document = full.model_dump(mode="json", by_alias=True)
     inputs = {"surfaces", "ecg", "probe_path"} if file.anatomy == "phantom" else set()
-    inputs |= {"world", "quality"}
+    inputs |= {"world", "quality"} | {key for key in _SEEDS if document[key] is None}
     if file.probe_calibration is None:
         inputs |= {"probe_calibration", "image_px"}
     kept = {key: value for key, value in document.items() if key not in inputs}

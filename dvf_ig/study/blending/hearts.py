@@ -164,7 +164,7 @@ def _model(
     phases = [Fraction(i, count) for i in range(count)]
     meshes = tuple(_mesh(anatomy, float(phase)) for phase in phases)
     return DvfModel(
-        patient_id=f"phantom-{anatomy.seed}",
+        patient_id=f"phantom-{anatomy.seeds.anatomy}",
         surface_name="EPICARDIAL",
         frame="mr",
         timing=CycleTiming.uniform(count, anatomy.rr_s),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from data_synth.heart.clock import two_segment_phase
+from data_synth.heart.heart_spec import HeartSpec
 from data_synth.heart.motion import MotionPreset
 from data_synth.scenario.image_pair import ImagePair, PairSpec, image_pair, plane_views
 from data_synth.seeds import child_rng
@@ -24,6 +25,7 @@ from dvf_ig.core import (
     TrackedVolume,
     Volume,
     VolumeSeries,
+    nearest_phase,
     read_only_arrays,
 )
 from dvf_ig.registration import (
@@ -87,8 +89,8 @@ class _PreOperative:
 
 
 @lru_cache(maxsize=1)
-def _preoperative(seed: int, motion: MotionPreset) -> _PreOperative:
-    data = image_pair(PairSpec(seed, motion)).preop
+def _preoperative(seed: int, motion: MotionPreset, heart: HeartSpec) -> _PreOperative:
+    data = image_pair(PairSpec(seed, motion, heart=heart)).preop
     if data.mr is None:
         raise TypeError("the phantom's pre-operative data hold MR")
     mr, labels = data.mr, label_map(data)
@@ -98,14 +100,20 @@ def _preoperative(seed: int, motion: MotionPreset) -> _PreOperative:
 
 
 @lru_cache(maxsize=2)
-def _channels(seed: int, motion: MotionPreset, smoothing_mm: float) -> ModelChannels:
-    return channels_from_mr(_preoperative(seed, motion).mr, smoothing_mm=smoothing_mm)
+def _channels(seed: int, motion: MotionPreset, heart: HeartSpec, smoothing_mm: float) -> ModelChannels:
+    return channels_from_mr(_preoperative(seed, motion, heart).mr, smoothing_mm=smoothing_mm)
 
 
 def make_problem(pair_seed: int, condition: dict[str, Any]) -> RegistrationProblem:
     """The registration problem of an image pair under a condition of `experiments`."""
     pair = image_pair(
-        PairSpec(pair_seed, condition["motion"], condition["quality"], condition.get("change", "none"))
+        PairSpec(
+            pair_seed,
+            condition["motion"],
+            condition["quality"],
+            condition.get("change", "none"),
+            HeartSpec(condition.get("heart", "standard")),
+        )
     )
     kind = condition["images"]
     if kind == "same":
@@ -125,7 +133,7 @@ def _volumes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
 
 def volume_problem(pair: ImagePair, volumes: tuple[TrackedVolume, ...]) -> RegistrationProblem:
     """Registration of gated 3-D images of a pair, at GATED."""
-    preop = _preoperative(pair.spec.seed, pair.spec.motion)
+    preop = _preoperative(pair.spec.seed, pair.spec.motion, pair.spec.heart)
     return _problem_with(pair, volumes, preop, preop.surface)
 
 
@@ -163,7 +171,7 @@ def _retiming_error(pair: ImagePair, rr_s: float) -> FloatArray:
 
 def _same_image(pair: ImagePair) -> RegistrationProblem:
     """The pipeline alone: "ultrasound" with the model's own channel as root amplitude, through a tracker."""
-    preop = _preoperative(pair.spec.seed, pair.spec.motion)
+    preop = _preoperative(pair.spec.seed, pair.spec.motion, pair.spec.heart)
     tracker_from_mr, grid = pair.mr_from_tracker.inverse(), preop.mr.grid
     pose = Rigid("tracker", "mr", tracker_from_mr.rotation, tracker_from_mr.translation_mm)
     amplitudes = root_amplitude(np.arange(256, dtype=np.uint8))
@@ -181,7 +189,7 @@ def _same_image(pair: ImagePair) -> RegistrationProblem:
 
 def _planes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
     """Cine loops of a few tracked planes; calibration off at the fan's centre, clock late."""
-    preop, probe = _preoperative(pair.spec.seed, pair.spec.motion), PROBES["apical"]
+    preop, probe = _preoperative(pair.spec.seed, pair.spec.motion, pair.spec.heart), PROBES["apical"]
     mr = preop.mr
     if not isinstance(probe, SectorProbe):
         raise TypeError("the apical probe makes planes")
@@ -199,7 +207,7 @@ def _planes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
     levels = [
         Level(
             prepare_slices(tracked, mask, image_map, pitch_mm=pitch),
-            _channels(pair.spec.seed, pair.spec.motion, smoothing),
+            _channels(pair.spec.seed, pair.spec.motion, pair.spec.heart, smoothing),
             pitch,
         )
         for pitch, smoothing in PLANE_LEVELS
@@ -226,8 +234,7 @@ def _miscalibrated(probe: SectorProbe, off_mm: float, seed: int) -> ImageMap:
 
 
 def _nearest(mr: VolumeSeries, phase: float) -> int:
-    away = np.abs(mr.timing.fractions - phase)
-    return int(np.minimum(away, 1.0 - away).argmin())
+    return int(nearest_phase(mr.timing.fractions, np.array([phase]))[0])
 
 
 def in_tracker(volume: Volume, tracker_from_image: Rigid) -> Volume:

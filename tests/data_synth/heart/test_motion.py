@@ -12,7 +12,7 @@ from dvf_ig.core import FloatArray, InvalidInputError
 AT_REST = np.zeros((3, 7))
 """No lobes: the motion of the left ventricle alone."""
 
-HEART = (np.eye(3), np.zeros(3), AT_REST)
+HEART = (np.eye(3), np.zeros(3), AT_REST, lv.STANDARD_CAVITY)
 
 
 def forward(points: FloatArray, level: float) -> FloatArray:
@@ -40,7 +40,7 @@ def wall() -> FloatArray:
     """Random points of the left-ventricular wall, away from its surfaces and the pointed apex."""
     rng = np.random.default_rng(0)
     z = rng.uniform(2.0, 84.9, 4000)
-    outer, inner = np.array([lv.radii(h) for h in z]).T
+    outer, inner = np.array([lv.radii(h, lv.STANDARD_CAVITY) for h in z]).T
     return ring(z, inner + (outer - inner) * rng.uniform(0.02, 0.98, 4000), rng.uniform(0, 2 * np.pi, 4000))
 
 
@@ -80,7 +80,7 @@ def test_inverse_holds_on_both_sides_of_every_crease(anatomy: PhantomAnatomy) ->
     """Walls and valve plane, where a table of the inverse would round off; and it does not fold."""
     rng = np.random.default_rng(4)
     z, angle = rng.uniform(0.5, 130, 9000), rng.uniform(0, 2 * np.pi, 9000)
-    outer, inner = np.array([lv.radii(h) for h in z]).T
+    outer, inner = np.array([lv.radii(h, lv.STANDARD_CAVITY) for h in z]).T
     near = rng.normal(0.0, 0.3, 9000)
     radius = np.abs(np.where(rng.uniform(size=9000) < 0.5, outer, inner) + near)
     there = anatomy.shapes.mr_from_heart.apply_array(ring(z, radius, angle))
@@ -139,14 +139,14 @@ def test_annuli_and_appendage_move_with_the_heart(anatomy: PhantomAnatomy) -> No
 @pytest.mark.parametrize(("motion", "largest_mm"), [("physiological", 13.9), ("paper5mm", 4.96)])
 def test_named_motions_have_their_epicardial_amplitude(motion: str, largest_mm: float) -> None:
     z, angle = (g.ravel() for g in np.meshgrid(np.linspace(0, lv.BASE, 200), np.linspace(0, 2 * np.pi, 60)))
-    epicardium = ring(z, np.array([lv.radii(h)[0] for h in z]), angle)
+    epicardium = ring(z, np.array([lv.outer_radius(h) for h in z]), angle)
     moved = np.linalg.norm(forward(epicardium, preset_scale(motion)) - epicardium, axis=1)
     assert moved.max() == pytest.approx(largest_mm, abs=0.03)
 
 
 def test_ejection_fraction_of_the_closed_form() -> None:
     z = np.linspace(lv.CAVITY_APEX, lv.BASE, 2000)
-    inner = np.array([lv.radii(h)[1] for h in z])
+    inner = np.array([lv.radii(h, lv.STANDARD_CAVITY)[1] for h in z])
     rim = forward(ring(z, inner, np.zeros_like(z)), 1.0)
     radius = np.hypot(rim[:, 0], rim[:, 1])
     filled, emptied = np.trapezoid(inner**2, z), np.trapezoid(radius**2, rim[:, 2])
@@ -157,7 +157,7 @@ def test_motion_is_continuous_across_every_seam() -> None:
     """Endocardium, epicardium, cavity apex, apex and base: no jump larger than the step taken across."""
     rng = np.random.default_rng(2)
     z, angle = rng.uniform(5, 120, 2000), rng.uniform(0, 2 * np.pi, 2000)
-    outer, inner = np.array([lv.radii(h) for h in z]).T
+    outer, inner = np.array([lv.radii(h, lv.STANDARD_CAVITY) for h in z]).T
     step = 1e-6
     for radius in (outer, inner):
         gap = forward(ring(z, radius + step, angle), 1.0) - forward(ring(z, radius - step, angle), 1.0)

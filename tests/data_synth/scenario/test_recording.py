@@ -1,16 +1,20 @@
 """A scenario's streams fit together: on a ball for the rules, once on the phantom for the whole chain."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from recorded import latency_of, nwire_of, pivot_of, tool_of
 
+import data_synth.scenario.live as live_module
 import data_synth.scenario.recording as scenario_module
-from data_synth import ScenarioSpec, phantom_scenario, replayed_path, surface_scenario
+from data_synth import HeartSpec, ScenarioSpec, phantom_scenario, replayed_path, surface_scenario
 from data_synth.heart.anatomy import PhantomAnatomy
 from data_synth.heart.tissue import Tissue
-from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Scenario, Signal
+from data_synth.ultrasound.probe import SectorProbe
+from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Rigid, Scenario, Signal
 
 
 def arrays(made: Scenario) -> list[FloatArray]:
@@ -35,6 +39,35 @@ def test_the_same_seed_is_bit_identical_and_another_differs() -> None:
     for a, b, c in zip(arrays(first), arrays(second), arrays(other), strict=True):
         assert np.array_equal(a, b, equal_nan=True)
         assert not np.array_equal(a, c, equal_nan=True)
+
+
+def test_a_seed_set_alone_is_that_of_the_scenario_of_that_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Anatomy, motion and mismatch of another seed's heart, one at a time."""
+    monkeypatch.setattr(scenario_module, "phantom_anatomy", lambda **given: given["heart"])
+    mine, other = (scenario_module.scenario_heart(ScenarioSpec(seed=seed)) for seed in (3, 9))
+    for name in ("anatomy_seed", "motion_seed", "mismatch_seed"):
+        spec = ScenarioSpec(seed=3, heart=HeartSpec("varied", **{name: 9}))
+        drawn = scenario_module.scenario_heart(spec)
+        assert drawn == replace(mine, kind="varied", **{name: getattr(other, name)})
+
+
+@pytest.mark.usefixtures("on_a_ball")
+def test_other_speckle_changes_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds = []
+
+    def images(
+        _: Any, probe: SectorProbe, poses: list[Rigid], __: FloatArray, **given: Any
+    ) -> NDArray[np.uint8]:
+        seeds.append(given["seed"])
+        return np.zeros((len(poses), probe.rows, probe.columns), dtype=np.uint8)
+
+    monkeypatch.setattr(live_module, "simulate_sequence", images)
+    specs = ScenarioSpec(seconds=10.0, seed=3), ScenarioSpec(seconds=10.0, seed=9)
+    mixed = phantom_scenario(replace(specs[0], heart=HeartSpec(speckle_seed=9)))
+    first, _ = (phantom_scenario(spec) for spec in specs)
+    assert seeds[0] == seeds[2] != seeds[1]
+    for a, b in zip(arrays(first), arrays(mixed), strict=True):
+        assert np.array_equal(a, b, equal_nan=True)
 
 
 @pytest.mark.usefixtures("on_a_ball")
