@@ -175,7 +175,7 @@ def second_world_pair(spec: SecondWorldSpec, heart: RestingHeart | None = None) 
         heart: the pre-operative anatomy; None takes the four-chamber phantom of the seed.
     """
     drawn = Drawn(spec.seed, spec.quality)
-    resting = heart or four_chamber_heart(spec.motion, spec.seed)
+    resting = heart or four_chamber_heart(spec.motion, spec.seed, spec.heart)
     fields = tissue_fields(resting, drawn)
     changed, rms_mm = changed_heart(resting, fields.reference, drawn)
     return SecondWorldPair(resting, fields, changed, rms_mm, planted_pose(resting, drawn), drawn)

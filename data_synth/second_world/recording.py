@@ -6,6 +6,7 @@ from typing import get_args
 
 import numpy as np
 
+from data_synth.heart.heart_spec import HeartKind, HeartSpec
 from data_synth.heart.motion import MotionPreset
 from data_synth.operator.contact import tool_truth
 from data_synth.operator.contact_sites import contact_sites
@@ -66,6 +67,7 @@ class SecondWorldSpec:
         motion: how far the phantom's heart moves.
         seconds: length of the live part.
         us_rate_hz: ultrasound frame rate.
+        heart: kind of heart; "varied" is drawn from the population.
     """
 
     seed: int = 5001
@@ -73,9 +75,11 @@ class SecondWorldSpec:
     motion: MotionPreset = "paper5mm"
     seconds: float = 60.0
     us_rate_hz: float = 12.0
+    heart: HeartKind = "varied"
 
     def __post_init__(self) -> None:
         Drawn(self.seed, self.quality)
+        HeartSpec(self.heart)
         if self.motion not in get_args(MotionPreset):
             raise InvalidInputError(
                 f"there is no motion '{self.motion}'; choose from {', '.join(get_args(MotionPreset))}"
@@ -125,7 +129,7 @@ def second_world_recording(
     """
     report: Report = progress or (lambda done: None)
     drawn = Drawn(spec.seed, spec.quality)
-    resting = heart or four_chamber_heart(spec.motion, spec.seed)
+    resting = heart or four_chamber_heart(spec.motion, spec.seed, spec.heart)
     room = operating_room(resting, spec.seconds, drawn)
     report(0.3)
     preop = cine(resting, room.fields, cycle_law(resting, drawn), drawn)

@@ -8,6 +8,7 @@ import numpy as np
 
 from data_synth.heart.anatomy import phantom_anatomy
 from data_synth.heart.beating_anatomy import MARGIN_MM
+from data_synth.heart.heart_spec import HeartKind, HeartSpec
 from data_synth.heart.motion import MotionPreset
 from data_synth.heart.reference import ReferenceShapes
 from dvf_ig.core import FloatArray, IntArray, Landmarks, read_only_arrays
@@ -65,16 +66,16 @@ def box_of(points_mm: FloatArray, margin_mm: float = 0.0) -> FloatArray:
     return np.stack([points_mm.min(axis=0) - margin_mm, points_mm.max(axis=0) + margin_mm])
 
 
-def four_chamber_heart(motion: MotionPreset, seed: int) -> RestingHeart:
+def four_chamber_heart(motion: MotionPreset, seed: int, kind: HeartKind) -> RestingHeart:
     """The four-chamber phantom as the anatomy of this world."""
-    heart = phantom_anatomy(motion=motion, mismatch_mm=0.0, seed=seed)
+    heart = phantom_anatomy(motion=motion, mismatch_mm=0.0, seed=seed, heart=HeartSpec(kind))
     resting = heart.resting_motion
 
     def contracting(factor: float) -> HeartMotion:
         return replace(resting, scale=resting.scale * factor)
 
     return RestingHeart(
-        f"four-chamber phantom {seed}",
+        f"{kind} four-chamber phantom {seed}",
         heart.shapes,
         contracting,
         heart.ed_vertices_mm,

@@ -18,7 +18,7 @@ FAULTS = (
     "The second world: the heart has changed since the MR, contours are noisy, and images, tracker, "
     "calibrations and gates have errors that were drawn for this heart.",
 )
-_KEYS = {"schema_", "world", "quality", "motion", "seconds", "seed", "us_rate_hz"}
+_KEYS = {"schema_", "world", "quality", "heart", "motion", "seconds", "seed", "us_rate_hz"}
 
 
 def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_json: bool) -> None:
@@ -35,10 +35,12 @@ def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_
     foreign = [key for key in type(file).model_fields if key not in _KEYS]
     if any(getattr(file, key) != getattr(default, key) for key in foreign):
         raise typer.BadParameter(
-            "--world second takes --quality, --motion, --seconds, --seed, --us-rate-hz only"
+            "--world second takes --quality, --heart, --motion, --seconds, --seed and --us-rate-hz"
         )
-    motion: Any = file.motion  # checked there
-    spec = SecondWorldSpec(file.seed, file.quality or "calm", motion, file.seconds, file.us_rate_hz)
+    motion: Any = file.motion  # checked there, as the kind of heart
+    heart: Any = file.heart if "heart" in file.model_fields_set else "varied"
+    quality = file.quality or "calm"
+    spec = SecondWorldSpec(file.seed, quality, motion, file.seconds, file.us_rate_hz, heart)
     if print_spec:
         print(_text(spec), end="")
         return

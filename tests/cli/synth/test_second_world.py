@@ -15,8 +15,9 @@ SECOND = ["scenario", "--world", "second"]
     ("options", "code", "words"),
     [
         (["scenario", "--quality", "calm"], 2, "belongs to --world second"),
-        ([*SECOND, "--preset", "ectopy"], 2, "takes --quality, --motion"),
-        ([*SECOND, "--mismatch-mm", "1"], 2, "takes --quality, --motion"),
+        ([*SECOND, "--preset", "ectopy"], 2, "takes --quality, --heart"),
+        ([*SECOND, "--mismatch-mm", "1"], 2, "takes --quality, --heart"),
+        ([*SECOND, "--heart", "large"], 3, "choose from standard"),
         ([*SECOND, "--seconds", "2"], 3, "needed 5 to 3600 s"),
         ([*SECOND, "--motion", "fast"], 3, "choose from paper5mm"),
         (SECOND, 2, "give a folder to write"),

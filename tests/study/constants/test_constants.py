@@ -36,19 +36,21 @@ def test_a_varied_option_is_the_default_of_new_values() -> None:
     assert RegistrationOptions().starts == 12
 
 
-def test_limits_that_are_a_default_elsewhere_follow() -> None:
-    before = RegistrationOptions().limits
+def test_limits_that_another_module_uses_follow() -> None:
+    registering = sys.modules["dvf_ig.session.frame_registration"]
     with varied(CONSTANTS["evidence.checks.SLICE_LIMITS.z_score"], 1.3) as value:
-        assert RegistrationOptions().limits.z_score == checks.SLICE_LIMITS.z_score == value
-    assert RegistrationOptions().limits is before
+        assert registering.SLICE_LIMITS.z_score == checks.SLICE_LIMITS.z_score == value
+    assert registering.SLICE_LIMITS is checks.SLICE_LIMITS
 
 
-def test_a_whole_number_changes_by_one_at_least() -> None:
-    constant = CONSTANTS["lc2.lc2.CENTER_STEP"]
+def test_whole_numbers_stay_whole_and_change_by_one_at_least() -> None:
+    constant = CONSTANTS["refine.FINE.steps"]
     with varied(constant, 0.7) as less:
-        assert less == constant.value - 1
+        assert less == 21
     with varied(constant, 1.3) as more:
-        assert more == constant.value + 1
+        assert more == 39
+    with varied(CONSTANTS["volumes.SEARCH.candidates"], 0.7) as less:
+        assert less == 1
 
 
 def test_the_table_tells_what_a_change_does() -> None:
