@@ -21,8 +21,8 @@ from .shell import (
 )
 
 if TYPE_CHECKING:
-    from dvf_ig.io.session_file.draft import SessionDraft
     from dvf_ig.io.session_file.problem import Problem, Use
+    from dvf_ig.io.session_file.schema import SessionDraft
     from dvf_ig.io.session_file.verdict import Verdict
 
 app = typer.Typer(

@@ -84,7 +84,8 @@ def replay(
             options = recordings.fixtures
         mode = chosen_retiming(retiming, recordings.retiming or of_file)
         recorded = recordings.scenario
-        require_replayable(recorded)
+        if config is None:
+            require_replayable(recorded)
         with output_folder(out):
             require_own_outputs(out)
             built, origin = patient_model(recorded.preop, recordings.model or model)

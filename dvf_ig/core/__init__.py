@@ -6,6 +6,8 @@ from .arrays import FloatArray as FloatArray
 from .arrays import IntArray as IntArray
 from .arrays import read_only_arrays as read_only_arrays
 from .cycle import CycleTiming as CycleTiming
+from .cycle import nearest_phase as nearest_phase
+from .cycle import phase_distance as phase_distance
 from .displacement import HEART_RADIUS_MM as HEART_RADIUS_MM
 from .displacement import mean_displacement_mm as mean_displacement_mm
 from .error_summary import ErrorSummary as ErrorSummary
@@ -19,6 +21,7 @@ from .errors import NotConvergedError as NotConvergedError
 from .errors import OutputError as OutputError
 from .errors import QualityGateError as QualityGateError
 from .errors import UnreadableFileError as UnreadableFileError
+from .frames import RAS_FROM_LPS as RAS_FROM_LPS
 from .frames import require_same_frame as require_same_frame
 from .image_map import ImageMap as ImageMap
 from .mesh import LV_CAVITY as LV_CAVITY

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import FloatArray, frozen_floats, read_only_arrays
+from .arrays import FloatArray, IntArray, frozen_floats, read_only_arrays
 from .errors import InvalidInputError
 
 
@@ -54,3 +54,14 @@ class CycleTiming:
         first, second = (after - 1) % count, after % count
         width = (self.fractions[second] - self.fractions[first]) % 1.0
         return first, second, float(((phi - self.fractions[first]) % 1.0) / width)
+
+
+def phase_distance(fractions: FloatArray, phases: FloatArray) -> FloatArray:
+    """(n, m) distance of each of (n,) phases from each of (m,) fractions, the shorter way round the cycle."""
+    away = np.abs(np.asarray(phases)[:, None] - fractions[None, :])
+    return np.asarray(np.minimum(away, 1 - away))
+
+
+def nearest_phase(fractions: FloatArray, phases: FloatArray) -> IntArray:
+    """(n,) which of (m,) fractions of the cycle is nearest to each of (n,) phases."""
+    return np.asarray(phase_distance(fractions, phases).argmin(axis=1), dtype=np.int64)

@@ -7,7 +7,13 @@ Transforms are named target_from_source, so adjacent names cancel:
 
 import re
 
+import numpy as np
+
+from .arrays import frozen_floats
 from .errors import FrameMismatchError, InvalidInputError
+
+RAS_FROM_LPS = frozen_floats(np.diag([-1.0, -1.0, 1.0, 1.0]), "RAS from LPS", (4, 4))
+"""Coordinates of PLUS and 3D Slicer from ours and ITK's; its own inverse."""
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import AnyArray, FloatArray, frozen_floats, read_only_arrays
+from .arrays import AnyArray, BoolArray, FloatArray, frozen_floats, read_only_arrays
 from .cycle import CycleTiming
 from .errors import InvalidInputError
 from .frames import check_frame
@@ -64,6 +64,15 @@ class Grid:
     def to_index(self, xyz_mm: FloatArray) -> FloatArray:
         """(..., 3) mm to (..., 3) continuous voxel indices."""
         return np.asarray((xyz_mm - self.origin_mm) @ np.linalg.inv(self.axes_mm).T)
+
+    def holds(self, index: FloatArray, margin: float = 0.0) -> BoolArray:
+        """(...,) whether continuous voxel indices (..., 3) lie within the centres of the outermost voxels.
+
+        Args:
+            margin: so many voxels further out; 0.5 for their faces.
+        """
+        last = np.array(self.shape) - 1.0
+        return np.asarray(((index >= -margin) & (index <= last + margin)).all(axis=-1))
 
     def centers_mm(self) -> FloatArray:
         """(nx, ny, nz, 3) voxel centres in mm."""

@@ -50,6 +50,7 @@ from .lc2.slices import subsample as subsample
 from .lc2.threads import SliceThreads as SliceThreads
 from .pair import register_pair as register_pair
 from .pose_chart import PoseChart as PoseChart
+from .pose_chart import covariance_to_mm as covariance_to_mm
 from .result import RegistrationResult as RegistrationResult
 from .rigid import register_rigid as register_rigid
 from .start import LandmarkPrior as LandmarkPrior

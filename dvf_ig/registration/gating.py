@@ -5,7 +5,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, IntArray, read_only_arrays
+from dvf_ig.core import BoolArray, FloatArray, IntArray, phase_distance, read_only_arrays
 
 from .frame_information import FrameInformation
 
@@ -57,7 +57,7 @@ def gate_frames(
         image_valid, pose_valid, beat_valid: (n,).
         information: of the n images.
     """
-    near = _phase_distance(fractions, model_phase).min(axis=1) <= window
+    near = phase_distance(fractions, model_phase).min(axis=1) <= window
     kept = np.ones(len(model_phase), dtype=np.bool_)
     rejected: dict[FrameRejection, int] = {}
     for reason, good in (
@@ -72,14 +72,3 @@ def gate_frames(
         rejected[reason] = int((kept & ~good).sum())
         kept &= good
     return Gated(np.flatnonzero(kept), rejected)
-
-
-def nearest_phase(fractions: FloatArray, model_phase: FloatArray) -> IntArray:
-    """(n,) which of the (m,) phases of the model is nearest in the cycle to each of (n,) model phases."""
-    return np.asarray(_phase_distance(fractions, model_phase).argmin(axis=1), dtype=np.int64)
-
-
-def _phase_distance(fractions: FloatArray, model_phase: FloatArray) -> FloatArray:
-    """(n, m) distance in fractions of the cycle, around its end where that is shorter."""
-    away = np.abs(np.asarray(model_phase)[:, None] - fractions[None, :])
-    return np.asarray(np.minimum(away, 1 - away))

@@ -180,8 +180,7 @@ def anatomy_around(anatomy: Volume, fan: FanVolume, start: Rigid, reach_mm: floa
 def share_inside(anatomy: Volume, fan: FanVolume, pose: Rigid) -> float:
     """Share of the fan that lies inside the anatomy's box."""
     places = anatomy.grid.to_index(pose.apply_array(fan.points_mm(5000)))
-    top = np.array(anatomy.grid.shape) - 1.0
-    return float(((places >= 0) & (places <= top)).all(axis=1).mean())
+    return float(anatomy.grid.holds(places).mean())
 
 
 def _sampled(

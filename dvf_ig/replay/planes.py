@@ -6,8 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dvf_ig.core import AnyArray, FloatArray, Grid, ImageMap, Rigid, Volume, VolumeSeries, read_only_arrays
+from dvf_ig.core import (
+    AnyArray,
+    FloatArray,
+    Grid,
+    ImageMap,
+    Rigid,
+    Volume,
+    VolumeSeries,
+    nearest_phase,
+    read_only_arrays,
+)
 from dvf_ig.guidance import Evaluator, Sigmoid
+from dvf_ig.kernels.spline import spline_batch
 from dvf_ig.registration import BoundaryTarget
 from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.session import GatedFrames, Heart
@@ -67,9 +78,9 @@ class Anatomy:
         )
 
     def _grey(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        nearest = int(np.abs((self.fractions - model_phase + 0.5) % 1.0 - 0.5).argmin())
+        nearest = int(nearest_phase(self.fractions, np.array([model_phase]))[0])
         index = self.grid.to_index(xyz_mm)
-        inside = ((index >= 0) & (index <= np.array(self.grid.shape) - 1.0)).all(axis=1)
+        inside = self.grid.holds(index)
         image = self.values[nearest].astype(np.float32)
         level = ndimage.map_coordinates(image, index.T, order=1, mode="nearest")
         low, high = self.window
@@ -181,11 +192,11 @@ def frame_overlays(
 def _blood_mm(blood: BoundaryTarget, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
     """(n,) signed distance to the blood's surface, positive inside; NaN outside its box."""
     knots = xyz_mm @ blood.knots_from_mm[:, :3].T + blood.knots_from_mm[:, 3]
-    coefficients = blood.coefficients[int(blood.nearest_phase(np.array([model_phase]))[0])]
-    # coefficient j belongs to knot coordinate j − 1
-    return np.asarray(
-        ndimage.map_coordinates(coefficients, knots.T + 1.0, order=3, prefilter=False, cval=np.nan)
-    )
+    phase = int(blood.nearest_phase(np.array([model_phase]))[0])
+    distance_mm, gradient = np.empty(len(knots)), np.empty((len(knots), 3))
+    status = np.empty(len(knots), dtype=np.int64)
+    spline_batch(blood.coefficients, np.zeros(3), 1.0, phase, knots, distance_mm, gradient, status)
+    return distance_mm
 
 
 def _sample(values: AnyArray) -> FloatArray:

@@ -44,16 +44,6 @@ def require_replayable(scenario: Scenario) -> None:
     require_heart_beats(stream_recording(scenario.ecg)[0], scenario)
 
 
-def require_registrable(scenario: Scenario) -> None:
-    """Raise what keeps a recording from being registered, as far as it shows without a model or calibrations.
-
-    Raises:
-        InvalidInputError: no start, or the probe was never tracked.
-    """
-    require_start(scenario)
-    require_tracked_probe(scenario)
-
-
 def tool_of(scenario: Scenario) -> PoseStream:
     """The tool's poses, which a force needs.
 

@@ -128,8 +128,7 @@ def build_heart(
 def _require_within(mr: VolumeSeries, model: DvfModel, center_mm: FloatArray) -> None:
     """Raise InvalidInputError where MR and model are in different frames or places."""
     require_same_frame(model.frame, mr.grid.frame, "the 4-D MR that goes with the model")
-    index = mr.grid.to_index(center_mm)
-    if (index < 0).any() or (index > np.array(mr.grid.shape) - 1).any():
+    if not mr.grid.holds(mr.grid.to_index(center_mm)):
         raise InvalidInputError(
             f"the centre of the model's heart, {center_mm.round(1).tolist()} mm, lies outside the 4-D MR; "
             "give the MR of the examination that the model was built from"

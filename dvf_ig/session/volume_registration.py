@@ -16,6 +16,7 @@ from dvf_ig.core import (
     Stop,
     TrackedVolume,
     VolumeSeries,
+    phase_distance,
 )
 from dvf_ig.registration import (
     PHASE_WINDOW,
@@ -117,8 +118,8 @@ def _target(volumes: Sequence[TrackedVolume], heart: Heart, mr: VolumeSeries | N
 
 
 def _tell_distant_phases(phases: FloatArray, nearest: FloatArray) -> None:
-    away = np.abs(phases - nearest)
-    for phase, fraction, apart in zip(phases, nearest, np.minimum(away, 1.0 - away), strict=True):
+    for phase, fraction in zip(phases, nearest, strict=True):
+        apart = float(phase_distance(np.array([fraction]), np.array([phase]))[0, 0])
         if apart > PHASE_WINDOW:
             _LOG.warning(
                 "an ultrasound volume at %.3f of the model's cycle is compared with its phase at %.3f, "
@@ -132,12 +133,11 @@ def _tell_distant_phases(phases: FloatArray, nearest: FloatArray) -> None:
 def _require_overlap(volumes: Sequence[TrackedVolume], heart: Heart, start: Rigid) -> None:
     """Raise NoOverlapError where no insonified voxel lies within the model's image at the start."""
     grid = heart.fine.grid
-    last = np.array(grid.shape) - 1.0
     for volume in volumes:
         seen = OVERLAP_STEP * np.argwhere(volume.mask.values[::OVERLAP_STEP, ::OVERLAP_STEP, ::OVERLAP_STEP])
         mr_from_image = start @ volume.tracker_from_image
         index = grid.to_index(mr_from_image.apply_array(volume.image.grid.to_mm(seen.astype(np.float64))))
-        if ((index >= 0) & (index <= last)).all(axis=1).any():
+        if grid.holds(index).any():
             return
     raise NoOverlapError(
         "at the start pose no ultrasound volume reaches the model; check that the start is mr_from_tracker "

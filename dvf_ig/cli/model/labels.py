@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from dvf_ig.cli.shell import warn
-from dvf_ig.core import DvfModel, InvalidInputError, Volume, VolumeSeries
+from dvf_ig.core import DvfModel, InvalidInputError, Volume, VolumeSeries, nearest_phase
 
 from .output import DEFINITIONS
 from .request import BuildRequest
@@ -135,8 +135,8 @@ def _labels_of(model: DvfModel, given: LabelsAt, frames: Sequence[Volume]) -> tu
             f"{given.path} has labels of {len(frames)} phases, the model {model.phases}; give labels of one "
             "phase, or of each of the model's"
         )
-    away = np.abs(fractions - given.fraction)
-    phase = int(np.minimum(away, 1.0 - away).argmin()) if given.phase is None else given.phase
+    nearest = int(nearest_phase(fractions, np.array([given.fraction]))[0])
+    phase = nearest if given.phase is None else given.phase
     return frames[phase], float(fractions[phase])
 
 

@@ -26,10 +26,7 @@ def register_folder(folder: Path, model: Path | None, start: Path | None, seed: 
 
 def register_own(recordings: "SessionRecordings", seed: int) -> Registered:
     """A lab's own recordings, from the start that they name."""
-    from dvf_ig.replay import require_registrable
-
     scenario = recordings.scenario
-    require_registrable(scenario)
     return _register(scenario, None, *patient_model(scenario.preop, recordings.model), seed)
 
 

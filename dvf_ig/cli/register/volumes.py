@@ -76,8 +76,6 @@ def _require_matching(files: "Sequence[GatedVolumeFile]", options: Mapping[str, 
         )
     if timed is None and ecg is not None:
         raise typer.BadParameter("--ecg belongs to volumes given as FILE=SECONDS; every one has its phase")
-    if (options["--start"] is None) == (options["--start-landmarks"] is None):
-        raise typer.BadParameter("give either --start FILE.tfm or --start-landmarks MR TRACKER")
 
 
 def _start(file: Path | None, landmarks: tuple[Path, Path] | None) -> "tuple[Rigid, LandmarkPrior | None]":
@@ -85,12 +83,12 @@ def _start(file: Path | None, landmarks: tuple[Path, Path] | None) -> "tuple[Rig
     from dvf_ig.io import read_landmarks, read_transform
     from dvf_ig.registration import prior_from_landmarks, start_from_landmarks
 
-    if landmarks is not None:
+    if landmarks is not None and file is None:
         marked, touched = read_landmarks(landmarks[0], "mr"), read_landmarks(landmarks[1], "tracker")
         return start_from_landmarks(marked, touched).mr_from_tracker, prior_from_landmarks(marked, touched)
-    if file is None:
-        raise typer.BadParameter("give either --start FILE.tfm or --start-landmarks MR TRACKER")
-    return read_transform(file, target="mr", source="tracker"), None
+    if file is not None and landmarks is None:
+        return read_transform(file, target="mr", source="tracker"), None
+    raise typer.BadParameter("give either --start FILE.tfm or --start-landmarks MR TRACKER")
 
 
 def _model_phases(

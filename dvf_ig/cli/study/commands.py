@@ -4,8 +4,10 @@ import typer
 
 from .blending import blending
 from .calibration import calibration
+from .constants import constants
 from .distance import distance_maps
 from .gating import gating
+from .hearts import hearts
 from .options import TrialsCommand
 from .registration import add_registration_commands
 from .replay import replay
@@ -21,5 +23,7 @@ app.command("gating")(gating)
 app.command("retiming")(retiming)
 app.command("training")(training)
 app.command("replay")(replay)
+app.command("hearts")(hearts)
+app.command("constants")(constants)
 add_registration_commands(app)
 app.command("calibration", cls=TrialsCommand)(calibration)

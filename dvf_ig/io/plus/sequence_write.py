@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dvf_ig.core.errors import InvalidInputError, OutputError
+from dvf_ig.core.frames import RAS_FROM_LPS
 from dvf_ig.core.rigid import Rigid
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
@@ -100,7 +101,7 @@ def write_pose_sequence(poses: Sequence[tuple[float, Rigid]], path: Path | str) 
     ]
     width = max(4, len(str(len(poses) - 1)))
     for i, (from_s, pose) in enumerate(poses):
-        matrix = np.diag([-1.0, -1.0, 1.0, 1.0]) @ pose.matrix + 0.0  # no negative zeros
+        matrix = RAS_FROM_LPS @ pose.matrix + 0.0  # no negative zeros
         text = " ".join(map(repr, matrix[:3].ravel().tolist()))
         prefix = f"Seq_Frame{i:0{width}d}_"
         lines.append(f"{prefix}{name}Transform = {text} {_LAST_ROW}")

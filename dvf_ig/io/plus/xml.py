@@ -10,6 +10,7 @@ import numpy as np
 from dvf_ig.core import read_only_arrays
 from dvf_ig.core.arrays import FloatArray, frozen_floats
 from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.frames import RAS_FROM_LPS
 from dvf_ig.core.rigid import Rigid
 from dvf_ig.io.atomic import write_bytes
 from dvf_ig.io.reading import read_bytes, reading
@@ -131,7 +132,7 @@ def write_registration(rigid: Rigid, path: Path | str, error_mm: float | None = 
     path = Path(path)
     refuse_foreign(path)
     pose = CoordinateDefinition(rigid.target, rigid.source, rigid.matrix, error_mm)
-    flip = CoordinateDefinition("ras", rigid.target, np.diag([-1.0, -1.0, 1.0, 1.0]))
+    flip = CoordinateDefinition("ras", rigid.target, RAS_FROM_LPS)
     write_coordinate_definitions(path, [pose, flip])
     return path
 

@@ -4,57 +4,16 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
-
-from pydantic import Field
+from typing import Any
 
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.io.fixtures import Number, RetimingName
-from dvf_ig.io.yaml_config import Section, validated
+from dvf_ig.io.yaml_config import validated
 
 from .ecg_name import split_ecg
 from .schema import (
-    EcgConfig,
-    FileName,
-    FixtureSource,
-    LatencySource,
-    PreopConfig,
-    ProbeSource,
     SessionConfig,
-    StartConfig,
-    Text,
-    TipSource,
-    ToolConfig,
-    UltrasoundConfig,
+    SessionDraft,
 )
-
-
-class CalibrationDraft(Section):
-    """The calibrations that there are so far."""
-
-    probe: ProbeSource | None = None
-    latency: LatencySource | None = None
-    tip: TipSource | None = None
-
-
-class SessionDraft(Section):
-    """A `SessionConfig` of which only the ultrasound is sure to be there."""
-
-    schema_: Literal["dvf_ig.session/1"] = Field(default="dvf_ig.session/1", alias="schema")
-    name: Text | None = None
-    preset: str = "recorded"
-    seed: int | None = None
-    patient_id: Text | None = None
-    preop: PreopConfig | None = None
-    ultrasound: UltrasoundConfig
-    ecg: EcgConfig | None = None
-    tool: ToolConfig | None = None
-    calibration: CalibrationDraft = CalibrationDraft()
-    start: StartConfig = StartConfig()
-    fixtures: FixtureSource | None = None
-    cap_n: Number | None = None
-    retiming: RetimingName | None = None
-    truth: FileName | None = None
 
 
 def as_draft(config: SessionConfig) -> SessionDraft:

@@ -5,17 +5,16 @@ from pathlib import Path
 from typing import TypeVar
 
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.sequence import Fan
 from dvf_ig.io.plus.names import ProbeNames
 from dvf_ig.io.truth import read_truth
 
 from .calibration import read_latency_source, read_probe_source, read_tip_source
-from .draft import SessionDraft
 from .named_files import is_there, named_files
 from .parts import SessionParts, StartFiles, read_session_ecg, read_start, read_sweep, read_tool
 from .preop import read_preop
 from .problem import Problem, ProblemList
 from .read import read_session_fixtures
+from .schema import SessionDraft
 
 T = TypeVar("T")
 
@@ -70,7 +69,7 @@ class _Reader:
         return SessionParts(
             preop=None if heart is None else part("preop", lambda: read_preop(heart, folder, patient)),
             sweep=sweep,
-            fan=None if fan is None else part("ultrasound.fan", lambda: Fan(**fan.model_dump())),
+            fan=None if fan is None else part("ultrasound.fan", fan.fan),
             ecg=None if no_ecg else part("ecg", lambda: read_session_ecg(config.ecg, folder, path)),
             tool=tool,
             probe=None

@@ -1,13 +1,11 @@
 """Whether the files of the pre-operative heart fit each other."""
 
-import numpy as np
-
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.scenario import Preop
 from dvf_ig.core.volume import Grid
 
-from .preop import PreopFiles
+from .preop import PreopFiles, label_values
 from .problem import Problem, ProblemList
 
 LEAST_INSIDE = 0.5
@@ -25,7 +23,7 @@ def misfits_of_heart(files: PreopFiles) -> list[Problem]:
                 raise InvalidInputError(
                     f"there is no surface '{preop.surface}'; name one of {', '.join(names)}"
                 )
-    if label_values(preop):
+    if preop_label_values(preop):
         with problems.about("preop.organ_labels"):
             _require_labels(preop)
     if preop.mr is not None and preop.labels is not None:
@@ -42,7 +40,7 @@ def misfits_of_heart(files: PreopFiles) -> list[Problem]:
 
 
 def _require_labels(preop: Preop) -> None:
-    there = label_values(preop)
+    there = preop_label_values(preop)
     listed = ", ".join(map(str, there)) or "none"
     absent = sorted(set(preop.organ_labels) - set(there))
     if preop.organ_labels and len(absent) == len(set(preop.organ_labels)):
@@ -51,15 +49,14 @@ def _require_labels(preop: Preop) -> None:
         )
 
 
-def label_values(preop: Preop) -> tuple[int, ...]:
+def preop_label_values(preop: Preop) -> tuple[int, ...]:
     """The values in the label image, of every phase or of end-diastole, without 0."""
     labels = preop.labels if preop.labels is not None else preop.ed_labels
-    return () if labels is None else tuple(int(value) for value in np.unique(labels.values) if value)
+    return () if labels is None else label_values(labels)
 
 
 def _require_inside(vertices_mm: FloatArray, grid: Grid) -> None:
-    index = grid.to_index(vertices_mm)
-    inside = float(((index >= -0.5) & (index <= np.array(grid.shape) - 0.5)).all(axis=1).mean())
+    inside = float(grid.holds(grid.to_index(vertices_mm), margin=0.5).mean())
     if inside < LEAST_INSIDE:
         raise InvalidInputError(
             f"{inside:.0%} of the model's surface lies in these images, needed {LEAST_INSIDE:.0%}; give the "

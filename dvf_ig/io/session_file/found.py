@@ -16,7 +16,7 @@ from dvf_ig.core.volume import VolumeSeries
 from dvf_ig.registration import start_from_landmarks
 from dvf_ig.registration.lc2.slices import fan_mask_from_images
 
-from .fit_heart import label_values
+from .fit_heart import preop_label_values
 from .parts import SessionParts, StartFiles, Sweep
 from .preop import PreopFiles
 
@@ -45,7 +45,7 @@ def _heart(files: PreopFiles) -> str:
         words.append(f"model of patient '{model.patient_id}', {model.surface_name}, {_phases(model.timing)}")
     if preop.mr is not None:
         words.append(f"grey levels of {_phases(preop.mr.timing)}, {_size(preop.mr)}")
-    listed = _listed(label_values(preop))
+    listed = _listed(preop_label_values(preop))
     if preop.labels is not None:
         words.append(f"labels {listed} in each of {_phases(preop.labels.timing)}")
     elif preop.ed_labels is not None:

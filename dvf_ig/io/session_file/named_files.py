@@ -8,9 +8,8 @@ from pydantic import BaseModel
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io.truth import FILES as TRUTH_FILES
 
-from .draft import SessionDraft
 from .ecg_name import split_ecg
-from .schema import SessionConfig
+from .schema import SessionConfig, SessionDraft
 
 
 def require_files(config: SessionConfig, folder: Path, named_by: str) -> None:

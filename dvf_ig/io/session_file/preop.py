@@ -12,7 +12,7 @@ from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.mesh import SurfaceSeries
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.scenario import Preop
-from dvf_ig.core.volume import VolumeSeries
+from dvf_ig.core.volume import Volume, VolumeSeries
 from dvf_ig.io.image.labels import read_cine_labels
 from dvf_ig.io.image.timing import timing_from_document
 from dvf_ig.io.image.volume import image_dimension, read_volume_series
@@ -62,6 +62,7 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
             )
         else:
             ed_labels, _ = read_cine_labels(path, mr, config.ed_phase)
+    organ_labels = config.organ_labels or (label_values(labels) if labels is not None else ())
     preop = Preop(
         patient_id=patient,
         mr=mr,
@@ -69,7 +70,7 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
         ed_labels=ed_labels,
         ed_phase=config.ed_phase,
         label_names=tuple(config.label_names.items()),
-        organ_labels=config.organ_labels or _all_labels(labels),
+        organ_labels=organ_labels,
         cavity_labels=config.cavity_labels,
         surfaces=_surfaces(config, folder, patient, timing),
         surface=config.surface,
@@ -99,10 +100,8 @@ def _with_times(mr: VolumeSeries, model: DvfModel, name: str) -> VolumeSeries:
     return mr
 
 
-def _all_labels(labels: VolumeSeries | None) -> tuple[int, ...]:
-    """Every value but the background's; empty without labels of every phase."""
-    if labels is None:
-        return ()
+def label_values(labels: Volume | VolumeSeries) -> tuple[int, ...]:
+    """Every value of a label image but the background's."""
     return tuple(int(value) for value in np.unique(labels.values) if value != 0)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from dvf_ig.core.errors import DvfIgError, UnreadableFileError
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.scenario import Scenario
-from dvf_ig.core.sequence import Fan, TrackedSequence
+from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
 from dvf_ig.io.fixtures import FixturesConfig, RetimingName, read_fixtures
 from dvf_ig.io.plus.names import ProbeNames
@@ -16,13 +16,12 @@ from dvf_ig.io.truth import read_truth
 from dvf_ig.io.yaml_config import read_yaml, validated
 
 from .calibration import read_latency_source, read_probe_source, read_tip_source
-from .draft import SessionDraft
 from .missing import NEEDS, REQUIRED
 from .named_files import require_files
 from .parts import read_session_ecg, read_start, read_sweep, read_tool
 from .preop import read_preop
 from .problem import in_keys
-from .schema import SCHEMA, SessionConfig
+from .schema import SCHEMA, SessionConfig, SessionDraft
 
 if TYPE_CHECKING:
     from dvf_ig.guidance import FixtureSet
@@ -131,7 +130,7 @@ def read_recordings(config: SessionConfig, folder: Path, named_by: str) -> Sessi
         preop=files.preop,
         ecg=read_session_ecg(config.ecg, folder, path),
         ultrasound=_ultrasound(sweep.recorded, sweep.probe),
-        fan=None if fan is None else Fan(**fan.model_dump()),
+        fan=None if fan is None else fan.fan(),
         probe=read_probe_source(calibration.probe, folder, names),
         latency=read_latency_source(calibration.latency, folder, names),
         tool=None if tool is None else replace(tool, target="tracker", source="tool"),

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from dvf_ig.core.sequence import Fan
 from dvf_ig.io.fixtures import FixtureConfig, Number, RetimingName
 from dvf_ig.io.yaml_config import KIND, Section
 
@@ -41,6 +42,10 @@ class FanConfig(Section):
     start_px: float
     stop_px: float
     half_angle_rad: float
+
+    def fan(self) -> Fan:
+        """The sector itself."""
+        return Fan(**self.model_dump())
 
 
 class PreopConfig(Section):
@@ -181,12 +186,19 @@ FixtureSource = Annotated[
 ]
 
 
-class CalibrationConfig(Section):
+class CalibrationDraft(Section):
+    """The calibrations that there are so far."""
+
+    probe: ProbeSource | None = None
+    latency: LatencySource | None = None
+    tip: TipSource | None = None
+
+
+class CalibrationConfig(CalibrationDraft):
     """Each calibration: the file that `calibrate` wrote, or its recording; the latency also as seconds."""
 
     probe: ProbeSource
     latency: LatencySource
-    tip: TipSource | None = None
 
 
 class StartConfig(Section):
@@ -207,8 +219,8 @@ class StartConfig(Section):
         return self
 
 
-class SessionConfig(Section):
-    """The content of a SESSION.yaml.
+class SessionDraft(Section):
+    """A `SessionConfig` of which only the ultrasound is sure to be there.
 
     Attributes:
         patient_id: of the model unless given; of images, their name.
@@ -223,13 +235,20 @@ class SessionConfig(Section):
     preset: str = "recorded"
     seed: int | None = None
     patient_id: Text | None = None
-    preop: PreopConfig
+    preop: PreopConfig | None = None
     ultrasound: UltrasoundConfig
     ecg: EcgConfig | None = None
     tool: ToolConfig | None = None
-    calibration: CalibrationConfig
+    calibration: CalibrationDraft = CalibrationDraft()
     start: StartConfig = StartConfig()
     fixtures: FixtureSource | None = None
     cap_n: Number | None = None
     retiming: RetimingName | None = None
     truth: FileName | None = None
+
+
+class SessionConfig(SessionDraft):
+    """The content of a SESSION.yaml: a draft that has all that a registration needs."""
+
+    preop: PreopConfig
+    calibration: CalibrationConfig

@@ -4,14 +4,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from .draft import GivenFiles, SessionDraft
+from .draft import GivenFiles
 from .examine import examine
 from .fit import misfits
-from .fit_heart import label_values
+from .fit_heart import preop_label_values
 from .missing import missing_parts
 from .named_files import named_files
 from .parts import SessionParts
 from .problem import Problem, Use
+from .schema import SessionDraft
 
 FILE_OF = {"preop.organ_labels": "preop.labels", "preop.surface": "preop.surfaces_folder"}
 """Of keys that say what is in a file."""
@@ -62,7 +63,7 @@ def begin_session(given: GivenFiles, output: Path) -> tuple[SessionDraft, Verdic
     as_given, draft = given.draft(), given.draft(output.parent)
     parts, unreadable = examine(as_given, Path(), str(output))
     if draft.preop is not None and parts.preop is not None and not draft.preop.organ_labels:
-        all_labels = {"organ_labels": label_values(parts.preop.preop)}
+        all_labels = {"organ_labels": preop_label_values(parts.preop.preop)}
         draft = draft.model_copy(update={"preop": draft.preop.model_copy(update=all_labels)})
     return draft, _verdict(as_given, Path(), parts, unreadable)
 

@@ -11,8 +11,7 @@ import yaml
 from dvf_ig.core.errors import OutputError
 from dvf_ig.io.atomic import write_text
 
-from .draft import SessionDraft
-from .schema import SCHEMA
+from .schema import SCHEMA, SessionDraft
 
 _MARK = "# Written by dvf-ig config init, which writes it anew as long as nobody has changed it: "
 _DIGITS = 12

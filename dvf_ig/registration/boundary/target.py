@@ -21,11 +21,11 @@ from dvf_ig.core import (
     IntArray,
     InvalidInputError,
     VolumeSeries,
+    nearest_phase,
     read_only_arrays,
 )
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.kernels.foot_points import foot_point_distance
-from dvf_ig.registration.gating import nearest_phase
 from dvf_ig.registration.lc2.channels import BLOOD
 
 SMOOTHING_VOXELS = 0.8

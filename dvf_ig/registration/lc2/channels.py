@@ -15,9 +15,9 @@ from dvf_ig.core import (
     InvalidInputError,
     Volume,
     VolumeSeries,
+    nearest_phase,
     read_only_arrays,
 )
-from dvf_ig.registration.gating import nearest_phase
 
 WALL, BLOOD = 1, 2
 """Values of a label map made from surfaces."""

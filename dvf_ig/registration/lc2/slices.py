@@ -66,11 +66,10 @@ def within(slices: SliceSet, grid: Grid, pose: Rigid) -> SliceSet:
     pixels = np.stack([column, row, np.ones_like(row)], axis=-1).reshape(-1, 3).astype(np.float64)
     index_from_frame = np.linalg.inv(grid.axes_mm) @ pose.rotation
     offset = np.linalg.inv(grid.axes_mm) @ (pose.translation_mm - grid.origin_mm)
-    last = np.array(grid.shape) - 1.0
     masks = slices.masks.copy()
     for mask, frame_from_pixel in zip(masks, slices.frame_from_pixel, strict=True):
         index = pixels @ (index_from_frame @ frame_from_pixel).T + offset
-        mask &= ((index >= 0) & (index <= last)).all(axis=1).reshape(rows, columns)
+        mask &= grid.holds(index).reshape(rows, columns)
     images = np.where(masks, slices.images, np.float32(0))
     return replace(slices, images=images, masks=masks)
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import DvfModel, FloatArray, MissingDependencyError, Rigid
-from dvf_ig.registration.gating import nearest_phase
+from dvf_ig.core import DvfModel, FloatArray, MissingDependencyError, Rigid, nearest_phase
 from dvf_ig.registration.pose_chart import PoseChart
 
 from .touched import TouchedPoints

@@ -9,6 +9,7 @@ from enum import Enum
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
+from dvf_ig.core.frames import RAS_FROM_LPS
 from dvf_ig.report.plane_overlay import PlaneOverlay
 
 
@@ -62,8 +63,7 @@ class Transform:
     @property
     def slicer_matrix(self) -> FloatArray:
         """(4, 4) what 3D Slicer shows of the file: the inverse ("to parent"), in RAS."""
-        ras_from_lps = np.diag([-1.0, -1.0, 1.0, 1.0])
-        return np.asarray(ras_from_lps @ np.linalg.inv(self.matrix) @ ras_from_lps)
+        return np.asarray(RAS_FROM_LPS @ np.linalg.inv(self.matrix) @ RAS_FROM_LPS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

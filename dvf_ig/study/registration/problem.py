@@ -25,6 +25,7 @@ from dvf_ig.core import (
     TrackedVolume,
     Volume,
     VolumeSeries,
+    nearest_phase,
     read_only_arrays,
 )
 from dvf_ig.registration import (
@@ -233,8 +234,7 @@ def _miscalibrated(probe: SectorProbe, off_mm: float, seed: int) -> ImageMap:
 
 
 def _nearest(mr: VolumeSeries, phase: float) -> int:
-    away = np.abs(mr.timing.fractions - phase)
-    return int(np.minimum(away, 1.0 - away).argmin())
+    return int(nearest_phase(mr.timing.fractions, np.array([phase]))[0])
 
 
 def in_tracker(volume: Volume, tracker_from_image: Rigid) -> Volume:

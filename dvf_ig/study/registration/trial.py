@@ -5,12 +5,13 @@ The registration problem stays in memory while its trials are worked through.
 
 import json
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 from scipy.optimize import bisect
 
 from data_synth.seeds import child_rng
-from dvf_ig.core import HEART_RADIUS_MM, DvfIgError, FloatArray, NotConvergedError, Rigid
+from dvf_ig.core import HEART_RADIUS_MM, DvfIgError, FloatArray, NotConvergedError, Points, Rigid
 from dvf_ig.registration import pose_difference, target_errors_mm
 from dvf_ig.study.trials import Line, Settings
 
@@ -62,7 +63,18 @@ def trial_start(settings: Settings, number: int, problem: RegistrationProblem) -
     return start_with_error(problem, float(rng.uniform(low, high)), rng)
 
 
-def start_with_error(problem: RegistrationProblem, start_mm: float, rng: np.random.Generator) -> Rigid:
+class KnownTruth(Protocol):
+    """What the error of a pose is measured by: a true pose, targets, and a centre (3,) to turn about."""
+
+    @property
+    def truth(self) -> Rigid: ...
+    @property
+    def targets(self) -> Points: ...
+    @property
+    def center_mm(self) -> FloatArray: ...
+
+
+def start_with_error(problem: KnownTruth, start_mm: float, rng: np.random.Generator) -> Rigid:
     """A pose of that mean target error: random axis, direction and share of rotation.
 
     Rotation ends at half a turn; what is then missing is translation.
@@ -129,5 +141,5 @@ def _problem(pair: int, condition: str) -> RegistrationProblem:
     return make_problem(pair, json.loads(condition))
 
 
-def _mean_error_mm(problem: RegistrationProblem, pose: Rigid) -> float:
+def _mean_error_mm(problem: KnownTruth, pose: Rigid) -> float:
     return float(target_errors_mm(pose, problem.truth, problem.targets).mean())

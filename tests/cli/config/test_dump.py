@@ -7,9 +7,8 @@ from config_runs import errors, run, write
 from toy_lab import SESSION
 
 from dvf_ig.io.scenario.read import read_scenario_session
-from dvf_ig.io.session_file.draft import SessionDraft
 from dvf_ig.io.session_file.read import read_session_config
-from dvf_ig.io.session_file.schema import SessionConfig
+from dvf_ig.io.session_file.schema import SessionConfig, SessionDraft
 
 
 def test_a_dump_reads_back_to_the_same(lab: Path) -> None:

@@ -1,0 +1,135 @@
+"""`dvf-ig study hearts`: registration of the hearts of a list, one trial a heart, without landmarks."""
+
+from collections.abc import Callable
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dvf_ig.cli.shell import JsonFlag, command, cores_or, emit, progress, wrote
+
+from .options import FolderOption, SchedulerOption, WorkersOption
+
+if TYPE_CHECKING:
+    from dvf_ig.study.hearts.summary import Estimate, HeartGroup
+    from dvf_ig.study.registration.summary import Share
+
+
+class ListName(StrEnum):
+    """Lists of hearts."""
+
+    tuning = "tuning"
+    threshold = "threshold"
+    reported = "reported"
+
+
+class ImagesName(StrEnum):
+    """What is registered."""
+
+    sweep = "sweep"
+    volumes = "volumes"
+
+
+class QualityName(StrEnum):
+    """Of the images: presets of a scenario."""
+
+    calm = "calm"
+    poor = "poor-image"
+
+
+def hearts(
+    out: FolderOption,
+    name: Annotated[
+        ListName, typer.Option("--list", help="Hearts that are tuned on, that limits come from, or reported.")
+    ] = ListName.reported,
+    images: Annotated[
+        ImagesName, typer.Option("--images", help="A tracked sweep of 14 s, or gated 3-D volumes.")
+    ] = ImagesName.sweep,
+    quality: Annotated[QualityName, typer.Option("--quality", help="Of the images.")] = QualityName.calm,
+    disturbed: Annotated[
+        bool,
+        typer.Option(
+            "--disturbed", help="Draw errors of calibration, clock, anatomy and start for every heart."
+        ),
+    ] = False,
+    count: Annotated[
+        int | None, typer.Option("--hearts", min=1, help="The first so many of the list (default: all).")
+    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Register every heart of a list once: accuracy, refusals and what the result says of itself.
+
+    Intervals are over hearts: Wilson's of shares, bootstrap of percentiles.
+    """
+    with command(lists_inputs=False):
+        from dataclasses import asdict
+
+        from dvf_ig.io import output_folder, write_json
+        from dvf_ig.study.hearts.lists import heart_list
+        from dvf_ig.study.hearts.summary import summarise_hearts
+        from dvf_ig.study.hearts.trial import heart_trial
+        from dvf_ig.study.trials import Study, run_trials
+
+        settings = {
+            "world": "first",
+            "images": images.value,
+            "quality": quality.value,
+            "disturbed": disturbed,
+        }
+        seeds = heart_list(name.value).first_world[:count]
+        with output_folder(out), progress("hearts") as report:
+            lines = run_trials(
+                Study("hearts", settings, heart_trial),
+                seeds,
+                out,
+                workers=cores_or(workers),
+                scheduler=scheduler,
+                progress=report,
+            )
+            groups = summarise_hearts(lines)
+            summary = {"list": name.value, **settings, "groups": [asdict(group) for group in groups]}
+            write_json(out / "summary.json", summary)
+        emit(summary, _table(groups), as_json=as_json)
+        wrote(out / "trials.jsonl")
+        wrote(out / "summary.json")
+
+
+def _table(groups: "list[HeartGroup]") -> list[tuple[str, ...]]:
+    """One column a group, one row a figure."""
+    rows: list[tuple[str, ...]] = [("", *(f"{g.images}, {g.quality}" for g in groups))]
+    figures: dict[str, Callable[[HeartGroup], str]] = {
+        "hearts (failed)": lambda g: f"{g.hearts} ({g.failed})",
+        "below 2 mm": lambda g: _share(g.success),
+        "TRE median mm": lambda g: _estimate(g.tre_median_mm),
+        "TRE p95 mm": lambda g: _estimate(g.tre_p95_mm),
+        "per-target p95 mm": lambda g: _estimate(g.target_p95_mm),
+        "above 3 mm refused": lambda g: _share(g.bad_refused),
+        "below 2 mm refused": lambda g: _share(g.good_refused),
+        "chi² of 6, mean": lambda g: _estimate(g.chi2_mean),
+        "95 % region covers": lambda g: _share(g.region_covers),
+        "TRE bound covers": lambda g: _share(g.bound_covers),
+        "TRE bound median mm": lambda g: _number(g.bound_median_mm),
+        "calibration error": lambda g: _number(g.calibration_error),
+        "AUC": lambda g: _number(g.auc),
+        "outside calibration": lambda g: str(g.outside),
+        "seconds": lambda g: _number(g.seconds_median),
+    }
+    return rows + [(label, *(figure(g) for g in groups)) for label, figure in figures.items()]
+
+
+def _share(share: "Share") -> str:
+    if share.share is None or share.low is None or share.high is None:
+        return "–"
+    return f"{share.count} of {share.of}: {share.share:.0%} ({share.low:.0%}–{share.high:.0%})"
+
+
+def _estimate(estimate: "Estimate") -> str:
+    if estimate.low is None or estimate.high is None:
+        return _number(estimate.value)
+    return f"{_number(estimate.value)} ({estimate.low:.2f}–{estimate.high:.2f})"
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"

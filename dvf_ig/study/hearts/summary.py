@@ -1,0 +1,168 @@
+"""What trials on hearts say together; the unit is the heart, one trial each.
+
+Shares have Wilson intervals, percentiles bootstrap intervals over hearts (Efron and Tibshirani 1993, ch. 13),
+both of 95 %. A heart whose registration ended in an error is no success, and has no other figure.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from dvf_ig.core import FloatArray
+from dvf_ig.study.registration.summary import FAILURE_MM, SUCCESS_MM, Share, auc_of, share_of
+from dvf_ig.study.trials import Line
+
+COVERAGE = 0.95
+RESAMPLES = 2000
+LEAST_HEARTS = 2
+"""Fewer have no interval."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A statistic over hearts with its bootstrap 95 % interval; None of too few."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class HeartGroup:
+    """The hearts of one kind of images and one quality.
+
+    Attributes:
+        world, images, quality, disturbed: what was registered (see `trial`).
+        hearts: trials, one a heart; failed: those that ended in an error.
+        success: mean error over the targets below SUCCESS_MM.
+        tre_median_mm, tre_p95_mm: over hearts, of each heart's mean error over its targets.
+        target_p95_mm, target_max_mm: 95th percentile over hearts of each heart's 95th percentile over its
+            targets, and of its largest.
+        bad_refused: of hearts with an error above FAILURE_MM; good_refused: of those below SUCCESS_MM.
+        chi2_mean: of the squared error by the stated covariance, 6 where that is right.
+        region_covers: of hearts whose true pose lies in the stated 95 % region.
+        bound_covers: of hearts whose mean error stays below `tre_bound_mm`.
+        bound_median_mm: of the bounds.
+        calibration_error: mean difference between stated probability and success over tenths of it.
+        auc: chance that a success has a higher stated probability than a failure.
+        outside: hearts for which no probability was stated.
+        seconds_median: of one registration.
+    """
+
+    world: str
+    images: str
+    quality: str
+    disturbed: bool
+    hearts: int
+    failed: int
+    success: Share
+    tre_median_mm: Estimate
+    tre_p95_mm: Estimate
+    target_p95_mm: Estimate
+    target_max_mm: Estimate
+    bad_refused: Share
+    good_refused: Share
+    chi2_mean: Estimate
+    region_covers: Share
+    bound_covers: Share
+    bound_median_mm: float | None
+    calibration_error: float | None
+    auc: float | None
+    outside: int
+    seconds_median: float | None
+
+
+def summarise_hearts(lines: Sequence[Line]) -> list[HeartGroup]:
+    """A group for every world, kind of images, quality, and whether disturbed, as they appear."""
+    groups: dict[tuple[Any, ...], list[Line]] = {}
+    for line in lines:
+        key = tuple(line.get(name) for name in ("world", "images", "quality", "disturbed"))
+        groups.setdefault(key, []).append(line)
+    return [_group(key, of) for key, of in groups.items()]
+
+
+def bootstrap(values: Sequence[float], statistic: Callable[..., Any]) -> Estimate:
+    """A statistic of values, one a heart, and its percentile interval over resampled hearts.
+
+    Args:
+        statistic: of an array along `axis`, for example np.median.
+    """
+    known = np.array(values, dtype=np.float64)
+    if len(known) == 0:
+        return Estimate(None, None, None)
+    value = float(statistic(known, axis=0))
+    if len(known) < LEAST_HEARTS:
+        return Estimate(value, None, None)
+    drawn = np.random.default_rng(0).integers(0, len(known), size=(RESAMPLES, len(known)))
+    low, high = np.percentile(statistic(known[drawn], axis=1), [2.5, 97.5])
+    return Estimate(value, float(low), float(high))
+
+
+def calibration_error(stated: Sequence[float], succeeded: Sequence[bool]) -> float | None:
+    """Mean difference of stated probability and success, by tenths of the probability; None of nothing.
+
+    Source: expected calibration error, Naeini et al. 2015.
+    """
+    if not stated:
+        return None
+    p, good = np.array(stated), np.array(succeeded, dtype=np.float64)
+    tenth = np.minimum((10 * p).astype(int), 9)
+    apart = [abs(float((p - good)[tenth == t].sum())) for t in np.unique(tenth)]
+    return sum(apart) / len(p)
+
+
+def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
+    world, images, quality, disturbed = key
+    done = [line for line in lines if "refused" not in line]
+    errors = [line["tre_mm"] for line in done]
+    stated = [line for line in done if line["success_probability"] is not None]
+    bounded = [line for line in done if line.get("tre_bound_mm") is not None]
+    chi2_of = [line["chi2"] for line in done if line["chi2"] is not None]
+    bad = [line for line in done if line["tre_mm"] > FAILURE_MM]
+    good = [line for line in done if line["tre_mm"] < SUCCESS_MM]
+    return HeartGroup(
+        world=str(world),
+        images=str(images),
+        quality=str(quality),
+        disturbed=bool(disturbed),
+        hearts=len(lines),
+        failed=len(lines) - len(done),
+        success=share_of(len(good), len(lines)),
+        tre_median_mm=bootstrap(errors, np.median),
+        tre_p95_mm=bootstrap(errors, _p95),
+        target_p95_mm=bootstrap([line["tre_p95_mm"] for line in done], _p95),
+        target_max_mm=bootstrap([line["tre_max_mm"] for line in done], _p95),
+        bad_refused=_refused(bad),
+        good_refused=_refused(good),
+        chi2_mean=bootstrap(chi2_of, np.mean),
+        region_covers=share_of(sum(x <= chi2.ppf(COVERAGE, 6) for x in chi2_of), len(chi2_of)),
+        bound_covers=share_of(sum(x["tre_mm"] <= x["tre_bound_mm"] for x in bounded), len(bounded)),
+        bound_median_mm=_median([line["tre_bound_mm"] for line in bounded]),
+        calibration_error=calibration_error(
+            [line["success_probability"] for line in stated], [line["tre_mm"] < SUCCESS_MM for line in stated]
+        ),
+        auc=auc_of(_probabilities(bad), _probabilities(good)),
+        outside=len(done) - len(stated),
+        seconds_median=_median([line["seconds"] for line in done]),
+    )
+
+
+def _p95(values: FloatArray, axis: int) -> FloatArray:
+    return np.asarray(np.percentile(values, 95, axis=axis))
+
+
+def _refused(lines: Sequence[Line]) -> Share:
+    return share_of(sum(not line["usable"] for line in lines), len(lines))
+
+
+def _probabilities(lines: Sequence[Line]) -> list[float]:
+    stated = [line["success_probability"] for line in lines]
+    return [math.nan if p is None else float(p) for p in stated]
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if values else None

@@ -1,0 +1,75 @@
+"""The figures of many hearts: one vote a heart, and intervals over hearts."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dvf_ig.study.hearts.summary import bootstrap, calibration_error, summarise_hearts
+
+
+def line(heart: int, tre_mm: float, **more: Any) -> dict[str, Any]:
+    return {
+        "seed": heart,
+        "world": "first",
+        "images": "sweep",
+        "quality": "calm",
+        "disturbed": False,
+        "tre_mm": tre_mm,
+        "tre_p95_mm": 1.5 * tre_mm,
+        "tre_max_mm": 2.0 * tre_mm,
+        "tre_bound_mm": 2.5,
+        "chi2": 6.0,
+        "usable": tre_mm < 2.5,
+        "success_probability": 0.9 if tre_mm < 2.5 else 0.1,
+        "seconds": 1.0,
+        **more,
+    }
+
+
+def test_a_heart_without_a_result_is_no_success() -> None:
+    (group,) = summarise_hearts(
+        [line(1, 0.5), line(2, 0.7), {**line(3, 0.0), "refused": "too few frames passed the gate"}]
+    )
+    assert (group.hearts, group.failed) == (3, 1)
+    assert (group.success.count, group.success.of) == (2, 3)
+    assert group.tre_median_mm.value == pytest.approx(0.6)
+
+
+def test_refusals_are_counted_of_bad_and_of_good_poses_apart() -> None:
+    (group,) = summarise_hearts([line(1, 1.0), line(2, 1.2, usable=False), line(3, 2.5), line(4, 6.0)])
+    assert (group.good_refused.count, group.good_refused.of) == (1, 2)
+    assert (group.bad_refused.count, group.bad_refused.of) == (1, 1)
+    assert (group.bound_covers.count, group.bound_covers.of) == (3, 4)
+    assert group.auc == 1.0
+
+
+def test_a_pose_outside_what_was_calibrated_has_no_probability_and_is_counted() -> None:
+    (group,) = summarise_hearts([line(1, 1.0), line(2, 1.0, success_probability=None, tre_bound_mm=None)])
+    assert group.outside == 1
+    assert group.bound_covers.of == 1
+
+
+def test_groups_are_told_apart() -> None:
+    groups = summarise_hearts([line(1, 1.0), line(2, 1.0, quality="poor-image"), line(3, 1.0)])
+    assert [(group.quality, group.hearts) for group in groups] == [("calm", 2), ("poor-image", 1)]
+
+
+def test_the_bootstrap_interval_of_a_mean_is_that_of_theory() -> None:
+    values = np.random.default_rng(1).normal(2.0, 1.0, 400).tolist()
+    found = bootstrap(values, np.mean)
+    assert found.value is not None
+    half = 1.96 * np.std(values) / np.sqrt(400)
+    assert found.low == pytest.approx(found.value - half, abs=0.02)
+    assert found.high == pytest.approx(found.value + half, abs=0.02)
+
+
+def test_too_few_hearts_have_no_interval() -> None:
+    assert bootstrap([1.5], np.median).low is None
+    assert bootstrap([], np.median).value is None
+
+
+def test_calibration_error_is_the_mean_gap_between_stated_and_seen() -> None:
+    assert calibration_error([0.85] * 10, [True] * 8 + [False] * 2) == pytest.approx(0.05)
+    assert calibration_error([1.0, 0.0], [True, False]) == 0.0
+    assert calibration_error([], []) is None
