@@ -208,9 +208,8 @@ def _eroded(fan: BoolArray, spacing_mm: FloatArray) -> BoolArray:
 
 def _box(usable: BoolArray) -> tuple[slice, slice, slice]:
     flat: BoolArray = np.any(usable, axis=2)
-    ends = [
-        np.flatnonzero(row)[[0, -1]] for row in (flat.any(axis=1), flat.any(axis=0), usable.any(axis=(0, 1)))
-    ]
+    rows = (np.any(flat, axis=1), np.any(flat, axis=0), np.any(usable, axis=(0, 1)))
+    ends = [np.flatnonzero(row)[[0, -1]] for row in rows]
     first, second, third = (slice(int(low), int(high) + 1) for low, high in ends)
     return first, second, third
 

@@ -123,7 +123,7 @@ def search(
         best.pose,
         similarity_of(best),
         agreeing / len(ends),
-        np.array(elsewhere),
+        np.array(sorted(elsewhere, reverse=True)),
         sum(end.evaluations for end in (*ends, *refined)),
     )
 

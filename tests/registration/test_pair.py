@@ -112,6 +112,20 @@ def brain() -> OrganPair:
     return organ_pair(1002)
 
 
+def test_a_simulated_pair_is_like_a_real_one() -> None:
+    """A fan in a third of the box, three contrasts on grids of their own, and a shift of the tissue."""
+    pair = brain()
+    assert 0.2 < (pair.fixed.values > 0).mean() < 0.5
+    assert 0.1 < pair.error_mm(pair.moving_from_fixed) < 2.0
+    start = displaced_start(pair, 8.0, np.random.default_rng(0))
+    at = pair.moving_from_fixed.apply_array(pair.fixed_mm)
+    assert np.linalg.norm(start.apply_array(pair.fixed_mm) - at, axis=1).mean() == pytest.approx(
+        8.0, rel=0.01
+    )
+    assert sorted(pair.moving) == ["flair", "t1", "t2"]
+    assert not np.allclose(pair.moving["t1"].grid.direction, pair.moving["flair"].grid.direction)
+
+
 def registered(start: Rigid, *contrasts: str) -> RegistrationResult:
     moving = [brain().moving[name] for name in contrasts]
     return register_pair(brain().fixed, moving, start, rng=np.random.default_rng(0), clock=perf_counter)
