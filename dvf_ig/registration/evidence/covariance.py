@@ -31,9 +31,9 @@ from .sandwich import BLOCK_MM, blended_influence, lc2_influence, sandwich
 MODEL_SHARE, UNSEEN_MM = 0.5, 0.22
 """How much of the inverse curvatures counts, and the standard deviation per coordinate of what every block
 shares: the rigid part of the difference between patient and pre-operative images, the bias of LC2. The
-squared error by the covariance, 6 where it is right, is then 5.9 on average in calm and 5.0 in poor images:
-26 sweeps of tuning seeds 1001 and 1002 with 8 fields of mismatch of 1.2 to 3.2 mm. With 0 and 0.39 it is 5.7
-and 6.5, with 1 and 0.22 4.3 and 3.3."""
+squared error by the covariance, 6 where it is right, is then 6.0 on average in calm and 5.1 in poor images:
+tuning seeds 1001 and 1002 with 18 fields of mismatch of 1.2 to 3.2 mm. On 8 of them 0 and 0.39 give 5.7
+and 6.5, 1 and 0.22 4.3 and 3.3."""
 
 
 def blocks_of(

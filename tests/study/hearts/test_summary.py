@@ -40,7 +40,7 @@ def test_refusals_are_counted_of_bad_and_of_good_poses_apart() -> None:
     (group,) = summarise_hearts([line(1, 1.0), line(2, 1.2, usable=False), line(3, 2.5), line(4, 6.0)])
     assert (group.good_refused.count, group.good_refused.of) == (1, 2)
     assert (group.bad_refused.count, group.bad_refused.of) == (1, 1)
-    assert (group.bound_covers.count, group.bound_covers.of) == (2, 4)  # of the largest error
+    assert (group.bound_covers.count, group.bound_covers.of) == (2, 4)
     assert group.auc == 1.0
 
 
