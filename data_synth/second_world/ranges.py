@@ -1,7 +1,7 @@
 """Every value of the second world with the range it is drawn from: the one table of this world.
 
 The ranges are physical and clinical ones, never chosen by how a registration fares. What was changed before
-the freeze, and why, is told in docs/decisions/0014-second-world.md. Seeds 5001 to 5010 served to look at
+the freeze, and why, is told in docs/decisions/0017-second-world.md. Seeds 5001 to 5010 served to look at
 pictures.
 """
 

@@ -32,6 +32,13 @@ class ImagesName(StrEnum):
     volumes = "volumes"
 
 
+class WorldName(StrEnum):
+    """Synthetic worlds."""
+
+    first = "first"
+    second = "second"
+
+
 class QualityName(StrEnum):
     """Of the images: presets of a scenario."""
 
@@ -44,6 +51,9 @@ def hearts(
     name: Annotated[
         ListName, typer.Option("--list", help="Hearts that are tuned on, that limits come from, or reported.")
     ] = ListName.reported,
+    world: Annotated[
+        WorldName, typer.Option("--world", help="The second shares no table with the first; reported only.")
+    ] = WorldName.first,
     images: Annotated[
         ImagesName, typer.Option("--images", help="A tracked sweep of 14 s, or gated 3-D volumes.")
     ] = ImagesName.sweep,
@@ -85,12 +95,12 @@ def hearts(
         from dvf_ig.study.trials import Study, run_trials
 
         settings = {
-            "world": "first",
+            "world": world.value,
             "images": images.value,
             "quality": quality.value,
             "disturbed": disturbed,
         }
-        seeds = heart_list(name.value).first_world[:count]
+        seeds = heart_list(name.value).of_world(world.value)[:count]
         with output_folder(out), progress("hearts") as report:
             lines = run_trials(
                 Study("hearts", settings, heart_trial),

@@ -27,6 +27,20 @@ class HeartList:
     second_world: range
     patients: tuple[str, ...]
 
+    def of_world(self, world: str) -> range:
+        """Seeds of the hearts of the "first" or the "second" world.
+
+        Raises:
+            InvalidInputError: the list has none there.
+        """
+        seeds = self.second_world if world == "second" else self.first_world
+        if not seeds:
+            raise InvalidInputError(
+                f"the {self.name} list has no hearts of the {world} world, which is for reporting alone; "
+                "take --list reported"
+            )
+        return seeds
+
 
 TUNING = HeartList("tuning", range(1001, 1061), range(0), ("002", "003"))
 THRESHOLD = HeartList("threshold", range(2001, 2201), range(0), ("008", "009"))

@@ -21,3 +21,9 @@ def test_the_second_world_is_for_reporting_alone() -> None:
 def test_an_unknown_list_is_refused_by_name() -> None:
     with pytest.raises(InvalidInputError, match="'secret'; choose from tuning, threshold, reported"):
         heart_list("secret")
+
+
+def test_hearts_of_the_second_world_are_reported_alone() -> None:
+    assert REPORTED.of_world("second") == REPORTED.second_world
+    with pytest.raises(InvalidInputError, match="no hearts of the second world"):
+        heart_list("tuning").of_world("second")
