@@ -69,6 +69,7 @@ class AnatomicalWarp:
         return np.asarray(out)
 
 
+@read_only_arrays
 @dataclass(frozen=True, eq=False)
 class PlacedWarp:
     """W about a heart in frame "mr": exact, and tabulated for imaging.

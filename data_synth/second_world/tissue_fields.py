@@ -44,6 +44,7 @@ class TissueFields:
     outer_bias_mm: float
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Patches:
     """Thickness in mm of what varies over the heart, and the noise of trabeculae, on the grid's nodes."""

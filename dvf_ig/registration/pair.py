@@ -86,7 +86,7 @@ def register_pair(
         outside="",
         covariance=checks.covariance,
         center_mm=place.center_mm,
-        evidence=Evidence(checks.z_score, pair.halves_mm, 0.0, pair=pair),
+        evidence=Evidence(checks.z_score, pair.halves_mm, None, pair=pair),
         similarity=found.similarity,
         start_similarity=start_similarity,
         overlap=overlap,

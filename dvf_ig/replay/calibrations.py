@@ -31,11 +31,8 @@ from dvf_ig.core import (
     Scenario,
     TargetRecording,
 )
-from dvf_ig.registration import UNKNOWN_PLACEMENT, PlacementUncertainty
 from dvf_ig.session import CalibrationsInUse, UltrasoundCalibration
 
-GATE_S = 0.01
-"""Standard deviation of R peaks and of the model's place in the cycle, in seconds."""
 ProbeResult = NWireResult | TargetResult[PointTarget] | TargetResult[PlaneTarget]
 
 
@@ -66,8 +63,7 @@ class Calibrations:
             raise InvalidInputError(
                 "the tool tip is not known; give a pivot recording, or the file that calibrate pivot wrote"
             )
-        image = self.ultrasound
-        return CalibrationsInUse(image.probe_from_image, image.lag_s, self.tip, uncertainty=image.uncertainty)
+        return CalibrationsInUse(self.ultrasound.probe_from_image, self.ultrasound.lag_s, self.tip)
 
 
 def calibrate(scenario: Scenario, seed: int) -> Calibrations:
@@ -78,30 +74,7 @@ def calibrate(scenario: Scenario, seed: int) -> Calibrations:
     tip, pivot = _tip(scenario.tip, np.random.default_rng(seed))
     image, probe = _image(scenario.probe, np.random.default_rng(seed))
     lag_s, latency = _lag(scenario.latency)
-    uncertainty = _uncertainty(probe, latency, scenario)
-    return Calibrations(
-        UltrasoundCalibration(image, lag_s, uncertainty=uncertainty), tip, pivot, probe, latency
-    )
-
-
-def _uncertainty(
-    probe: ProbeResult | None, latency: LatencyResult | None, scenario: Scenario
-) -> PlacementUncertainty | None:
-    """What the recordings leave open of image and clocks; None where a file gave both.
-
-    The clocks' is that of the latency and GATE_S of the R peaks and of the place in the cycle.
-    """
-    if probe is None and latency is None:
-        return None
-    image, event_s = UNKNOWN_PLACEMENT.image, UNKNOWN_PLACEMENT.event_s
-    if probe is not None:
-        pictures, held = scenario.ultrasound.images, probe.uncertainty
-        if pictures is not None:
-            held = held.about((np.array(pictures.shape[:0:-1]) - 1.0) / 2.0)
-        image = held.covariance[:6, :6]
-    if latency is not None:
-        event_s = float(np.hypot(np.ptp(latency.interval_s) / (2.0 * 1.96), GATE_S))
-    return PlacementUncertainty(image, event_s)
+    return Calibrations(UltrasoundCalibration(image, lag_s), tip, pivot, probe, latency)
 
 
 def _tip(

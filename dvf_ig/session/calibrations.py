@@ -1,10 +1,9 @@
 """The calibrations that a session works with: probe image and latency, and the tool's tip."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from dvf_ig.core import ImageMap, InvalidInputError, Points
 from dvf_ig.core.frames import require_same_frame
-from dvf_ig.registration import PlacementUncertainty
 
 
 def require_lag(lag_s: float) -> None:
@@ -20,12 +19,10 @@ class UltrasoundCalibration:
     Attributes:
         probe_from_image: image calibration.
         lag_s: t_tracker(event) = t_video + lag_s.
-        uncertainty: of both; None where they came without.
     """
 
     probe_from_image: ImageMap
     lag_s: float
-    uncertainty: PlacementUncertainty | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         require_lag(self.lag_s)

@@ -7,7 +7,7 @@ import numpy as np
 
 from dvf_ig.core import BoolArray, NoOverlapError, Rigid
 from dvf_ig.registration import (
-    UNKNOWN_PLACEMENT,
+    USUAL_PLACEMENT,
     Boundary,
     LandmarkPrior,
     Level,
@@ -67,7 +67,7 @@ def register_frames(
             _boundary(recording, frames, mask),
             prior,
             _usual_rr_s(recording, frames),
-            recording.calibrations.uncertainty or UNKNOWN_PLACEMENT,
+            USUAL_PLACEMENT,
         ),
         start,
         rng=np.random.default_rng(seed),

@@ -340,14 +340,16 @@ def test_the_pose_goes_a_share_of_the_way_to_the_boundary() -> None:
     assert pulled.evidence.boundary_mm == pytest.approx(1.5, abs=0.3)
 
 
-def test_the_covariance_is_mixed_by_the_same_share() -> None:
-    """At share 0 it is that of LC2, whose optimum is the same without a surface; between, it is linear."""
-    surface = toy_surface()
-
-    def covariance_at(share: float) -> np.ndarray:
-        return registered(1, surface, away_mm=3.0, share=share).covariance
-
-    lc2_alone, share = registered(1, None, away_mm=3.0).covariance, 0.35
-    none, some, all_of_it = (covariance_at(s) for s in (0.0, share, 1.0))
-    np.testing.assert_allclose(np.diag(none), np.diag(lc2_alone), rtol=0.05)
-    np.testing.assert_allclose(some, (1.0 - share) * none + share * all_of_it, rtol=1e-9)
+def test_the_covariance_of_a_blend_is_of_the_size_of_both_and_adds_their_disagreement() -> None:
+    """At share 0 it is that of LC2; a boundary that lies elsewhere makes the blend less certain that way."""
+    surface, shift = toy_surface(), np.array([0.0, 0.0, 3.0])
+    knots = surface.knots_from_mm.copy()
+    knots[:, 3] -= knots[:, :3] @ shift
+    elsewhere = replace(surface, knots_from_mm=knots)
+    lc2_alone = registered(1, None, away_mm=3.0).covariance
+    none, agreed, disagreed = (
+        registered(1, target, away_mm=3.0, share=share).covariance
+        for target, share in ((surface, 0.0), (surface, 0.35), (elsewhere, 0.35))
+    )
+    np.testing.assert_allclose(np.diag(none), np.diag(lc2_alone), rtol=0.15)
+    assert disagreed[5, 5] - agreed[5, 5] > 0.5 * (0.35 * 3.0) ** 2

@@ -42,6 +42,7 @@ class VolumeChannels:
     values: NDArray[np.float32]
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks:
     """Insonified voxels sorted by blocks, and the patches that blocks form.

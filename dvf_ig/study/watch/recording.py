@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid, Scenario
+from dvf_ig.core import FloatArray, Rigid, Scenario, read_only_arrays
 from dvf_ig.guidance import Hazard
 from dvf_ig.io import cached_model
 from dvf_ig.registration import PoseEstimate
@@ -45,6 +45,7 @@ class WatchedBeat:
     estimate: PoseEstimate
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class WatchedRecording:
     """What a session made of a quiet recording.
@@ -135,6 +136,7 @@ def _in_use(
     return tuple(beats)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class DisplacedBeat:
     """A beat of a heart that lies `shift_mm` (3,), frame "mr", from where the recording has it.
