@@ -15,9 +15,6 @@ class Stop(Enum):
     POOR_MATCH = "image and model do not agree at the best pose found; do not guide by it"
     PHASE_OFFSET = "ECG and ultrasound disagree on the heart's phase; check the ECG's clock and latency"
     DOUBTFUL = "the checks together make a good pose too unlikely; do not guide by it"
-    OUTSIDE_CALIBRATION = (
-        "the images are unlike all that the checks were calibrated on; the pose may be shown, not guided by"
-    )
     DISAGREEMENT = "independent checks of the pose disagree; do not guide by it"
 
     @property

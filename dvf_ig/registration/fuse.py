@@ -7,7 +7,12 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration.boundary.fit import BoundaryFit, fit_boundary
-from dvf_ig.registration.evidence.covariance import blocks_of, covariance_mm2, placement_covariance_mm2
+from dvf_ig.registration.evidence.covariance import (
+    blocks_of,
+    covariance_mm2,
+    independent_covariance_mm2,
+    placement_covariance_mm2,
+)
 from dvf_ig.registration.lc2.curvature import curvature_about
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.slices import SliceSet, within
@@ -26,6 +31,7 @@ class Fused:
     Attributes:
         pose: target_from_source.
         covariance: (6, 6) rad², mm²; NaN where the pose is no minimum.
+        noise_covariance: (6, 6) likewise, of what independent patches would leave open.
         boundary: fit of the boundary from LC2's pose; None where the model's surface is not known or the
             slices show no boundary.
         covered: what of the coarse slices lies within the model's volume at LC2's pose.
@@ -34,6 +40,7 @@ class Fused:
 
     pose: Rigid
     covariance: FloatArray
+    noise_covariance: FloatArray
     boundary: BoundaryFit | None
     covered: SliceSet
     metric_of: Callable[[SliceSet], Lc2]
@@ -55,10 +62,11 @@ def fuse(
         boundary = fit_boundary(data.visible_boundary, base, data.center_mm)
         share = options.boundary_share
         pose = chart.pose(share * chart.coordinates(boundary.pose))
-    covariance = np.full((6, 6), np.nan)
+    covariance = noise = np.full((6, 6), np.nan)
     curvature, landmarks = _curvature(data, refined, chart)
     determined = _definite(curvature) and (boundary is None or np.isfinite(boundary.covariance).all())
     if determined and covered.masks.any():
+        noise = covariance_from_mm(independent_covariance_mm2(curvature, boundary, share))
         spread = covariance_mm2(
             blocks_of(covered, metric_of, base, data.center_mm),
             curvature,
@@ -74,7 +82,7 @@ def fuse(
                 covered, metric_of, base, data.center_mm, curvature, data.placement, data.rr_s
             )
         covariance = covariance_from_mm(spread)
-    return Fused(pose, covariance, boundary, covered, metric_of)
+    return Fused(pose, covariance, noise, boundary, covered, metric_of)
 
 
 def _curvature(data: RegistrationData, refined: Refined, chart: PoseChart) -> tuple[FloatArray, FloatArray]:

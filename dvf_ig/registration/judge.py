@@ -101,7 +101,7 @@ def assessed(
     """What may be said of the error, and how the registration ended in the light of it.
 
     Of a pose that a check refused no bound is stated, and no more than the share of successes among refused
-    ones. Where nothing was calibrated for the kind of images, the checks' own limits decide.
+    ones. Where nothing was calibrated for such images, the checks' own limits decide.
     """
     found = assess(table, features, statistics)
     if not stop.usable:
@@ -109,8 +109,6 @@ def assessed(
             return stop, replace(found, success_probability=None, tre_bound_mm=None)
         chance = min(found.success_probability, table.refused_probability)
         return stop, replace(found, success_probability=chance, tre_bound_mm=None)
-    if table is not None and found.outside:
-        return Stop.OUTSIDE_CALIBRATION, found
     if found.doubtful:
         return Stop.DOUBTFUL, replace(found, tre_bound_mm=None)
     return stop, found

@@ -85,6 +85,7 @@ def register_pair(
         statistics=None,
         outside="",
         covariance=checks.covariance,
+        noise_covariance=checks.covariance,
         center_mm=place.center_mm,
         evidence=Evidence(checks.z_score, pair.halves_mm, None, pair=pair),
         similarity=found.similarity,

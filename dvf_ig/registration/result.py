@@ -22,6 +22,8 @@ class RegistrationResult:
         tre_bound_mm: in 95 of 100 hearts the largest error over the targets of the heart box is below this;
             None where that cannot be stated, and of a pose that is not usable.
         covariance: (6, 6) rad², mm²; rotation vector then translation, left perturbation about `center_mm`.
+        noise_covariance: (6, 6) likewise, of what independent patches would leave open: the part that
+            later heart beats, of the same calibrations and anatomy, can reduce.
         center_mm: (3,) centre of the heart box in the target frame.
         evidence: what the pose was tested by.
         statistics: of the slices, and how they lie to the model; None of a pair of organs, which has none.
@@ -39,6 +41,7 @@ class RegistrationResult:
     success_probability: float | None
     tre_bound_mm: float | None
     covariance: FloatArray
+    noise_covariance: FloatArray
     center_mm: FloatArray
     evidence: Evidence
     statistics: ImageStatistics | None
@@ -62,8 +65,6 @@ class RegistrationResult:
         """How it ended, as a user reads it."""
         if self.stop is Stop.PHASE_OFFSET and self.evidence.phase_offset is not None:
             return self.evidence.phase_offset.sentence
-        if self.stop is Stop.OUTSIDE_CALIBRATION:
-            return f"{self.outside}; the pose may be shown, not guided by"
         pair = self.evidence.pair
         if pair is not None and self.stop in (Stop.DISAGREEMENT, Stop.AMBIGUOUS):
             return pair.sentence

@@ -85,6 +85,7 @@ def register_rigid(
             success_probability=assessment.success_probability,
             tre_bound_mm=assessment.tre_bound_mm,
             covariance=fused.covariance,
+            noise_covariance=fused.noise_covariance,
             center_mm=data.center_mm,
             evidence=evidence,
             statistics=statistics,

@@ -213,7 +213,9 @@ class PoseTracker:
             return
         middle_s = float(frames.event_s[frames.used].mean())
         beats = sum(middle_s < p.t_s < now_s for p in self._peaks)
-        found = PoseEstimate.from_registration(result.target_from_source, result.covariance, result.center_mm)
+        found = PoseEstimate.from_registration(
+            result.target_from_source, result.covariance, result.noise_covariance, result.center_mm
+        )
         before = self.monitor
         self.monitor, refused = before.after_registration(found, beats)
         self.history.set_refused(attempt.asked_s, refused)

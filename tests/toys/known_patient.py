@@ -67,6 +67,7 @@ def registration(pose: Rigid, center_mm: FloatArray) -> RegistrationResult:
         success_probability=1.0,
         tre_bound_mm=2.0,
         covariance=covariance,
+        noise_covariance=covariance,
         center_mm=center_mm,
         similarity=0.6,
         start_similarity=0.5,

@@ -77,17 +77,20 @@ def covariance_mm2(
             share,
         )
     inverse = np.linalg.inv(curvature)
-    independent = (
-        inverse if fit is None else (1.0 - share) * inverse + share * covariance_to_mm(fit.covariance)
-    )
     away = np.zeros(6) if fit is None else share * chart.coordinates(fit.pose)
     return np.asarray(
         sandwich(pulls, cells, numbers)
-        + MODEL_SHARE * independent
+        + MODEL_SHARE * independent_covariance_mm2(curvature, fit, share)
         + inverse @ landmarks @ inverse
         + np.outer(away, away)
         + UNSEEN_MM**2 * np.eye(6)
     )
+
+
+def independent_covariance_mm2(curvature: FloatArray, fit: BoundaryFit | None, share: float) -> FloatArray:
+    """(6, 6) what independent patches and points would leave open: (1 − s) H⁻¹ + s B, as `covariance_mm2`."""
+    inverse = np.asarray(np.linalg.inv(curvature))
+    return inverse if fit is None else (1.0 - share) * inverse + share * covariance_to_mm(fit.covariance)
 
 
 def placement_covariance_mm2(

@@ -16,8 +16,7 @@ so that directions which one beat cannot observe keep what earlier beats knew of
 is known against the beats to come. What all beats have in common (calibration, mismatch of the anatomy) no
 beat reduces: the covariance S of the registration that the pose goes back to stays beside P, and P + S is how
 well the pose is known against the truth (a consider covariance: Schmidt 1966). A later registration is made
-of frames that the beats have used: it is fused by covariance intersection with S, and leaves P as it is. On
-tuning hearts 1001–1005 χ² of six degrees is 5.4 calm and 5.5 with poor images for P + S, 16 and 30 for P.
+of frames that the beats have used: it is fused by covariance intersection with S, and leaves P as it is.
 """
 
 import math
@@ -77,10 +76,11 @@ class PoseEstimate:
     shared_mm2: FloatArray
 
     @classmethod
-    def from_registration(cls, pose: Rigid, covariance: FloatArray, center_mm: FloatArray) -> "PoseEstimate":
-        """From a registration's covariance in rad², mm²."""
-        covariance_mm2 = covariance_to_mm(covariance)
-        return cls(pose, covariance_mm2, center_mm, covariance_mm2)
+    def from_registration(
+        cls, pose: Rigid, covariance: FloatArray, noise_covariance: FloatArray, center_mm: FloatArray
+    ) -> "PoseEstimate":
+        """From a registration's covariances in rad², mm²: beats improve the noise alone."""
+        return cls(pose, covariance_to_mm(noise_covariance), center_mm, covariance_to_mm(covariance))
 
     @property
     def total_mm2(self) -> FloatArray:
@@ -117,7 +117,7 @@ class PoseEstimate:
         """With a registration of frames that the beats have used; see the module docstring."""
         chart = PoseChart(self.pose, self.center_mm)
         offset, shared = covariance_intersection(
-            self.shared_mm2, registered.covariance_mm2, chart.coordinates(registered.pose)
+            self.shared_mm2, registered.shared_mm2, chart.coordinates(registered.pose)
         )
         return replace(self, pose=chart.pose(offset), shared_mm2=shared)
 

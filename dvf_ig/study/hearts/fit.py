@@ -34,7 +34,7 @@ RIDGE = 0.02
 """Of the weights, in squared standard deviations of a feature: checks that say alike share their weight."""
 RANGE_MARGIN = 0.25
 """Of the range of an image statistic over the hearts, beyond either end."""
-JUDGED_LATER = ("DOUBTFUL", "OUTSIDE_CALIBRATION", "CONVERGED")
+JUDGED_LATER = ("DOUBTFUL", "CONVERGED")
 """Stops of poses that no check refused by its own limit: the others come before the tables."""
 
 

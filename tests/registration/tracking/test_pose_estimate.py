@@ -43,10 +43,12 @@ def test_a_registration_that_shares_frames_with_the_beats_leaves_the_tracked_pos
 ):
     offset = np.array([0.5, 0, -0.4, 1.0, -0.8, 0.3])
     covariance = np.diag([(0.5 / HEART_RADIUS_MM) ** 2] * 3 + [0.5**2] * 3)
-    first = PoseEstimate.from_registration(TRUTH, covariance, CENTER_MM)
+    first = PoseEstimate.from_registration(TRUTH, covariance, covariance, CENTER_MM)
     assert first.total_mm2[4, 4] == pytest.approx(2 * 0.5**2)
     tracked = first.update(np.zeros(6), np.eye(6) / 0.2**2)
-    again = PoseEstimate.from_registration(PoseChart(TRUTH, CENTER_MM).pose(offset), covariance, CENTER_MM)
+    again = PoseEstimate.from_registration(
+        PoseChart(TRUTH, CENTER_MM).pose(offset), covariance, covariance, CENTER_MM
+    )
     fused = tracked.intersected_with(again)
     np.testing.assert_array_equal(fused.covariance_mm2, tracked.covariance_mm2)
     np.testing.assert_allclose(fused.shared_mm2, 0.5**2 * np.eye(6), atol=1e-9)
@@ -64,7 +66,7 @@ def test_the_bound_holds_the_distance_over_the_heart_in_95_percent() -> None:
 
 def test_prediction_adds_process_noise_to_a_registrations_covariance() -> None:
     covariance = np.diag([0.01**2] * 3 + [0.4**2] * 3)
-    registered = PoseEstimate.from_registration(TRUTH, covariance, CENTER_MM)
+    registered = PoseEstimate.from_registration(TRUTH, covariance, covariance, CENTER_MM)
     expected = [(0.01 * HEART_RADIUS_MM) ** 2] * 3 + [0.4**2] * 3
     np.testing.assert_allclose(np.diag(registered.covariance_mm2), expected)
     older = registered.predict(9.0)
