@@ -35,9 +35,9 @@ class PlacementUncertainty:
 
 
 USUAL_PLACEMENT = PlacementUncertainty(np.diag([np.radians(0.5) ** 2] * 3 + [0.5**2] * 3), 0.015)
-"""0.5 mm and 0.5° per axis, as published N-wire calibrations have (Lasso 2014; Chen 2009), and half a frame at
-30 Hz. A calibration's own interval is not used: it tells of noise, not of the phantom, the speed of sound or a
-marker that was mounted again."""
+"""0.5 mm and 0.5° per axis, as published N-wire calibrations have (Lasso 2014; Chen 2009), and half a frame
+at 30 Hz. A calibration's own interval is not used: it tells of noise, not of the phantom, of the speed of
+sound or of a marker that was mounted again."""
 
 
 def image_covariance_mm2(
