@@ -119,7 +119,7 @@ class RegistrationMonitor:
             return replace(self, needs_registration=False)._with_pending(found)
         off_mm = mean_displacement_mm(found.pose, self.estimate.pose, self.center_mm)
         if off_mm <= JUMP_MM:
-            updated = self.estimate.intersected_with(found.predict(beats))
+            updated = self.estimate.intersected_with(found, beats)
             return replace(self, estimate=updated, refusals=0), None
         moved = self._suspended(Doubt(DoubtCause.REGISTERED_ELSEWHERE, distance_mm=off_mm))
         return replace(moved, pending=found, shift=ShiftDetector()), Refused(Refusal.MOVED, off_mm)

@@ -113,11 +113,17 @@ class PoseEstimate:
         pose = PoseChart(self.pose, self.center_mm).pose(offset)
         return replace(self, pose=pose, covariance_mm2=covariance)
 
-    def intersected_with(self, registered: "PoseEstimate") -> "PoseEstimate":
-        """With a registration of frames that the beats have used; see the module docstring."""
+    def intersected_with(self, registered: "PoseEstimate", beats: float) -> "PoseEstimate":
+        """With a registration of frames that the beats have used; see the module docstring.
+
+        Args:
+            beats: since the middle of its frames; the heart may have moved meanwhile.
+        """
         chart = PoseChart(self.pose, self.center_mm)
         offset, shared = covariance_intersection(
-            self.shared_mm2, registered.shared_mm2, chart.coordinates(registered.pose)
+            self.shared_mm2,
+            registered.shared_mm2 + beats * PROCESS_NOISE_MM**2 * np.eye(6),
+            chart.coordinates(registered.pose),
         )
         return replace(self, pose=chart.pose(offset), shared_mm2=shared)
 
