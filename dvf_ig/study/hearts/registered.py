@@ -39,7 +39,7 @@ START_MM = (4.0, 12.0)
 DISTURBED_START_MM = (4.0, 50.0)
 DISTURBED_SWEEP_S = (4.0, 14.0)
 DISTURBED_MISMATCH_MM = (1.0, 5.0)
-DISTURBED_PROBE_MM = (0.0, 5.0)
+DISTURBED_PROBE_MM = (0.0, 2.0)
 DISTURBED_LATENCY_S = (0.0, 0.06)
 """Ranges from which disturbed trials draw, evenly: they make the errors between good and lost that a stated
 probability is fitted to."""
