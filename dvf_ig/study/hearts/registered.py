@@ -37,7 +37,7 @@ SWEEP_S = 14.0
 START_MM = (4.0, 12.0)
 """Mean error of the start over the targets, drawn evenly."""
 DISTURBED_START_MM = (4.0, 50.0)
-DISTURBED_SWEEP_S = (4.0, 14.0)
+DISTURBED_SWEEP_S = (6.0, 14.0)
 DISTURBED_MISMATCH_MM = (1.0, 5.0)
 DISTURBED_PROBE_MM = (0.0, 2.0)
 DISTURBED_LATENCY_S = (0.0, 0.06)
