@@ -1,7 +1,7 @@
 """The heart under the probe: contraction, load, timing and shape are not those of the MR.
 
 From the end-diastole of the MR to the intervention: X, volume load L, contraction χ_c at a phase that is late
-on one side, mismatch M(φ), and a rigid C that leaves the planted pose the best one.
+on one side, mismatch M(φ), and a rigid C that leaves the true pose the best one.
 """
 
 from dataclasses import dataclass, replace
@@ -143,7 +143,7 @@ def changed_heart(heart: RestingHeart, reference: ReferenceMap, drawn: Drawn) ->
     """The heart of the intervention, and RMS in mm of how far its surface is from that of the MR.
 
     C is the best rigid map of the changed surface onto the pre-operative one over the whole cycle, every
-    vertex weighted by its area: what remains has no rigid part; the planted pose is the best rigid one.
+    vertex weighted by its area: what remains has no rigid part; the true pose is the best rigid one.
     """
     wide = box_of(heart.box_mm, 40.0)
     center, half = heart.box_mm.mean(axis=0), 0.5 * np.ptp(heart.box_mm, axis=0)

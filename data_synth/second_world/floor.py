@@ -38,14 +38,14 @@ def rigid_floor(room: OperatingRoom, taken_s: FloatArray) -> RigidFloor:
 
 
 def floor_of(
-    seen_mm: FloatArray, meant_mm: FloatArray, targets: Landmarks, planted: Rigid, changed_rms_mm: float
+    seen_mm: FloatArray, meant_mm: FloatArray, targets: Landmarks, truth: Rigid, changed_rms_mm: float
 ) -> RigidFloor:
     """From (n, 3) points as images place them, frame "tracker", and where the MR has them, frame "mr"."""
     best = best_rigid(seen_mm, meant_mm, "mr", "tracker")
     rest = best.apply_array(seen_mm) - meant_mm
-    there = planted.inverse().apply(targets.points).xyz_mm
+    there = truth.inverse().apply(targets.points).xyz_mm
     off = np.linalg.norm(best.apply_array(there) - targets.points.xyz_mm, axis=1)
-    turned = best @ planted.inverse()
+    turned = best @ truth.inverse()
     return RigidFloor(
         changed_rms_mm,
         float(off.mean()),

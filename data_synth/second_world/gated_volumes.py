@@ -19,7 +19,7 @@ from .drawn import Drawn
 from .echo_images import drawn_display
 from .floor import RigidFloor, floor_of
 from .measured_poses import DistortedField, distorted_field
-from .operating_room import constant_path, cycle_law, miscalibrated, planted_pose
+from .operating_room import constant_path, cycle_law, miscalibrated, true_pose
 from .probes import insonified, sector_of
 from .recording import SecondWorldSpec
 from .resting_heart import RestingHeart, box_of, four_chamber_heart
@@ -178,4 +178,4 @@ def second_world_pair(spec: SecondWorldSpec, heart: RestingHeart | None = None) 
     resting = heart or four_chamber_heart(spec.motion, spec.seed, spec.heart)
     fields = tissue_fields(resting, drawn)
     changed, rms_mm = changed_heart(resting, fields.reference, drawn)
-    return SecondWorldPair(resting, fields, changed, rms_mm, planted_pose(resting, drawn), drawn)
+    return SecondWorldPair(resting, fields, changed, rms_mm, true_pose(resting, drawn), drawn)

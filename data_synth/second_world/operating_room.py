@@ -37,7 +37,7 @@ class OperatingRoom:
         beats, clock: ECG and muscle.
         probe: the scanner as it believes itself to be.
         mr_from_plane: where its image truly is; `window` (3,) the direction from the heart to it.
-        mr_from_tracker: the planted pose.
+        mr_from_tracker: the true pose.
         probe_from_plane, calibrated: true mounting, and the one that the calibration recordings hold.
         tip: tool tip, frame "tool".
         lag_s: t_tracker(event) = t_video(event) + lag_s.
@@ -89,7 +89,7 @@ def operating_room(heart: RestingHeart, seconds: float, drawn: Drawn) -> Operati
     )
     probe = drawn_probe(drawn)
     mr_from_plane, window = sweep(heart, fields.reference, drawn)
-    mr_from_tracker = planted_pose(heart, drawn)
+    mr_from_tracker = true_pose(heart, drawn)
     probe_from_plane = _mount(drawn)
     sensor = composed(mr_from_plane, constant_path(probe_from_plane.inverse()))
     tracked = composed(constant_path(mr_from_tracker.inverse()), sensor)
@@ -156,7 +156,7 @@ def _beats(seconds: float, drawn: Drawn) -> Beats:
     return beat_series(spec, -3.0, seconds + 3.0, child_rng(drawn.seed, "second world rhythm"))
 
 
-def planted_pose(heart: RestingHeart, drawn: Drawn) -> Rigid:
+def true_pose(heart: RestingHeart, drawn: Drawn) -> Rigid:
     """mr_from_tracker: any rotation, the heart at the drawn distance."""
     rng = child_rng(drawn.seed, "second world planted")
     turn = Rotation.random(rng=rng).as_matrix()

@@ -39,7 +39,6 @@ from .lc2.channels import WALL as WALL
 from .lc2.channels import ModelChannels as ModelChannels
 from .lc2.channels import channels_from_labels as channels_from_labels
 from .lc2.channels import channels_from_mr as channels_from_mr
-from .lc2.channels import channels_from_still as channels_from_still
 from .lc2.density_weights import inverse_density_weights as inverse_density_weights
 from .lc2.lc2 import Lc2 as Lc2
 from .lc2.slices import SliceSet as SliceSet

@@ -1,18 +1,13 @@
 """Half-volumes registered on their own: deformation shows as disagreement between them and the whole."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, read_only_arrays
-from dvf_ig.registration.lc2.channels import ModelChannels
-from dvf_ig.registration.lc2.lc2 import Lc2
-from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 from dvf_ig.registration.lc2.slices import SliceSet
-from dvf_ig.registration.lc2.threads import SliceThreads
 
-HALF_OPTIMISER = OptimiserOptions(steps=10, cap_mm=4.0, tolerance_mm=0.1)
 LEAST_SHARE = 0.1
 """A half with fewer of the pixels than this is left out."""
 
@@ -31,26 +26,6 @@ class HalfVolume:
     slices: SliceSet
     points_mm: FloatArray
     center_mm: FloatArray
-
-
-def half_volume_disagreements_mm(
-    halves: Iterable[HalfVolume],
-    model: ModelChannels,
-    pose: Rigid,
-    *,
-    patch_mm: float,
-    pitch_mm: float,
-    optimiser: OptimiserOptions = HALF_OPTIMISER,
-    threads: SliceThreads | None = None,
-) -> FloatArray:
-    """(n,) mean distance over the points of each half between its own optimum and `pose`."""
-    apart = []
-    for half in halves:
-        metric = Lc2(half.slices, model, patch_mm=patch_mm, pitch_mm=pitch_mm, threads=threads)
-        own = optimise(metric, pose, half.center_mm, None, optimiser).pose
-        difference = own.apply_array(half.points_mm) - pose.apply_array(half.points_mm)
-        apart.append(float(np.linalg.norm(difference, axis=1).mean()))
-    return np.array(apart)
 
 
 def half_spaces(slices: SliceSet, pose: Rigid, center_mm: FloatArray) -> Iterator[HalfVolume]:

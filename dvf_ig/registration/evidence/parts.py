@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, Rigid, mean_displacement_mm
+from dvf_ig.registration.gaussian_prior import GaussianPrior
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 from dvf_ig.registration.lc2.slices import SliceSet
@@ -22,8 +23,6 @@ from dvf_ig.registration.pose_chart import PoseChart
 from .half_volumes import half_spaces
 
 PHASE_GROUPS = 3
-PRIOR_SIGMA_MM = 6.0
-"""Standard deviation per coordinate of the prior that keeps a part near the whole."""
 PART_OPTIMISER = OptimiserOptions(steps=7, cap_mm=4.0, tolerance_mm=0.15)
 
 MetricOf = Callable[[SliceSet], Lc2]
@@ -46,21 +45,6 @@ class PartDisagreements:
     half_volume_mm: float | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NearWhole:
-    """A prior of PRIOR_SIGMA_MM in every coordinate about one pose (see `optimise`)."""
-
-    chart: PoseChart
-
-    def energy(self, pose: Rigid) -> float:
-        xi = self.chart.coordinates(pose)
-        return float(0.5 * (xi @ xi) / PRIOR_SIGMA_MM**2)
-
-    def normal_equations(self, pose: Rigid, center_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Small turns add: the Jacobian of ξ is taken as the identity, and the centre as the chart's."""
-        return np.eye(6) / PRIOR_SIGMA_MM**2, -self.chart.coordinates(pose) / PRIOR_SIGMA_MM**2
-
-
 def part_disagreements(
     slices: SliceSet, metric_of: MetricOf, pose: Rigid, center_mm: FloatArray
 ) -> PartDisagreements:
@@ -75,7 +59,7 @@ def part_disagreements(
     if not slices.masks.any():
         return PartDisagreements(float("inf"), None, None)
     whole = optimise(metric_of(slices), pose, center_mm, None, PART_OPTIMISER).pose
-    prior = NearWhole(PoseChart(whole, center_mm))
+    prior = GaussianPrior(PoseChart(whole, center_mm))
 
     def optimum(part: SliceSet) -> Rigid:
         if not part.masks.any():

@@ -13,7 +13,6 @@ from dvf_ig.core import (
     Grid,
     IntArray,
     InvalidInputError,
-    Volume,
     VolumeSeries,
     nearest_phase,
     read_only_arrays,
@@ -53,11 +52,6 @@ def channels_from_mr(
     """
     chosen = list(range(len(mr.timing))) if phases is None else list(phases)
     return _intensity_channels(mr.grid, mr.values[chosen], mr.timing.fractions[chosen], smoothing_mm)
-
-
-def channels_from_still(image: Volume, *, smoothing_mm: float) -> ModelChannels:
-    """The same for one image of an organ that does not beat."""
-    return _intensity_channels(image.grid, image.values[None], np.zeros(1), smoothing_mm)
 
 
 def _intensity_channels(

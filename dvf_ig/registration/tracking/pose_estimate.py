@@ -26,14 +26,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from dvf_ig.core import FloatArray, Rigid, mean_displacement_mm, read_only_arrays
+from dvf_ig.registration.gaussian_prior import PRIOR_SIGMA_MM, GaussianPrior
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm
 
 from .covariance_intersection import covariance_intersection
 
-PRIOR_SIGMA_MM = 6.0
-"""Standard deviation per coordinate of the prior about the pose in use: bounds what a beat cannot observe."""
 FIXED_FIT_STIFFNESS = 4.0
 """Curvature with the local fits fixed over what a beat's errors show: on tuning seeds 101–104 their χ² of 6
 degrees has a median of 4.9 to 7.5. With the 8 to 12 of true curvature (see `lc2.optimise`) a still pose is
@@ -167,21 +166,6 @@ class BeatMeasurement:
         return self.wrong_pose_log_ratio >= INFORMATIVE_LOG_RATIO
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _GaussianPrior:
-    """A pose with a standard deviation of PRIOR_SIGMA_MM in every coordinate, as a prior of `optimise`."""
-
-    chart: PoseChart
-
-    def energy(self, pose: Rigid) -> float:
-        xi = self.chart.coordinates(pose)
-        return float(0.5 * (xi @ xi) / PRIOR_SIGMA_MM**2)
-
-    def normal_equations(self, pose: Rigid, center_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Small turns add: the Jacobian of ξ is taken as the identity, and the centre as the chart's."""
-        return np.eye(6) / PRIOR_SIGMA_MM**2, -self.chart.coordinates(pose) / PRIOR_SIGMA_MM**2
-
-
 def measure_beat(metric: Lc2, pose: Rigid, center_mm: FloatArray) -> BeatMeasurement:
     """Evaluate the slices of one beat at a pose.
 
@@ -189,7 +173,7 @@ def measure_beat(metric: Lc2, pose: Rigid, center_mm: FloatArray) -> BeatMeasure
     """
     chart = PoseChart(pose, center_mm)
     score = metric.score(pose)
-    end = optimise(metric, pose, center_mm, _GaussianPrior(chart), BEAT_OPTIMISER)
+    end = optimise(metric, pose, center_mm, GaussianPrior(chart), BEAT_OPTIMISER)
     equations = metric.normal_equations(end.pose, center_mm)
     there = equations.slope
     offset = chart.coordinates(end.pose)

@@ -73,7 +73,7 @@ def test_tissue_rides_on_the_motion_of_the_surface(room: OperatingRoom) -> None:
         np.testing.assert_allclose(room.surface.at(phase), now, atol=0.01)
 
 
-def test_the_planted_pose_is_the_best_rigid_one_of_the_moving_surface(room: OperatingRoom) -> None:
+def test_the_true_pose_is_the_best_rigid_one_of_the_moving_surface(room: OperatingRoom) -> None:
     phases = (np.arange(16) / 16).tolist()
     then = np.concatenate(
         [room.heart.contracting(1.0).push_forward(room.heart.ed_vertices_mm, p) for p in phases]
@@ -106,7 +106,7 @@ def test_the_floor_counts_the_distorted_field(
     moved = replace(exact_room, mr_from_tracker=_shifted(exact_room.mr_from_tracker, 3.0))
     assert 0.0 < recording.floor.pose_mm < 3.0
     assert recording.floor.residual_mm < 5.0
-    # a planted pose that is 3 mm off is found to be 3 mm off
+    # a true pose that is 3 mm off is found to be 3 mm off
     seen, meant = matched_points(exact_room, np.linspace(0.2, 4.8, 40))
     best = best_rigid(seen, meant, "mr", "tracker")
     targets = room.heart.targets.points.xyz_mm
@@ -118,7 +118,7 @@ def _shifted(pose: Rigid, by_mm: float) -> Rigid:
     return pose.perturbed_left(np.zeros(3), np.array([by_mm, 0.0, 0.0]), np.zeros(3))
 
 
-def test_the_scenario_says_what_was_planted(recording: SecondWorldRecording, room: OperatingRoom) -> None:
+def test_the_scenario_says_what_was_true(recording: SecondWorldRecording, room: OperatingRoom) -> None:
     scenario, truth = recording.scenario, recording.scenario.truth
     assert truth is not None
     np.testing.assert_array_equal(truth.mr_from_tracker_at(3.0).matrix, room.mr_from_tracker.matrix)
