@@ -25,7 +25,6 @@ from dvf_ig.core import (
 from dvf_ig.registration import channels_from_mr, normalised_grey
 from dvf_ig.registration.data import BOUNDARY_WEIGHT
 from dvf_ig.session import Heart, model_phase_at, register_gated_volumes
-from dvf_ig.session.heart import MR_BOUNDARY_WEIGHT
 
 RR_S = 0.6
 
@@ -112,8 +111,7 @@ def test_volumes_meet_mr_of_the_phases_in_use_smoothed_for_volumes(asked: list[S
     expected = channels_from_mr(toy_cine(), smoothing_mm=3.0, phases=[0, 3])
     np.testing.assert_array_equal(call.target.channels.values, expected.values)
     np.testing.assert_array_equal(call.target.channels.fractions, [0.0, 0.6])
-    # not that of tracked frames, which show the boundary less well
-    assert call.target.boundary_weight == BOUNDARY_WEIGHT > MR_BOUNDARY_WEIGHT
+    assert call.target.boundary_weight == BOUNDARY_WEIGHT
     assert call.rng.integers(1 << 30) == np.random.default_rng(7).integers(1 << 30)
 
 
