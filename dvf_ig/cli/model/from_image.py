@@ -136,11 +136,12 @@ def _grown(request: BuildRequest, image: VolumeSeries) -> tuple[Volume, tuple[in
     if request.seeds is None:
         raise typer.BadParameter("--image needs either --labels or --seeds")
     seeds = read_seeds(request.seeds, image.grid.frame)
-    labels = segment_from_seeds(image.phase(request.ed_phase), seeds)
+    grey = image.phase(request.ed_phase)
+    labels = segment_from_seeds(grey, seeds)
     path = request.output.with_name(f"{request.output.stem}_ed_labels.nii.gz")
     write_volume(labels, path)
     wrote(path, labels.grid.frame)
-    shortage = seed_shortage(labels, seeds)
+    shortage = seed_shortage(grey, labels, seeds)
     if shortage.told:
         raise InvalidInputError(
             f"the seeds are too few: {'; '.join(shortage.told)}. What grew from them is in {path.name}"
