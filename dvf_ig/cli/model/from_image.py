@@ -157,6 +157,12 @@ def _warn_of_limits(result: "CineModel", request: BuildRequest) -> None:
             f"the motion of phase {replaced.phase} was rejected: {replaced.reason.value}. It is interpolated "
             "between the phases around it; look at the frame"
         )
+    for stiffened in result.motion.stiffened:
+        warn(
+            f"the motion of phase {stiffened.phase}, registered back to end-diastole, ends "
+            f"{stiffened.inconsistency_mm:.1f} mm from where it began: it was estimated anew with less "
+            "freedom; look at the frame"
+        )
     if result.open_ends:
         ends = " and ".join(f"slice {end.index} (across axis {'ijk'[end.axis]})" for end in result.open_ends)
         warn(
@@ -203,6 +209,9 @@ def _payload(result: "CineModel", request: BuildRequest) -> dict[str, Any]:
         "replaced_phases": [
             {"phase": r.phase, "reason": r.reason.name.lower(), "jump_mm": r.jump_mm}
             for r in result.motion.replaced
+        ],
+        "stiffened_phases": [
+            {"phase": s.phase, "inconsistency_mm": s.inconsistency_mm} for s in result.motion.stiffened
         ],
         "not_known_beyond": [
             {"axis": "ijk"[end.axis], "index": end.index, "position_mm": end.position_mm.tolist()}
