@@ -15,7 +15,7 @@ from .image_match import FreeFormOptions, match_images
 
 LIMIT_MM = 4.0
 """RMS distance from return over any part of the organ, above which a phase is estimated anew. ACDC 002, 003,
-008 and 009 as they are stay below it over the whole cycle (3.7 at most). Chosen on these four. It is no sure
+008 and 009 as they are stay below it over the whole cycle (002: up to 3.7). Chosen on these four. No sure
 sign: at an eighth of the contrast 008 has 4.2, but 009 2.9, whose RV is then worse than without motion."""
 
 STIFFER = 10.0
