@@ -13,9 +13,6 @@ from dvf_ig.registration.lc2.threads import SliceThreads
 from .placement import PlacementUncertainty
 from .start import LandmarkPrior
 
-BOUNDARY_WEIGHT = 1.0
-"""Of the boundary beside LC2."""
-
 
 @dataclass(frozen=True, slots=True)
 class RegistrationOptions:
@@ -26,7 +23,6 @@ class RegistrationOptions:
         spread_mm: how far a displaced copy is from the start at the heart's radius.
         patch_mm: edge of an LC2 patch.
         density_width_mm: width over which patches share weight, see `density_weights`; None: they do not.
-        boundary_weight: of the boundary beside LC2.
         bound_mm: how far a pose may move from the start over the heart.
         candidates: most poses that are refined on fine slices.
         min_overlap: least share of the slices inside the model's volume.
@@ -39,7 +35,6 @@ class RegistrationOptions:
     spread_mm: float = 9.0
     patch_mm: float = 13.0
     density_width_mm: float | None = None
-    boundary_weight: float = BOUNDARY_WEIGHT
     bound_mm: float = 30.0
     candidates: int = 3
     min_overlap: float = 0.35

@@ -65,7 +65,7 @@ def fuse(
         boundary = fit_boundary(data.visible_boundary, chart.base, data.center_mm)
     pose, covariance, noise = chart.base, np.full((6, 6), np.nan), np.full((6, 6), np.nan)
     if covered.masks.any():
-        blocks = _blocks(data, refined, boundary, options, chart)
+        blocks = _blocks(data, refined, boundary, chart)
         landmarks, slope = _landmarks(data, chart)
         curvature = blocks.curvature + landmarks
         if _definite(curvature):
@@ -88,7 +88,6 @@ def _blocks(
     data: RegistrationData,
     refined: Refined,
     boundary: BoundaryFit | None,
-    options: RegistrationOptions,
     chart: PoseChart,
 ) -> Blocks:
     seen = data.visible_boundary
@@ -98,7 +97,6 @@ def _blocks(
         None
         if seen is None or boundary is None
         else boundary_blocks(seen, boundary, chart.base, data.center_mm, block_mm=BLOCK_MM),
-        options.boundary_weight,
         chart,
     )
 

@@ -43,11 +43,6 @@ LABEL_VOXEL_MM = 2.0
 LABEL_SMOOTHING_MM = 1.5
 LABEL_MARGIN_MM = 20.0
 
-MR_BOUNDARY_WEIGHT = 1.0
-LABEL_BOUNDARY_WEIGHT = 10.0
-MODEL_BOUNDARY_WEIGHT = 3.0
-"""Of the boundary beside LC2, in a registration of tracked frames."""
-
 
 _WITHOUT_CHAMBERS = (
     "the model of patient '%s' holds no chamber of blood, whose boundary ultrasound shows best: registration "
@@ -66,7 +61,6 @@ class Heart:
         coarse, fine: channels at the two pitches of registration.
         center_mm: (3,) centre of the heart box.
         surface: the boundary of blood and wall, which ultrasound shows; None without a cavity.
-        boundary_weight: of the boundary beside LC2.
         beats_update_pose: whether LC2 on these channels is good enough for a single beat to move the pose.
         brightness: of ultrasound that is compared with these channels.
     """
@@ -76,7 +70,6 @@ class Heart:
     fine: ModelChannels
     center_mm: FloatArray
     surface: BoundaryTarget | None
-    boundary_weight: float
     beats_update_pose: bool = True
     brightness: Callable[[NDArray[np.uint8]], NDArray[np.float32]] = root_amplitude
 
@@ -117,9 +110,8 @@ def build_heart(
             channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
         surface = target.result() if target is not None else None
     if preop.mr is not None:
-        return Heart(model, channels, channels, center, surface, MR_BOUNDARY_WEIGHT)
-    weight = LABEL_BOUNDARY_WEIGHT if has_anatomy else MODEL_BOUNDARY_WEIGHT
-    return Heart(model, channels, channels, center, surface, weight, False, normalised_grey)
+        return Heart(model, channels, channels, center, surface)
+    return Heart(model, channels, channels, center, surface, False, normalised_grey)
 
 
 def _require_within(mr: VolumeSeries, model: DvfModel, center_mm: FloatArray) -> None:

@@ -110,9 +110,7 @@ def _target(volumes: Sequence[TrackedVolume], heart: Heart, mr: VolumeSeries | N
     nearest = heart.fine.nearest_phase(phases)
     _tell_distant_phases(phases, heart.fine.fractions[nearest])
     if mr is None:
-        return VolumeTarget(
-            heart.fine, heart.center_mm, heart.surface, heart.boundary_weight, heart.brightness
-        )
+        return VolumeTarget(heart.fine, heart.center_mm, heart.surface, heart.brightness)
     used = np.unique(nearest).tolist()
     channels = channels_from_mr(mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=used)
     return VolumeTarget(channels, heart.center_mm, heart.surface, brightness=heart.brightness)

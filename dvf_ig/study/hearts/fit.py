@@ -30,6 +30,9 @@ LEAST_HEARTS = 20
 CONFIDENCE = 0.95
 GOOD_REFUSED = 0.04
 """Share of poses below SUCCESS_MM that the prediction may refuse: with the checks' limits, at most 5 %."""
+DISTURBED_WEIGHT = 0.2
+"""Of a trial with drawn errors of calibration and clock beside one without: how careless interventions are is
+not known; they are taken for the lesser part."""
 HUBER = 1.345
 """Residuals beyond so many standard deviations count linearly (Huber 1981)."""
 RIDGE = 0.02
@@ -76,7 +79,9 @@ def fit_table(lines: Sequence[Line]) -> dict[str, Any]:
     except KeyError as exc:
         raise InvalidInputError(f"a line of the study has no '{exc.args[0]}'; run the study again") from exc
     hearts = np.unique([_heart(line) for line in lines], return_inverse=True)[1].ravel()
-    weight = 1.0 / np.bincount(hearts)[hearts]
+    disturbed = np.array([line["disturbed"] for line in lines], dtype=np.bool_)
+    weight = np.where(disturbed, DISTURBED_WEIGHT, 1.0)
+    weight = weight / np.bincount(hearts, weight)[hearts]
     low, high, missing = feature_limits(x, success)
     known = np.clip(np.where(np.isnan(x), missing, x), low, high)
     target = np.log(np.clip(error, 0.1, 100.0))
@@ -97,9 +102,9 @@ def fit_table(lines: Sequence[Line]) -> dict[str, Any]:
         "predicted": at.tolist(),
         "probability": chance.tolist(),
         "refused_probability": float((weight[refused & success].sum() + 1.0) / (weight[refused].sum() + 2.0)),
-        "bound_quantile": conformal_quantile((target - predicted)[passed], hearts[passed]),
-        "largest": float(np.quantile(predicted[good], 1.0 - GOOD_REFUSED)),
-        "spread": fit_spread(*_squared_errors(lines, predicted, passed), weight),
+        "bound_quantile": conformal_quantile((target - predicted)[passed], hearts[passed], weight[passed]),
+        "largest": _quantile(predicted[good], weight[good], 1.0 - GOOD_REFUSED),
+        "spread": fit_spread(*_squared_errors(lines, predicted, passed & ~disturbed), weight),
         **_ranges(statistics, int(hearts.max()) + 1),
     }
 
@@ -172,12 +177,19 @@ def isotonic(predicted: FloatArray, success: BoolArray, weight: FloatArray) -> t
     return sums[:, 2] / sums[:, 1], sums[:, 0] / sums[:, 1]
 
 
-def conformal_quantile(residual: FloatArray, hearts: IntArray) -> float | None:
+def _quantile(values: FloatArray, weight: FloatArray, share: float) -> float:
+    """Weighted quantile."""
+    order = np.argsort(values)
+    reached = np.cumsum(weight[order]) / weight.sum()
+    return float(values[order][int(np.searchsorted(reached, share))])
+
+
+def conformal_quantile(residual: FloatArray, hearts: IntArray, weight: FloatArray) -> float | None:
     """The ⌈(n + 1)·0.95⌉-th smallest of n residuals, one trial a heart; None where n is too small.
 
     Each heart's trials share one mass: a weighted quantile with the mass of one new heart at infinity.
     """
-    share = 1.0 / np.bincount(hearts)[hearts]
+    share = weight / np.bincount(hearts, weight)[hearts]
     order = np.argsort(residual)
     reached = np.cumsum(share[order]) / (share.sum() + 1.0)
     enough = np.flatnonzero(reached >= CONFIDENCE - 1e-12)
@@ -185,13 +197,16 @@ def conformal_quantile(residual: FloatArray, hearts: IntArray) -> float | None:
 
 
 def _squared_errors(
-    lines: Sequence[Line], predicted: FloatArray, passed: BoolArray
+    lines: Sequence[Line], predicted: FloatArray, counts: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(n,) χ² by the covariance before it was scaled, NaN of lost poses, and (n,) excess."""
+    """(n,) χ² by the covariance before it was scaled, NaN of lost poses, and (n,) excess.
+
+    Trials with drawn errors do not count: a covariance speaks of what it knows.
+    """
     squared = np.array(
         [line["chi2"] * line["covariance_scale"] if line["chi2"] is not None else np.nan for line in lines]
     )
-    lost = ~passed | np.array([line["tre_mm"] > FAILURE_MM for line in lines])
+    lost = ~counts | np.array([line["tre_mm"] > FAILURE_MM for line in lines])
     own = np.array([logarithms(line["features"])[FEATURES.index("predicted_mm")] for line in lines])
     return np.where(lost, np.nan, squared), predicted - own
 

@@ -33,7 +33,7 @@ def test_a_motion_that_the_images_show_returns_and_is_left_alone(pair):
     mask = np.ones(labels.shape, dtype=np.bool_)
     parts = parts_of(labels > 0, labels == 2)
     assert len(parts) == 2
-    forward = match_images(*images, mask, FreeForm.identity(lattice), observable=OBSERVABLE)
+    forward = match_images(images[0], images[1], mask, FreeForm.identity(lattice), observable=OBSERVABLE)
     kept, off_mm = made_consistent(forward, images, mask, parts, OBSERVABLE, FreeFormOptions())
     assert off_mm < 1.0
     assert kept is forward
@@ -48,7 +48,7 @@ def test_a_motion_that_the_images_do_not_show_is_made_stiffer(pair):
     kept, off_mm = made_consistent(wild, images, mask, parts, OBSERVABLE, options)
     assert off_mm > LIMIT_MM
     stiffer = replace(options, stiffness_mm2=STIFFER * options.stiffness_mm2)
-    expected = match_images(*images, mask, wild, stiffer, observable=OBSERVABLE)
+    expected = match_images(images[0], images[1], mask, wild, stiffer, observable=OBSERVABLE)
     np.testing.assert_array_equal(kept.coefficients, expected.coefficients)
     assert inconsistency_mm(kept, images, mask, parts, OBSERVABLE, options) < off_mm
 

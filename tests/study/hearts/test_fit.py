@@ -40,6 +40,7 @@ def drawn(seed: int, hearts: int, trials: int = 3) -> list[Line]:
                     "heart": heart,
                     "world": "first",
                     "images": "sweep",
+                    "disturbed": False,
                     "stop": "CONVERGED",
                     "tre_mm": float(error),
                     "chi2": 6.0 * (error / predicted) ** 2 * rng.chisquare(6) / 6.0,
@@ -110,13 +111,13 @@ def test_isotonic_regression_pools_what_is_out_of_order() -> None:
 
 def test_a_conformal_quantile_needs_nineteen_hearts() -> None:
     values = np.arange(19.0)
-    assert conformal_quantile(values, np.arange(19)) == 18.0
-    assert conformal_quantile(values[:18], np.arange(18)) is None
+    assert conformal_quantile(values, np.arange(19), np.ones(19)) == 18.0
+    assert conformal_quantile(values[:18], np.arange(18), np.ones(18)) is None
     # trials of one heart share its mass
     repeated = np.concatenate([values, np.full(50, 100.0)])
     hearts = np.concatenate([np.arange(19), np.full(50, 19)])
-    assert conformal_quantile(repeated, hearts) == 100.0
-    assert conformal_quantile(repeated, np.arange(69)) == 100.0
+    assert conformal_quantile(repeated, hearts, np.ones(69)) == 100.0
+    assert conformal_quantile(repeated, np.arange(69), np.ones(69)) == 100.0
 
 
 def test_a_heart_is_predicted_by_others() -> None:
