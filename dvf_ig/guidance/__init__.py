@@ -42,9 +42,9 @@ from .places import PlaceInModel as PlaceInModel
 from .places import PlacesInModel as PlacesInModel
 from .pose_and_phase import BoundTick as BoundTick
 from .pose_and_phase import PoseAndPhase as PoseAndPhase
-from .simulated_device import DEVICES as DEVICES
-from .simulated_device import DeviceState as DeviceState
-from .simulated_device import SimulatedDevice as SimulatedDevice
+from .devices.simulated import DEVICES as DEVICES
+from .devices.simulated import DeviceState as DeviceState
+from .devices.simulated import SimulatedDevice as SimulatedDevice
 from .status import Status as Status
 from .supervision_summary import SupervisionSummary as SupervisionSummary
 from .supervision_summary import summarise_supervision as summarise_supervision

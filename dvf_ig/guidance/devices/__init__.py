@@ -1,0 +1,1 @@
+"""Haptic devices: what the servo drives, simulated, recorded, or a vendor's."""
