@@ -23,6 +23,7 @@ from .deadlines import BINS, Deadlines
 from .inputs import ServoInputs
 from .options import ServoOptions
 from .record import ServoRecord
+from .threads import real_time_thread
 
 WATCHDOG_NS = 10_000_000
 CHECK_NS = 1_000_000
@@ -79,6 +80,8 @@ class Servo:
         self._ring = np.zeros((max(1024, round(KEPT_S * options.rate_hz)), tick_kernel.ROW))
         self._watchdog = watchdog
         self._threads: list[threading.Thread] = []
+        self.realtime = False
+        """The machine schedules this servo before all ordinary programs."""
         self._read_to = 0
 
     def __enter__(self) -> "Servo":
@@ -160,9 +163,9 @@ class Servo:
         return Deadlines(self._histogram.copy(), float(worst) / 1e3, int(skipped))
 
     def _begin(self, name: str, function: Callable[..., Any], *arguments: Any) -> None:
-        thread = threading.Thread(target=function, args=arguments, name=name, daemon=True)
+        thread, realtime = real_time_thread(name, function, *arguments)
         self._threads.append(thread)
-        thread.start()
+        self.realtime = realtime
 
     def _warm_up(self) -> None:
         """Compile or load every kernel, and touch the coefficients, before the first tick."""
