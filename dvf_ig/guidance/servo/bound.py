@@ -54,7 +54,7 @@ class Scratch(NamedTuple):
     """Trailing arguments of `servo_tick` but for the record and the force."""
 
     memory: FloatArray
-    each: FloatArray
+    first: FloatArray
     forces: FloatArray
     work: FloatArray
     order: FloatArray

@@ -15,10 +15,12 @@ from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
 from dvf_ig.kernels.compiled import inlined, kernel
 from dvf_ig.kernels.composition import COMPOSED_SIZE, CONFLICT, compose_forces, work_size
-from dvf_ig.kernels.dynamic import BLEND, BLEND_PERIODIC, DEPTH, LAW, POSE, force_tick
+from dvf_ig.kernels.dynamic import DEPTH, LAW, forces_on_surface
 from dvf_ig.kernels.laws import direction_certainty
-from dvf_ig.kernels.place import PACKED_SIZE, phase_at, pose_at, set_pose, status_at
+from dvf_ig.kernels.place import PACKED_SIZE, Columns, phase_at, pose_at, status_at
 from dvf_ig.kernels.pose_and_phase import DISTANCE_RATE, DISTANCE_SIGMA, GUIDED_SIZE, distance_rate_and_sigma
+
+from dvf_ig.kernels.vectors import Vector, dot
 
 from . import passivity, supervision
 from .passivity import control, note_sent, observe
@@ -108,7 +110,7 @@ def scratch_sizes(fixtures: int) -> dict[str, Any]:
     """Shapes of a tick's scratch arrays for so many fixtures."""
     return {
         "forces": (fixtures, 3),
-        "each": (fixtures, GUIDED_SIZE),
+        "first": (GUIDED_SIZE,),
         "work": work_size(fixtures),
         "order": (fixtures,),
         "composed": (COMPOSED_SIZE,),
@@ -140,7 +142,23 @@ def _place_in_tracker(m: FloatArray, c: FloatArray, inputs: FloatArray, xyz_devi
     return finite
 
 
-@kernel
+@inlined
+def _in_model(pose: Columns, p: FloatArray) -> Vector:
+    x, y, z, t = pose[0], pose[1], pose[2], pose[3]
+    return (
+        x[0] * p[0] + y[0] * p[1] + z[0] * p[2] + t[0],
+        x[1] * p[0] + y[1] * p[1] + z[1] * p[2] + t[1],
+        x[2] * p[0] + y[2] * p[1] + z[2] * p[2] + t[2],
+    )
+
+
+@inlined
+def _to_tracker(pose: Columns, v: Vector) -> Vector:
+    """A free vector of the model's frame in the tracker's."""
+    return dot(pose[0], v), dot(pose[1], v), dot(pose[2], v)
+
+
+@inlined
 def fixtures_force(
     linear: NDArray[Any],
     periodic: NDArray[Any],
@@ -151,38 +169,36 @@ def fixtures_force(
     t_s: float,
     xyz: FloatArray,
     input_status: int,
-    each: FloatArray,
+    first: FloatArray,
     forces: FloatArray,
     work: FloatArray,
     order: FloatArray,
     composed: FloatArray,
 ) -> int:
-    """All fixtures' force at one place and time: `composed`, and distance, gradient, rate, σ in each[0]."""
+    """All fixtures' force at one place and time: `composed`; distance, gradient, rates, σ in `first`."""
     pose_phase = inputs[POSE_AND_PHASE:]
     status = input_status
     if status == code.OK:
         status = status_at(pose_phase, t_s, xyz[0] + xyz[1] + xyz[2])
     composed[:] = 0.0
-    each[0, :] = math.nan
+    first[:] = math.nan
     if status != code.OK:
         return status
     pose, phase = pose_at(pose_phase, t_s), phase_at(pose_phase, t_s)
     for i in range(len(packed)):
-        row, out, constant = packed[i], each[i], fixtures[i]
         margin = inputs[MARGIN_MM + i]
-        row[LAW + 1] = constant[BASE_WIDTH] + constant[WIDEN_WIDTH] * margin
-        row[DEPTH] = constant[BASE_DEPTH] + constant[WIDEN_DEPTH] * margin
-        set_pose(row, POSE, pose)
-        coefficients = periodic if row[BLEND] == BLEND_PERIODIC else linear
-        status = force_tick(coefficients, row, xyz, phase[0], code.OK, out)
-        if status != code.OK:
-            return status
-        for k in range(3):
-            forces[i, k] = out[k]
+        packed[i, LAW + 1] = fixtures[i, BASE_WIDTH] + fixtures[i, WIDEN_WIDTH] * margin
+        packed[i, DEPTH] = fixtures[i, BASE_DEPTH] + fixtures[i, WIDEN_DEPTH] * margin
+    found = forces_on_surface(linear, periodic, packed, _in_model(pose, xyz), phase[0], forces)
+    if found[0] != code.OK:
+        return found[0]
+    for i in range(len(packed)):
+        forces[i, 0], forces[i, 1], forces[i, 2] = _to_tracker(pose, (forces[i, 0], forces[i, 1], forces[i, 2]))
+    gradient = _to_tracker(pose, found[3])
+    first[3], first[4], first[5], first[6], first[7] = found[2], gradient[0], gradient[1], gradient[2], found[4]
     compose_forces(forces, fixtures[:, FIXTURE_CAP_N], fixtures[:, FORBIDDEN], cap_n, work, order, composed)
-    first = each[0]
     first[DISTANCE_RATE], first[DISTANCE_SIGMA] = distance_rate_and_sigma(pose_phase, pose, phase, xyz, first)
-    return status
+    return code.OK
 
 
 @inlined
@@ -215,7 +231,7 @@ def _saturate(v: FloatArray, cap_n: float) -> None:
             v[k] *= cap_n / length
 
 
-@kernel
+@inlined
 def servo_tick(
     linear: NDArray[Any],
     periodic: NDArray[Any],
@@ -230,7 +246,7 @@ def servo_tick(
     clock_s: float,
     found: int,
     m: FloatArray,
-    each: FloatArray,
+    first: FloatArray,
     forces: FloatArray,
     work: FloatArray,
     order: FloatArray,
@@ -249,7 +265,7 @@ def servo_tick(
         xyz_device: (3,) mm, device frame; device_status: not 0 where the device did not answer.
         clock_s: monotonic clock at which the position was read.
         found: hazard bits that the loop found.
-        m: memory; each, forces, work, order, composed, vectors: scratch (`scratch_sizes`).
+        m: memory; first, forces, work, order, composed, vectors: scratch (`scratch_sizes`).
         row: (30,) the record of this tick.
         force_device: (3,) N to send, device frame.
     """
@@ -273,9 +289,8 @@ def servo_tick(
         xyz[k] = m[TOOL_XYZ + k] + c[PREDICT_TOOL] * c[LEAD_S] * speed[k]
         surface[k] = 0.0
     status = fixtures_force(
-        linear, periodic, packed, fixtures, c[CAP_N], inputs, t_s + c[LEAD_S], xyz, status, each, forces, work, order, composed
+        linear, periodic, packed, fixtures, c[CAP_N], inputs, t_s + c[LEAD_S], xyz, status, first, forces, work, order, composed
     )
-    first = each[0]
     surface_speed = math.nan
     for k in range(3):
         xyz[k] = m[TOOL_XYZ + k]
