@@ -42,7 +42,7 @@ def work_size(fixtures: int) -> tuple[int, int]:
 
 
 @kernel
-def _ordered(forces_n: FloatArray, caps_n: FloatArray, order: FloatArray) -> None:
+def ordered(forces_n: FloatArray, caps_n: FloatArray, order: FloatArray) -> None:
     """Indices by value, so that not even rounding depends on the caller's order; into `order`."""
     for i in range(len(forces_n)):
         at = i
@@ -115,8 +115,9 @@ def _solve_multipliers(work: FloatArray, count: int) -> None:
             _factor_solve(work, count, trial)
             share, leaving = 1.0, -1
             for i in range(count):
-                if work[i, CLASS] != 0.0 and work[i, trial] <= 0.0 and work[i, LAMBDA] > 0.0:
-                    step = work[i, LAMBDA] / (work[i, LAMBDA] - work[i, trial])
+                if work[i, CLASS] != 0.0 and work[i, trial] <= 0.0:
+                    gap = work[i, LAMBDA] - work[i, trial]
+                    step = work[i, LAMBDA] / gap if gap > 0.0 else 0.0
                     if step < share:
                         share, leaving = step, i
             for i in range(count):
@@ -190,7 +191,7 @@ def compose_forces(
         work: `work_size(k)`; order: (k,).
         out: (11,) forbidden part, guidance part and rejected part in N; 1 where saturated, in conflict.
     """
-    _ordered(forces_n, caps_n, order)
+    ordered(forces_n, caps_n, order)
     out[:] = 0.0
     sizes = 0.0
     for at in range(len(order)):
