@@ -5,3 +5,5 @@ from .inputs import ServoInputs as ServoInputs
 from .options import ServoOptions as ServoOptions
 from .record import ServoRecord as ServoRecord
 from .servo import Servo as Servo
+from .simulated_time import SimulatedServo as SimulatedServo
+from .simulated_time import simulate as simulate
