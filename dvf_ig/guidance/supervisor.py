@@ -144,6 +144,11 @@ class Supervisor:
             _read_only(self._sent), self._state, self._hazards, self._cause, scale, clamped
         )
 
+    @property
+    def rising(self) -> bool:
+        """The force is on its way to the wanted one, at 6 N/s at most."""
+        return self._slow
+
     def rearm(self, t_s: float) -> RearmAnswer:
         """An operator's request to leave LATCHED; nothing else may call this, least of all a network message.
 

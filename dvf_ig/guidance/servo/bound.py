@@ -50,6 +50,22 @@ class Bound(NamedTuple):
     codes: Any
 
 
+class TickConstants(NamedTuple):
+    """Constants of a tick, in the order of `dvf_ig.kernels.servo.tick`; damping in N·s/mm."""
+
+    period_s: float
+    cap_n: float
+    lead_s: float
+    predict_tool: float
+    speed_share: float
+    relative_damping: float
+    friction_n: float
+    slow_mm_s: float
+    largest_damping: float
+    residual_limit_mj: float
+    delay_ticks: int
+
+
 class Scratch(NamedTuple):
     """Trailing arguments of `servo_tick` but for the record and the force."""
 
@@ -107,9 +123,9 @@ def bind_fixtures(
         periodic[0] if periodic else nothing,
         packed,
         constants,
-        _constants(fixtures, options, latency_s),
-        _limits(device),
-        _codes(),
+        np.array(tick_constants(fixtures, options, latency_s), dtype=np.float64),
+        supervisor_limits(device),
+        hazard_codes(),
     )
 
 
@@ -126,25 +142,26 @@ def _packed(part: Evaluator) -> FloatArray:
     return part.kernel_arguments(Rigid.identity(frame, frame))[1]
 
 
-def _constants(fixtures: Fixtures, options: ServoOptions, latency_s: float) -> FloatArray:
-    """A force is held for a period: half of it after it was sent, the middle of its effect."""
+def tick_constants(fixtures: Fixtures, options: ServoOptions, latency_s: float) -> TickConstants:
+    """A force is held for a period: half of it after it was sent is the middle of its effect."""
     period_s = options.period_ns * 1e-9
     forward = options.feed_forward
-    c = np.zeros(kernel.CONSTANTS_SIZE)
-    c[kernel.PERIOD_S] = period_s
-    c[kernel.CAP_N] = fixtures.options.joint_cap_n
-    c[kernel.LEAD_S] = latency_s + 0.5 * period_s
-    c[kernel.PREDICT_TOOL] = float(options.predict_tool)
-    c[kernel.SPEED_SHARE] = 1.0 - math.exp(-2.0 * math.pi * options.speed_cutoff_hz * period_s)
-    c[kernel.RELATIVE_DAMPING] = forward.damping_n_s_per_m / MM_PER_M
-    c[kernel.FRICTION_N], c[kernel.SLOW_MM_S] = forward.friction_n, forward.slow_mm_s
-    c[kernel.LARGEST_DAMPING] = options.largest_damping_n_s_per_m / MM_PER_M
-    c[kernel.RESIDUAL_LIMIT_MJ] = options.residual_limit_mj
-    c[kernel.DELAY_TICKS] = round(latency_s / period_s)
-    return c
+    return TickConstants(
+        period_s=period_s,
+        cap_n=fixtures.options.joint_cap_n,
+        lead_s=latency_s + 0.5 * period_s,
+        predict_tool=float(options.predict_tool),
+        speed_share=1.0 - math.exp(-2.0 * math.pi * options.speed_cutoff_hz * period_s),
+        relative_damping=forward.damping_n_s_per_m / MM_PER_M,
+        friction_n=forward.friction_n,
+        slow_mm_s=forward.slow_mm_s,
+        largest_damping=options.largest_damping_n_s_per_m / MM_PER_M,
+        residual_limit_mj=options.residual_limit_mj,
+        delay_ticks=round(latency_s / period_s),
+    )
 
 
-def _limits(device: DeviceLimits) -> FloatArray:
+def supervisor_limits(device: DeviceLimits) -> FloatArray:
     limits = np.zeros(supervision.LIMITS_SIZE)
     limits[supervision.FADE_S], limits[supervision.FAST_FADE_S] = FADE_S, FAST_FADE_S
     limits[supervision.SLEW] = device.stiffness_n_per_m * SLEW_SPEED_M_S
@@ -156,7 +173,7 @@ def _limits(device: DeviceLimits) -> FloatArray:
     return limits
 
 
-def _codes() -> Any:
+def hazard_codes() -> Any:
     """The hazards' bits as the kernels need them."""
     codes = np.zeros(kernel.CODES_SIZE, dtype=np.int64)
     codes[supervision.FADING] = WITHHOLDING

@@ -31,7 +31,7 @@ KEPT_S = 2.0
 """The ring buffer holds the last so many seconds."""
 ANSWER_WITHIN_S = 0.1
 
-_ANSWERS = {
+ANSWERS = {
     supervision.REARMED: RearmAnswer.ACCEPTED,
     supervision.NOT_LATCHED: RearmAnswer.NOT_LATCHED,
     supervision.NO_RECENT_STEP: RearmAnswer.NO_RECENT_STEP,
@@ -135,7 +135,7 @@ class Servo:
             if time.monotonic() > until:
                 return RearmAnswer.NO_RECENT_STEP
             time.sleep(0.5 / self.options.rate_hz)
-        return _ANSWERS[shared.load_number(self._numbers, kernel.REARM_ANSWER)]
+        return ANSWERS[shared.load_number(self._numbers, kernel.REARM_ANSWER)]
 
     def read(self) -> ServoRecord:
         """The ticks since the last call, or as many of them as the ring buffer still holds."""
