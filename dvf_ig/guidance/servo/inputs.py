@@ -57,7 +57,7 @@ class ServoInputs:
             clock_s: the servo's clock at `now_s`.
         """
         values = np.zeros(kernel.INPUT_SIZE)
-        values[kernel.VALID_UNTIL_S] = self.now_s + self.valid_for_s
+        values[kernel.VALID_UNTIL_S] = clock_s + self.valid_for_s
         values[kernel.HAZARDS] = float(self.hazards)
         values[kernel.TOOL_STATUS] = float(self.tool_status)
         values[kernel.CLOCK_OFFSET_S] = clock_s - self.now_s

@@ -14,6 +14,7 @@ from dvf_ig.guidance.device import COMMON_DEVICE, DeviceLimits
 from dvf_ig.guidance.devices.protocol import HapticDevice
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.supervisor import RearmAnswer
+from dvf_ig.kernels.place import POSE_UNTIL
 from dvf_ig.kernels.servo import loop as kernel
 from dvf_ig.kernels.servo import shared, supervision
 from dvf_ig.kernels.servo import tick as tick_kernel
@@ -75,6 +76,8 @@ class Servo:
         self._functions = np.array(device.functions, dtype=np.int64)
         self._counter = shared.new_counter()
         self._shared = np.zeros(tick_kernel.INPUT_SIZE)
+        self._shared[tick_kernel.VALID_UNTIL_S] = np.inf
+        self._shared[tick_kernel.POSE_AND_PHASE + POSE_UNTIL] = -np.inf
         self._numbers = np.zeros(kernel.NUMBERS, dtype=np.int64)
         self._histogram = np.zeros(BINS, dtype=np.int64)
         self._ring = np.zeros((max(1024, round(KEPT_S * options.rate_hz)), tick_kernel.ROW))
@@ -89,7 +92,6 @@ class Servo:
             raise InvalidInputError("a servo runs once; make a new one")
         scratch = tuple(new_scratch(self._fixtures))
         self._warm_up()
-        self._shared[tick_kernel.VALID_UNTIL_S] = -np.inf
         self._begin(
             "dvf-ig servo",
             kernel.run_servo,
@@ -176,7 +178,7 @@ class Servo:
         scratch = new_scratch(self._fixtures)
         for _ in range(10):
             tick_kernel.servo_tick(*self._bound, inputs, np.zeros(3), 0, 0.0, 0, *scratch, row, force)
-        shared.publish(self._counter, self._shared, self._shared)
+        shared.publish(self._counter, self._shared, self._shared.copy())
         numbers, nowhere = np.zeros(kernel.NUMBERS, dtype=np.int64), np.zeros(BINS, dtype=np.int64)
         numbers[kernel.STOP] = 1
         kernel.copy_rows(self._ring, numbers, 0, np.empty((0, tick_kernel.ROW)))

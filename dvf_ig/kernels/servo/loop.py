@@ -11,7 +11,7 @@ from .clock import monotonic_ns, sleep_until, wake_exactly
 from .device_call import call_device
 from .shared import fence_acquire, load_ordered, load_relaxed, read_shared, store_ordered, store_relaxed, store_release
 from .supervision import rearm
-from .tick import CLOCK_OFFSET_S, LATENESS_NS, MISSED_DEADLINES, ROW, SUPERVISION, TICK, TOOL, WORK_NS, servo_tick
+from .tick import LATENESS_NS, MISSED_DEADLINES, ROW, SUPERVISION, TICK, TOOL, WORK_NS, servo_tick
 
 # Places in the shared numbers: each alone in its cache line.
 STOP = 0
@@ -28,7 +28,8 @@ NUMBERS = 72
 LATE_NS = 2_000_000
 LATE_TICKS = 3
 LATE_WITHIN = 100
-"""So many ticks later than 2 ms within so many: no force, latched."""
+"""So many ticks that woke later than 2 ms, or came after one that ended so late, within so many: no force,
+latched."""
 SETTLE_NS = 20_000_000
 """The first tick comes so long after the start: the thread has its priority then."""
 BIN_NS = 1000
@@ -106,7 +107,7 @@ def run_servo(
     missed = codes[MISSED_DEADLINES]
     wake_exactly()
     seen = read_shared(counter, shared, -1, inputs, read_work)
-    ticks = 0
+    ticks, overran = 0, False
     target = monotonic_ns(timespec) + SETTLE_NS
     while load_ordered(numbers, STOP) == 0:
         now = sleep_until(target, timespec)
@@ -115,12 +116,12 @@ def run_servo(
         if late > load_ordered(numbers, WORST_NS):
             store_relaxed(numbers, WORST_NS, late)
         found = 0
-        if late > LATE_NS and _too_many_late(late_ticks, ticks):
+        if (late > LATE_NS or overran) and _too_many_late(late_ticks, ticks):
             found |= missed
         if load_ordered(numbers, TRIPPED) != 0:
             found |= missed
         seen = read_shared(counter, shared, seen, inputs, read_work)
-        _answer_rearm(numbers, supervisor, limits, codes, now * 1e-9 - inputs[CLOCK_OFFSET_S])
+        _answer_rearm(numbers, supervisor, limits, codes, now * 1e-9)
         device_status = call_device(device[0], context, now, xyz)
         servo_tick(*bound, inputs, xyz, device_status, now * 1e-9, found, *scratch, row, force)
         _write(device, context, numbers, now, force, zero)
@@ -130,6 +131,7 @@ def run_servo(
         record_row(ring, numbers, row)
         ticks += 1
         target += period_ns
+        overran = done - target > LATE_NS
         while target < done - period_ns:
             target += period_ns
             numbers[SKIPPED] += 1

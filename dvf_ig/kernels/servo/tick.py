@@ -28,8 +28,10 @@ from .supervision import supervise
 
 MAX_FIXTURES = 8
 
-# Offsets in what a session publishes.
+# Offsets in what a session publishes. Only pose and phase live in the session's time: what fades, latches or
+# times out runs by the servo's own clock, which no session can set back.
 VALID_UNTIL_S = 0
+"""By the servo's clock."""
 HAZARDS = 1
 TOOL_STATUS = 2
 CLOCK_OFFSET_S = 3
@@ -270,8 +272,8 @@ def servo_tick(
         force_device: (3,) N to send, device frame.
     """
     t_s = clock_s - inputs[CLOCK_OFFSET_S]
-    dt_s = t_s - m[LAST_TICK_S] if m[LAST_TICK_S] != 0.0 else c[PERIOD_S]
-    m[LAST_TICK_S] = t_s
+    dt_s = clock_s - m[LAST_TICK_S] if m[LAST_TICK_S] != 0.0 else c[PERIOD_S]
+    m[LAST_TICK_S] = clock_s
     hazards = found | int(inputs[HAZARDS])
     xyz, field, wanted, surface, speed = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
     status = int(inputs[TOOL_STATUS])
@@ -281,7 +283,7 @@ def servo_tick(
         m[TOOL_KNOWN] = 0.0
     elif not _place_in_tracker(m, c, inputs, xyz_device, dt_s):
         status = code.FAULT
-    if not t_s <= inputs[VALID_UNTIL_S]:
+    if not clock_s <= inputs[VALID_UNTIL_S]:
         hazards |= codes[SESSION_SILENT]
         status = code.NO_POSE if status == code.OK else status
     for k in range(3):
@@ -310,10 +312,12 @@ def servo_tick(
     if m[passivity.RESIDUAL] > c[RESIDUAL_LIMIT_MJ]:
         hazards |= codes[ENERGY]
     _saturate(wanted, c[CAP_N])
-    supervise(supervisor, limits, codes, t_s, wanted, hazards)
+    supervise(supervisor, limits, codes, clock_s, wanted, hazards)
     if supervisor[supervision.STATE] == supervision.LATCHED:
         m[passivity.RESIDUAL] = 0.0
     sent = supervisor[supervision.SENT : supervision.SENT + 3]
+    if not math.isfinite(sent[0] + sent[1] + sent[2]):
+        sent[0] = sent[1] = sent[2] = 0.0
     note_sent(m, sent)
     for k in range(3):
         force_device[k] = (

@@ -68,3 +68,10 @@ def path_mm(moving):
     in_model = np.stack([reach * np.cos(turn), reach * np.sin(turn) * 0.8, reach * np.sin(turn) * 0.6], axis=1)
     to_tracker = moving.pose.end.inverse()
     return TRACKER_FROM_DEVICE.inverse().apply_array(to_tracker.apply_array(in_model))
+
+
+@pytest.fixture(scope="session")
+def steady_ball(ball):
+    """The tracker is the model's frame, and the heart stands at one phase."""
+    pose = PoseMotion.still(Rigid.identity(ball.frame, "tracker"))
+    return PoseAndPhase(pose, beat(since_s=-1.0, phi=0.05, rr_s=1e6), RetimingCurve.uniform())
