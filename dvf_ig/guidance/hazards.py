@@ -173,7 +173,5 @@ _OF_STATUS = {
     Status.FAULT: Hazard.NOT_FINITE,
 }
 
-WITHHOLDING = (
-    hazards_with(Response.FADE) | hazards_with(Response.FAST_FADE) | hazards_with(Response.NO_FORCE)
-)
+WITHHOLDING = hazards_with(Response.FADE) | hazards_with(Response.FAST_FADE) | hazards_with(Response.NO_FORCE)
 """While any of these is active no force is given."""

@@ -151,7 +151,11 @@ def without_inward_part(
         if forbidden[i] == 0.0 or size == 0.0:
             continue
         f = min(1.0, size / caps_n[i])
-        work[count, NORMAL], work[count, NORMAL + 1], work[count, NORMAL + 2] = -x / size, -y / size, -z / size
+        work[count, NORMAL], work[count, NORMAL + 1], work[count, NORMAL + 2] = (
+            -x / size,
+            -y / size,
+            -z / size,
+        )
         work[count, ACTIVATION] = f
         count += 1
     for i in range(count):

@@ -208,7 +208,7 @@ def forces_on_surface(
     """Forces of several fixtures on one surface; those linear in phase share the spline's evaluation.
 
     Args:
-        linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) where no fixture has it.
+        linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
         packed: (k, p) fixtures; their poses are not used.
         q: point in the model's frame.
         phi: model phase.

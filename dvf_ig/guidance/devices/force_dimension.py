@@ -1,4 +1,4 @@
-"""Haptic devices of Force Dimension (omega, delta, sigma, lambda) and the Novint Falcon, by their own library.
+"""Haptic devices of Force Dimension (omega, delta, sigma, lambda, Novint Falcon), by their own library.
 
 The same library that the package forcedimension-core wraps, found by the same variable; its functions are
 called from the servo's thread without Python, so the package itself is not needed.
@@ -19,7 +19,7 @@ VENDOR = "the Force Dimension SDK"
 LIBRARY = "libdhd.so"
 FUNCTIONS = ("dhdOpen", "dhdClose", "dhdGetPosition", "dhdSetForce", "dhdEnableForce", "dhdErrorGetLastStr")
 ADVICE = (
-    "install the SDK from forcedimension.com and set FORCEDIM_SDK to its folder (as forcedimension-core wants "
+    "install the SDK from forcedimension.com and set FORCEDIM_SDK to its folder (forcedimension-core wants "
     "it too), or give the path of libdhd.so"
 )
 LATENCY_S = 0.001
@@ -45,7 +45,9 @@ class ForceDimensionDevice:
         self._library.dhdErrorGetLastStr.restype = ctypes.c_char_p
         self._id = int(self._library.dhdOpen())
         if self._id < 0:
-            raise VendorLibraryError(f"no Force Dimension device opened: {self._error()}; connect one and switch it on")
+            raise VendorLibraryError(
+                f"no Force Dimension device opened: {self._error()}; connect one and switch it on"
+            )
         if self._library.dhdEnableForce(ctypes.c_ubyte(1), ctypes.c_byte(self._id)) < 0:
             self.close()
             raise VendorLibraryError(f"the Force Dimension device does not enable forces: {self._error()}")

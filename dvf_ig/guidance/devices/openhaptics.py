@@ -32,15 +32,15 @@ FUNCTIONS = (
     "hdGetError",
 )
 ADVICE = (
-    "install OpenHaptics and the Touch device driver from 3D Systems (pyOpenHaptics wants them too), or give the "
-    "path of libHD.so"
+    "install OpenHaptics and the Touch device driver from 3D Systems (pyOpenHaptics wants them too), or give "
+    "the path of libHD.so"
 )
 HD_FORCE_OUTPUT = 0x4000
 HD_INVALID_HANDLE = 0xFFFFFFFF
 HD_MAX_SCHEDULER_PRIORITY = 0xFFFF
 LATENCY_S = 0.0015
-"""The scheduler hands positions and forces over a tick of its own late, half of one on average each, beside the
-link's; not measured here."""
+"""The scheduler hands positions and forces over at its own ticks, half of one late on average each, beside
+the link's; not measured here."""
 
 
 class _ErrorInfo(ctypes.Structure):

@@ -28,7 +28,8 @@ class RecordedDevice:
         check_shape(position, "recorded positions", (None, 3))
         if len(position) == 0 or not (np.isfinite(rate_hz) and rate_hz > 0.0):
             raise InvalidInputError(
-                f"a recorded device needs at least one position and a rate; got {len(position)} at {rate_hz:g} Hz"
+                "a recorded device needs at least one position and a rate; got "
+                f"{len(position)} at {rate_hz:g} Hz"
             )
         self.name = name
         self.functions = np.array([kernel.read_recorded.address, kernel.write_recorded.address])

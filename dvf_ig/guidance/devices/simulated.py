@@ -7,11 +7,10 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.core.arrays import frozen_floats
-from dvf_ig.kernels.device import MM_PER_M, advance
-from dvf_ig.kernels.servo import simulated as kernel
-
 from dvf_ig.guidance.device import DeviceLimits
 from dvf_ig.guidance.feed_forward import NO_FEED_FORWARD, FeedForward
+from dvf_ig.kernels.device import MM_PER_M, advance
+from dvf_ig.kernels.servo import simulated as kernel
 
 
 @read_only_arrays

@@ -36,7 +36,7 @@ def load_vendor_library(
         missing = [function for function in functions if not hasattr(library, function)]
         if missing:
             raise VendorLibraryError(
-                f"{name} lacks {', '.join(missing)}: it is not the library of {vendor}, or another version of it"
+                f"{name} lacks {', '.join(missing)}: it is not the library of {vendor}, or another version"
             )
         return library
     raise VendorLibraryError(f"the library of {vendor} was not found; {advice} (tried {'; '.join(tried)})")

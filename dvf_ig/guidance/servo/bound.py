@@ -78,9 +78,7 @@ class Scratch(NamedTuple):
     vectors: FloatArray
 
 
-def bind_fixtures(
-    fixtures: Fixtures, device: DeviceLimits, options: ServoOptions, latency_s: float
-) -> Bound:
+def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOptions, latency_s: float) -> Bound:
     """Everything that stays the same while a servo runs.
 
     Args:
@@ -97,9 +95,7 @@ def bind_fixtures(
             "the servo renders fixtures on the model's surface; one of these guides to a path: leave it out"
         )
     if len(parts) > kernel.MAX_FIXTURES:
-        raise InvalidInputError(
-            f"{len(parts)} fixtures given; the servo renders up to {kernel.MAX_FIXTURES}"
-        )
+        raise InvalidInputError(f"{len(parts)} fixtures given; the servo renders up to {kernel.MAX_FIXTURES}")
     rows = [_packed(part) for part in parts]
     packed = np.zeros((len(rows), max(len(row) for row in rows)))
     for i, row in enumerate(rows):

@@ -49,6 +49,4 @@ class Deadlines:
 def deadlines_of(lateness_us: FloatArray, skipped: int) -> Deadlines:
     """Of ticks timed one by one."""
     bins = np.minimum(np.maximum(lateness_us, 0.0).astype(np.int64), BINS - 1)
-    return Deadlines(
-        np.bincount(bins, minlength=BINS), float(np.max(lateness_us, initial=0.0)), skipped
-    )
+    return Deadlines(np.bincount(bins, minlength=BINS), float(np.max(lateness_us, initial=0.0)), skipped)

@@ -46,8 +46,8 @@ class ServoInputs:
         object.__setattr__(self, "margin_mm", margin)
         if len(margin) > kernel.MAX_FIXTURES or (margin < 0.0).any():
             raise InvalidInputError(
-                f"margins of {len(margin)} fixtures, the least {margin.min(initial=0.0):g} mm; needed at most "
-                f"{kernel.MAX_FIXTURES}, none negative"
+                f"margins of {len(margin)} fixtures, the least {margin.min(initial=0.0):g} mm; needed at "
+                f"most {kernel.MAX_FIXTURES}, none negative"
             )
 
     def packed(self, clock_s: float) -> FloatArray:

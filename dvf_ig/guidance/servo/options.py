@@ -42,7 +42,9 @@ class ServoOptions:
         for name in ("largest_damping_n_s_per_m", "residual_limit_mj", "speed_cutoff_hz"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
-                raise InvalidInputError(f"servo option {name} is {value:g}; it must be finite and not negative")
+                raise InvalidInputError(
+                    f"servo option {name} is {value:g}; it must be finite and not negative"
+                )
 
     @property
     def period_ns(self) -> int:

@@ -177,7 +177,7 @@ class Servo:
         row, force = np.zeros(tick_kernel.ROW), np.zeros(3)
         scratch = new_scratch(self._fixtures)
         for _ in range(10):
-            tick_kernel.servo_tick(*self._bound, inputs, np.zeros(3), 0, 0.0, 0, *scratch, row, force)
+            tick_kernel.unpacked_tick(*self._bound, inputs, np.zeros(3), 0, 0.0, 0, *scratch, row, force)
         shared.publish(self._counter, self._shared, self._shared.copy())
         numbers, nowhere = np.zeros(kernel.NUMBERS, dtype=np.int64), np.zeros(BINS, dtype=np.int64)
         numbers[kernel.STOP] = 1

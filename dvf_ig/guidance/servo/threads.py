@@ -8,7 +8,9 @@ from typing import Any
 PRIORITY = 80
 
 
-def real_time_thread(name: str, function: Callable[..., Any], *arguments: Any) -> tuple[threading.Thread, bool]:
+def real_time_thread(
+    name: str, function: Callable[..., Any], *arguments: Any
+) -> tuple[threading.Thread, bool]:
     """A running thread, and whether it has a real-time priority (Linux: root, or an rtprio limit)."""
     thread = threading.Thread(target=function, args=arguments, name=name, daemon=True)
     thread.start()

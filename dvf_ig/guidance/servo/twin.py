@@ -1,4 +1,4 @@
-"""One tick of the servo in readable form: what `dvf_ig.kernels.servo.tick` computes, held to it by the tests."""
+"""One tick of the servo in readable form; tests hold `dvf_ig.kernels.servo.tick` to it."""
 
 import numpy as np
 
@@ -125,10 +125,7 @@ class ReadableTick:
         gradient = each[0].gradient[0]
         place = inputs.transform.at(xyz[None], t_s)
         rotation = inputs.transform.pose.at(t_s).rotation if inputs.transform.pose is not None else np.eye(3)
-        rate = float(
-            place.distance_rate_mm_s((rotation @ gradient)[None], each[0].rate_mm_per_cycle)[0]
-        )
+        rate = float(place.distance_rate_mm_s((rotation @ gradient)[None], each[0].rate_mm_per_cycle)[0])
         norm = float(np.linalg.norm(gradient))
         pushed = field_n + self._options.feed_forward.force(gradient, rate, self._speed)
         return field_n, pushed, -rate / norm * gradient / norm, found
-

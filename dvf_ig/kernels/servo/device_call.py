@@ -1,4 +1,4 @@
-"""Calls of a haptic device by address: the servo loop and the watchdog drive every device through two functions.
+"""Calls of a haptic device by address: servo loop and watchdog drive every device through two functions.
 
     int32 read(void *context, int64 now_ns, double *position_mm)       3 numbers, device frame
     int32 write(void *context, int64 now_ns, const double *force_n)    3 numbers, device frame
@@ -36,9 +36,7 @@ def call_device(typing: Any, address: int, context: Any, now_ns: int, numbers: A
 
     def build(context_: Any, builder: Any, signature: Any, args: Any) -> Any:
         function = builder.inttoptr(args[0], _FUNCTION)
-        data = [
-            context_.make_array(signature.args[k])(context_, builder, args[k]).data for k in (1, 3)
-        ]
+        data = [context_.make_array(signature.args[k])(context_, builder, args[k]).data for k in (1, 3)]
         nothing = ir.IntType(8).as_pointer()
         return builder.call(function, [builder.bitcast(data[0], nothing), args[2], data[1]])
 

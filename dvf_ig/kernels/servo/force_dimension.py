@@ -20,7 +20,11 @@ MM_PER_M = 1000.0
 @device_function
 def read_force_dimension(context: Any, now_ns: int, out: Any) -> int:
     """dhdGetPosition: negative on an error; DHD_TIMEGUARD says that the last position still holds."""
-    c, numbers, position = carray(context, CONTEXT_SIZE, np.int64), carray(context, CONTEXT_SIZE, np.float64), carray(out, 3)
+    c, numbers, position = (
+        carray(context, CONTEXT_SIZE, np.int64),
+        carray(context, CONTEXT_SIZE, np.float64),
+        carray(out, 3),
+    )
     if call_get_position(c[GET_POSITION], numbers, SCRATCH, c[DEVICE]) < 0:
         return 1
     for k in range(3):

@@ -9,9 +9,17 @@ from dvf_ig.kernels.compiled import kernel
 
 from .clock import monotonic_ns, sleep_until, wake_exactly
 from .device_call import call_device
-from .shared import fence_acquire, load_ordered, load_relaxed, read_shared, store_ordered, store_relaxed, store_release
+from .shared import (
+    fence_acquire,
+    load_ordered,
+    load_relaxed,
+    read_shared,
+    store_ordered,
+    store_relaxed,
+    store_release,
+)
 from .supervision import rearm
-from .tick import LATENESS_NS, MISSED_DEADLINES, ROW, SUPERVISION, TICK, TOOL, WORK_NS, servo_tick
+from .tick import LATENESS_NS, MISSED_DEADLINES, ROW, SUPERVISION, TICK, TOOL, WORK_NS, unpacked_tick
 
 # Places in the shared numbers: each alone in its cache line.
 STOP = 0
@@ -123,7 +131,7 @@ def run_servo(
         seen = read_shared(counter, shared, seen, inputs, read_work)
         _answer_rearm(numbers, supervisor, limits, codes, now * 1e-9)
         device_status = call_device(device[0], context, now, xyz)
-        servo_tick(*bound, inputs, xyz, device_status, now * 1e-9, found, *scratch, row, force)
+        unpacked_tick(*bound, inputs, xyz, device_status, now * 1e-9, found, *scratch, row, force)
         _write(device, context, numbers, now, force, zero)
         done = monotonic_ns(timespec)
         store_ordered(numbers, HEARTBEAT_NS, done)
@@ -161,7 +169,7 @@ def simulate_servo(
     for tick in range(len(record)):
         now = start_ns + tick * period_ns
         device_status = call_device(device[0], context, now, xyz)
-        servo_tick(*bound, inputs, xyz, device_status, now * 1e-9, 0, *scratch, record[tick], force)
+        unpacked_tick(*bound, inputs, xyz, device_status, now * 1e-9, 0, *scratch, record[tick], force)
         call_device(device[1], context, now, force)
         record[tick, LATENESS_NS] = record[tick, WORK_NS] = 0.0
         record[tick, TICK] = tick
@@ -169,7 +177,7 @@ def simulate_servo(
 
 @kernel
 def watch(device: Any, context: Any, numbers: Any, limit_ns: int, check_ns: int) -> None:
-    """The watchdog: where no tick has ended for `limit_ns`, no force, at once, until the servo is started anew.
+    """The watchdog: where no tick has ended for `limit_ns`, no force, at once, until a new servo is started.
 
     It trips before it sends: a servo that wakes up meanwhile sends no force either (`_write`).
     """
@@ -223,4 +231,5 @@ def copy_rows(ring: FloatArray, numbers: Any, begin: int, out: FloatArray) -> in
     oldest = load_ordered(numbers, HEAD) + 1 - len(ring)
     for i in range(min(count, max(oldest - begin, 0))):
         out[i, :] = np.nan
-    return begin + count
+    end: int = begin + count
+    return end

@@ -50,14 +50,18 @@ LOST_AFTER_NS = 20_000_000
 """Without a new position for so long the device is lost."""
 
 
-@cfunc(types.uint32(types.voidptr), cache=True, nopython=True)  # type: ignore[untyped-decorator]
+@cfunc(types.uint32(types.voidptr), cache=True, nopython=True)
 def exchange(context: Any) -> int:
     """The scheduler's callback: position out, force in."""
     c, n = carray(context, CONTEXT_SIZE, np.int64), carray(context, CONTEXT_SIZE, np.float64)
     call_with_handle(c[BEGIN_FRAME], c[HANDLE])
     call_doubles(c[GET_DOUBLES], HD_CURRENT_POSITION, n, FRAME)
     seen = read_shared(
-        c[FORCE_LOCK : FORCE_LOCK + 1], n[FORCE : FORCE + 3], c[SEEN_FORCE], n[FRAME + 3 : FRAME + 6], n[FRAME + 6 : FRAME + 9]
+        c[FORCE_LOCK : FORCE_LOCK + 1],
+        n[FORCE : FORCE + 3],
+        c[SEEN_FORCE],
+        n[FRAME + 3 : FRAME + 6],
+        n[FRAME + 6 : FRAME + 9],
     )
     c[SILENT_TICKS] = 0 if seen != c[SEEN_FORCE] else c[SILENT_TICKS] + 1
     c[SEEN_FORCE] = seen
@@ -80,7 +84,11 @@ def read_openhaptics(context: Any, now_ns: int, out: Any) -> int:
     c, n = carray(context, CONTEXT_SIZE, np.int64), carray(context, CONTEXT_SIZE, np.float64)
     position = carray(out, 3)
     seen = read_shared(
-        c[POSITION_LOCK : POSITION_LOCK + 1], n[POSITION : POSITION + 3], c[SEEN_POSITION], n[LAST_XYZ : LAST_XYZ + 3], n[WORK : WORK + 3]
+        c[POSITION_LOCK : POSITION_LOCK + 1],
+        n[POSITION : POSITION + 3],
+        c[SEEN_POSITION],
+        n[LAST_XYZ : LAST_XYZ + 3],
+        n[WORK : WORK + 3],
     )
     if seen != c[SEEN_POSITION] or c[READ_NS] == 0:
         c[SEEN_POSITION], c[READ_NS] = seen, now_ns
@@ -93,6 +101,10 @@ def read_openhaptics(context: Any, now_ns: int, out: Any) -> int:
 @device_function
 def write_openhaptics(context: Any, now_ns: int, force_n: Any) -> int:
     """Hand the force to the next scheduler tick."""
-    c, n, force = carray(context, CONTEXT_SIZE, np.int64), carray(context, CONTEXT_SIZE, np.float64), carray(force_n, 3)
+    c, n, force = (
+        carray(context, CONTEXT_SIZE, np.int64),
+        carray(context, CONTEXT_SIZE, np.float64),
+        carray(force_n, 3),
+    )
     publish(c[FORCE_LOCK : FORCE_LOCK + 1], n[FORCE : FORCE + 3], force)
     return 0 if load_relaxed(c, ERROR) == 0 else 1

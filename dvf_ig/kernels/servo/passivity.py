@@ -2,9 +2,9 @@
 
 Between two ticks the device held a force F that had been sent (`delay_ticks` ticks ago, where the device is
 late) while the tool moved by Δx and the fixture's surface, where the tool is, by Δs. The work given to the
-hand, F·Δx, has two parts: F·Δs, by which a moving surface pushes the tool with it, known and wanted; and
+hand, F·Δx, has two parts: F·Δs, by which a moving surface takes the tool with it, known and wanted; and
 F·(Δx − Δs), the work relative to the surface. A fixture in continuous time would have done
-½(F_k + F_{k−1})·(Δx − Δs) there, F_k its force at the two places: what it stores it gives back. The difference
+½(F_k + F_{k−1})·(Δx − Δs) there, F_k its force at each place: what it stores it gives back. The difference
 
     r = [F − ½(F_k + F_{k−1})]·(Δx − Δs)
 
@@ -38,7 +38,9 @@ MEMORY_SIZE = SENT + 3 * SENT_KEPT
 
 
 @kernel
-def observe(p: FloatArray, xyz: FloatArray, field: FloatArray, dt_s: float, delay_ticks: int, following: bool) -> None:
+def observe(
+    p: FloatArray, xyz: FloatArray, field: FloatArray, dt_s: float, delay_ticks: int, following: bool
+) -> None:
     """Account for the period that has just passed; fills GIVEN, BY_SURFACE and RESIDUAL, in mJ.
 
     Args:

@@ -44,9 +44,7 @@ def _load(ordering: str) -> Any:
     def declared(typing: Any, array: Any, i: Any) -> Any:
         def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             kind = _kind(signature.args[0])
-            return builder.load_atomic(
-                _place(context, builder, signature, args), ordering, _BYTES, typ=kind
-            )
+            return builder.load_atomic(_place(context, builder, signature, args), ordering, _BYTES, typ=kind)
 
         return array.dtype(array, types.intp), build
 
@@ -56,9 +54,7 @@ def _load(ordering: str) -> Any:
 def _store(ordering: str) -> Any:
     def declared(typing: Any, array: Any, i: Any, value: Any) -> Any:
         def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            builder.store_atomic(
-                args[2], _place(context, builder, signature, args[:2]), ordering, _BYTES
-            )
+            builder.store_atomic(args[2], _place(context, builder, signature, args[:2]), ordering, _BYTES)
             return context.get_dummy_value()
 
         return types.none(array, types.intp, array.dtype), build
@@ -160,7 +156,8 @@ def read_shared(counter: Any, shared: FloatArray, seen: int, out: FloatArray, wo
         fence_acquire()
         if load_relaxed(counter, 0) == count:
             out[:] = work
-            return count
+            read: int = count
+            return read
     return seen
 
 

@@ -44,7 +44,7 @@ def read_simulated(context: Any, now_ns: int, out: Any) -> int:
         d[LAST_NS] = now_s
     left = min(now_s - d[LAST_NS], SLOWEST_S)
     at = now_s - left
-    steps = int(math.ceil(left / d[STEP_S] - 1e-6))
+    steps = int(left / d[STEP_S] + 1.0 - 1e-6)
     h = left / steps if steps > 0 else 0.0
     force = np.empty(3)
     for _ in range(steps):

@@ -1,6 +1,6 @@
 """The supervisor of the force as a kernel: fades, slew limit, latch, re-arm.
 
-`dvf_ig.guidance.supervisor.Supervisor` is its readable form, and the tests hold one to the other step by step.
+`dvf_ig.guidance.supervisor.Supervisor` is its readable form; tests hold one to the other step by step.
 """
 
 import math
@@ -110,7 +110,9 @@ def _release(s: FloatArray, masks: Any, t_s: float) -> None:
 
 
 @kernel
-def _follow(s: FloatArray, limits: FloatArray, masks: Any, t_s: float, dt_s: float, wanted: FloatArray) -> None:
+def _follow(
+    s: FloatArray, limits: FloatArray, masks: Any, t_s: float, dt_s: float, wanted: FloatArray
+) -> None:
     bits = int(s[HAZARDS])
     risen = (t_s - s[RISE_START_S]) / s[RISE_S] if s[RISE_S] > 0.0 else 1.0
     scale = 0.5 * (1.0 - math.cos(math.pi * min(max(risen, 0.0), 1.0))) if risen < 1.0 else 1.0

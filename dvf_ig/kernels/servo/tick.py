@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
-from dvf_ig.kernels.compiled import inlined, kernel
+from dvf_ig.kernels.compiled import inlined
 from dvf_ig.kernels.composition import COMPOSED_SIZE, CONFLICT, compose_forces, work_size
 from dvf_ig.kernels.dynamic import DEPTH, LAW, forces_on_surface
 from dvf_ig.kernels.laws import direction_certainty
 from dvf_ig.kernels.place import PACKED_SIZE, Columns, phase_at, pose_at, status_at
 from dvf_ig.kernels.pose_and_phase import DISTANCE_RATE, DISTANCE_SIGMA, GUIDED_SIZE, distance_rate_and_sigma
-
 from dvf_ig.kernels.vectors import Vector, dot
 
 from . import passivity, supervision
@@ -121,7 +120,9 @@ def scratch_sizes(fixtures: int) -> dict[str, Any]:
 
 
 @inlined
-def _place_in_tracker(m: FloatArray, c: FloatArray, inputs: FloatArray, xyz_device: FloatArray, dt_s: float) -> bool:
+def _place_in_tracker(
+    m: FloatArray, c: FloatArray, inputs: FloatArray, xyz_device: FloatArray, dt_s: float
+) -> bool:
     """Tool in the tracker frame and its filtered speed, into the memory; whether it is finite."""
     t = TRACKER_FROM_DEVICE
     finite = True
@@ -195,16 +196,26 @@ def fixtures_force(
     if found[0] != code.OK:
         return found[0]
     for i in range(len(packed)):
-        forces[i, 0], forces[i, 1], forces[i, 2] = _to_tracker(pose, (forces[i, 0], forces[i, 1], forces[i, 2]))
+        forces[i, 0], forces[i, 1], forces[i, 2] = _to_tracker(
+            pose, (forces[i, 0], forces[i, 1], forces[i, 2])
+        )
     gradient = _to_tracker(pose, found[3])
-    first[3], first[4], first[5], first[6], first[7] = found[2], gradient[0], gradient[1], gradient[2], found[4]
+    first[3], first[4], first[5], first[6], first[7] = (
+        found[2],
+        gradient[0],
+        gradient[1],
+        gradient[2],
+        found[4],
+    )
     compose_forces(forces, fixtures[:, FIXTURE_CAP_N], fixtures[:, FORBIDDEN], cap_n, work, order, composed)
     first[DISTANCE_RATE], first[DISTANCE_SIGMA] = distance_rate_and_sigma(pose_phase, pose, phase, xyz, first)
     return code.OK
 
 
 @inlined
-def _relative_damping(c: FloatArray, m: FloatArray, first: FloatArray, surface: FloatArray, out: FloatArray) -> float:
+def _relative_damping(
+    c: FloatArray, m: FloatArray, first: FloatArray, surface: FloatArray, out: FloatArray
+) -> float:
     """Surface velocity (3,) along the normal; `dvf_ig.guidance.FeedForward` added to `out`; its speed."""
     gx, gy, gz = first[4], first[5], first[6]
     norm = math.sqrt(gx * gx + gy * gy + gz * gz)
@@ -212,7 +223,7 @@ def _relative_damping(c: FloatArray, m: FloatArray, first: FloatArray, surface: 
     if not certainty > 0.0:
         return math.nan
     nx, ny, nz = gx / norm, gy / norm, gz / norm
-    speed = -first[DISTANCE_RATE] / norm
+    speed: float = -first[DISTANCE_RATE] / norm
     surface[0], surface[1], surface[2] = speed * nx, speed * ny, speed * nz
     push = 0.0
     if c[FRICTION_N] > 0.0:
@@ -260,7 +271,7 @@ def servo_tick(
     """One tick.
 
     Args:
-        linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; the one not used may be empty.
+        linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
         packed: (k, p) fixtures (`packed_fixture`), written to.
         fixtures: (k, 6) their constants; c: constants of the servo; limits, codes: of the supervisor.
         inputs: what the session published; writable.
@@ -291,7 +302,20 @@ def servo_tick(
         xyz[k] = m[TOOL_XYZ + k] + c[PREDICT_TOOL] * c[LEAD_S] * speed[k]
         surface[k] = 0.0
     status = fixtures_force(
-        linear, periodic, packed, fixtures, c[CAP_N], inputs, t_s + c[LEAD_S], xyz, status, first, forces, work, order, composed
+        linear,
+        periodic,
+        packed,
+        fixtures,
+        c[CAP_N],
+        inputs,
+        t_s + c[LEAD_S],
+        xyz,
+        status,
+        first,
+        forces,
+        work,
+        order,
+        composed,
     )
     surface_speed = math.nan
     for k in range(3):
@@ -303,7 +327,9 @@ def servo_tick(
     hazards |= codes[OF_STATUS + status]
     supervisor = m[SUPERVISION:TOOL]
     if device_status == 0 and m[TOOL_KNOWN] != 0.0:
-        following = supervisor[supervision.STATE] <= supervision.DEGRADED and supervisor[supervision.SLOW] == 0.0
+        following = (
+            supervisor[supervision.STATE] <= supervision.DEGRADED and supervisor[supervision.SLOW] == 0.0
+        )
         observe(m, xyz, field, dt_s, int(c[DELAY_TICKS]), following)
         if status == code.OK:
             control(m, speed, surface, c[PERIOD_S], c[LARGEST_DAMPING], wanted)
@@ -325,10 +351,24 @@ def servo_tick(
             + inputs[TRACKER_FROM_DEVICE + 4 + k] * sent[1]
             + inputs[TRACKER_FROM_DEVICE + 8 + k] * sent[2]
         )
-        row[XYZ_MM + k], row[FIELD_N + k], row[WANTED_N + k], row[SENT_N + k] = xyz[k], field[k], wanted[k], sent[k]
-    row[T_S], row[DISTANCE_MM], row[SIGMA_MM], row[SURFACE_MM_S] = t_s, first[3], first[DISTANCE_SIGMA], surface_speed
+        row[XYZ_MM + k], row[FIELD_N + k], row[WANTED_N + k], row[SENT_N + k] = (
+            xyz[k],
+            field[k],
+            wanted[k],
+            sent[k],
+        )
+    row[T_S], row[DISTANCE_MM], row[SIGMA_MM], row[SURFACE_MM_S] = (
+        t_s,
+        first[3],
+        first[DISTANCE_SIGMA],
+        surface_speed,
+    )
     row[STATUS], row[STATE], row[IN_CONFLICT] = status, supervisor[supervision.STATE], composed[CONFLICT]
     row[ACTIVE_HAZARDS], row[CAUSE] = supervisor[supervision.HAZARDS], supervisor[supervision.CAUSE]
     row[SCALE], row[CLAMPED] = supervisor[supervision.SCALE], supervisor[supervision.CLAMPED]
     row[RESIDUAL_MJ], row[GIVEN_MJ] = m[passivity.RESIDUAL], m[passivity.GIVEN]
     row[BY_SURFACE_MJ], row[CONTROLLER_DAMPING] = m[passivity.BY_SURFACE], m[passivity.DAMPING]
+
+
+unpacked_tick: Any = servo_tick
+"""The same, for callers that unpack two tuples into its arguments, which type checkers do not follow."""

@@ -57,4 +57,8 @@ def compiled_floor(model: DvfModel, model_from_query: Rigid, law: Sigmoid) -> Cp
         done = subprocess.run(
             [compiler, *FLAGS, str(SOURCE), "-o", str(library)], capture_output=True, check=False
         )
-        return CppFloor(ctypes.CDLL(str(library)), model, model_from_query, law) if done.returncode == 0 else None
+        return (
+            CppFloor(ctypes.CDLL(str(library)), model, model_from_query, law)
+            if done.returncode == 0
+            else None
+        )

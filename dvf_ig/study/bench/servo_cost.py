@@ -16,7 +16,7 @@ from dvf_ig.guidance.servo.bound import bind_fixtures, new_scratch
 from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.dynamic import force_batch
 from dvf_ig.kernels.servo.borrowed import borrowed
-from dvf_ig.kernels.servo.tick import ROW, servo_tick
+from dvf_ig.kernels.servo.tick import ROW, unpacked_tick
 
 from .cpp_floor import compiled_floor
 from .heart import CYCLE_S, RATE_HZ, hand_path, random_points
@@ -81,7 +81,7 @@ def _into(function: Callable[[int, int, FloatArray], None], out: FloatArray, beg
 
 
 def _alternating(passes: dict[str, Pass]) -> dict[str, FloatArray]:
-    """µs a call in blocks of CALLS, of each one's fastest pass; passes take turns, so all see the same machine."""
+    """µs a call in blocks of CALLS, of each one's fastest pass; they take turns and so see one machine."""
     best: dict[str, FloatArray] = {}
     for call in passes.values():
         call(0, CALLS)
@@ -106,7 +106,15 @@ def _one_force(model: DvfModel, law: Sigmoid, tip: FloatArray, phi: FloatArray) 
 
     def run(i: int, j: int) -> None:
         force_batch(
-            coefficients, packed, tip[i:j], phi[i:j], force[i:j], distance[i:j], gradient[i:j], rate[i:j], status[i:j]
+            coefficients,
+            packed,
+            tip[i:j],
+            phi[i:j],
+            force[i:j],
+            distance[i:j],
+            gradient[i:j],
+            rate[i:j],
+            status[i:j],
         )
 
     return run
@@ -116,7 +124,9 @@ def _ticks(model: DvfModel, tip: FloatArray) -> Pass:
     """Pose, phase, two fixtures, composition, passivity, saturation, supervision, record."""
     bound = tuple(bind_fixtures(Fixtures(model, TWO_FIXTURES), COMMON_DEVICE, ServoOptions(), 0.0))
     scratch = tuple(new_scratch(len(TWO_FIXTURES.fixtures)))
-    inputs = ServoInputs(PoseAndPhase(*steady(POSE)), 0.0, Rigid.identity("tracker", "device"), valid_for_s=1e9)
+    inputs = ServoInputs(
+        PoseAndPhase(*steady(POSE)), 0.0, Rigid.identity("tracker", "device"), valid_for_s=1e9
+    )
     values, row_, force = inputs.packed(0.0), np.empty(ROW), np.empty(3)
     return lambda i, j: tick_batch(bound, scratch, values, tip[i:j], i, 1.0 / RATE_HZ, row_, force)
 
@@ -136,4 +146,4 @@ def tick_batch(
     bound, scratch, inputs, xyz_mm = borrowed(bound), borrowed(scratch), borrowed(inputs), borrowed(xyz_mm)
     row_, force = borrowed(row_), borrowed(force)
     for n in range(len(xyz_mm)):
-        servo_tick(*bound, inputs, xyz_mm[n], 0, 1.0 + (first + n) * period_s, 0, *scratch, row_, force)
+        unpacked_tick(*bound, inputs, xyz_mm[n], 0, 1.0 + (first + n) * period_s, 0, *scratch, row_, force)

@@ -1,1 +1,1 @@
-"""A wall pressed by a hand on a simulated device: what sampling makes of it, with and without the controller."""
+"""A hand on a simulated device against a wall: what sampling does, with and without the controller."""

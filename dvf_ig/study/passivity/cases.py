@@ -32,7 +32,7 @@ class WallCase:
         device: mass, frictions, resolution; delay_s: of it.
         gamma_per_mm, limit_per_mm: of the wall, and the largest that is passive.
         without_mm, with_mm: RMS of the true tip over the last second, without and with the controller.
-        limit_reached_s: when the energy limit would have withdrawn the force without the controller; NaN never.
+        limit_reached_s: when the energy limit would have withdrawn the uncontrolled force; NaN never.
         largest_residual_mj: with the controller.
     """
 
@@ -119,9 +119,7 @@ def _steep_wall(device: SimulatedDevice, delay_s: float, seconds: float) -> Wall
 def _beating_wall(name: str, hand: Hand) -> BeatingCase:
     model = wall_model(AMPLITUDE_MM, rr_s=RR_S)
     law = Sigmoid(passive_gamma(PREMIUM), CAP_N)
-    run = press(
-        model, law, PREMIUM, hand, seconds=(CYCLES + 1) * RR_S, start_mm=0.0, options=ServoOptions()
-    )
+    run = press(model, law, PREMIUM, hand, seconds=(CYCLES + 1) * RR_S, start_mm=0.0, options=ServoOptions())
     ticks = round(RR_S * PREMIUM.rate_hz)
     by_surface, given = (
         np.diff(total[ticks - 1 :: ticks]) for total in (run.record.by_surface_mj, run.record.given_mj)

@@ -15,7 +15,15 @@ from dvf_ig.core import (
     Rigid,
     read_only_arrays,
 )
-from dvf_ig.guidance import DeviceLimits, FixtureOptions, Fixtures, FixtureSet, Law, PoseAndPhase, SimulatedDevice
+from dvf_ig.guidance import (
+    DeviceLimits,
+    FixtureOptions,
+    Fixtures,
+    FixtureSet,
+    Law,
+    PoseAndPhase,
+    SimulatedDevice,
+)
 from dvf_ig.guidance.devices.simulated import Hand, SimulatedStylus
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, ServoRecord, SimulatedServo
 

@@ -65,7 +65,9 @@ def path_mm(moving):
     t = np.arange(1500) / RATE_HZ
     reach = 15.0 + 2.5 * np.sin(2.0 * np.pi * 1.3 * t)
     turn = 0.5 * t
-    in_model = np.stack([reach * np.cos(turn), reach * np.sin(turn) * 0.8, reach * np.sin(turn) * 0.6], axis=1)
+    in_model = np.stack(
+        [reach * np.cos(turn), reach * np.sin(turn) * 0.8, reach * np.sin(turn) * 0.6], axis=1
+    )
     to_tracker = moving.pose.end.inverse()
     return TRACKER_FROM_DEVICE.inverse().apply_array(to_tracker.apply_array(in_model))
 

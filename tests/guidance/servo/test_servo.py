@@ -69,7 +69,9 @@ class Spoken:
             record = self.servo.read()
             if len(record) and condition(record):
                 return record
-            assert time.monotonic() < end, f"it did not happen in time: {record.state[-1:]} {record.hazards[-1:]} {record.status[-1:]}"
+            assert time.monotonic() < end, (
+                f"it did not happen in time: {record.state[-1:]} {record.hazards[-1:]} {record.status[-1:]}"
+            )
             time.sleep(0.002)
 
     def until_state(self, state):

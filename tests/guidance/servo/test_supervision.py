@@ -57,4 +57,8 @@ def test_an_old_step_is_no_reason_to_rearm():
         readable.step(0.001 * k, np.zeros(3), hazards)
         kernel.supervise(memory, numbers, codes, 0.001 * k, np.zeros(3), int(hazards))
     assert memory[kernel.STATE] == kernel.LATCHED
-    assert ANSWERS[kernel.rearm(memory, numbers, codes, 1.0)] is readable.rearm(1.0) is RearmAnswer.NO_RECENT_STEP
+    assert (
+        ANSWERS[kernel.rearm(memory, numbers, codes, 1.0)]
+        is readable.rearm(1.0)
+        is RearmAnswer.NO_RECENT_STEP
+    )

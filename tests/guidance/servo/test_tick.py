@@ -22,7 +22,7 @@ from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, SimulatedServo
 from dvf_ig.guidance.servo.twin import ReadableTick
 
-from .conftest import RATE_HZ, THREE, TRACKER_FROM_DEVICE
+from .conftest import RATE_HZ, TRACKER_FROM_DEVICE
 
 LIMITS = DeviceLimits(stiffness_n_per_m=400.0)
 OPTIONS = ServoOptions(feed_forward=FeedForward(damping_n_s_per_m=0.5, friction_n=0.02))
@@ -42,9 +42,7 @@ def words(moving, ticks, every=33):
         status = Status.STALE_TOOL if first == 25 * every else Status.OK
         hazards |= Hazard.STALE_TOOL if status != Status.OK else Hazard.NONE
         valid = 0.01 if first == 35 * every else 0.1
-        inputs = ServoInputs(
-            moving, first / RATE_HZ, TRACKER_FROM_DEVICE, hazards, status, valid_for_s=valid
-        )
+        inputs = ServoInputs(moving, first / RATE_HZ, TRACKER_FROM_DEVICE, hazards, status, valid_for_s=valid)
         yield inputs, min(every, ticks - first)
 
 
@@ -70,7 +68,9 @@ def test_the_kernel_s_tick_is_the_readable_one(moving, three, path_mm):
 
 def test_the_device_gets_the_force_in_its_own_frame(moving, three, path_mm):
     device = RecordedDevice(path_mm, RATE_HZ)
-    record = SimulatedServo(three, device).run(ServoInputs(moving, 0.0, TRACKER_FROM_DEVICE, valid_for_s=9.0), 400)
+    record = SimulatedServo(three, device).run(
+        ServoInputs(moving, 0.0, TRACKER_FROM_DEVICE, valid_for_s=9.0), 400
+    )
     back = TRACKER_FROM_DEVICE.rotation.T
     np.testing.assert_allclose(device.force_n[:400], record.sent_n @ back.T, atol=1e-15)
     assert np.abs(record.sent_n).max() > 0.1
@@ -86,10 +86,22 @@ def field(ball, transform, path_mm, fixtures, margin_mm=()):
 
 
 def test_a_margin_widens_a_region_and_softens_guidance(ball, moving, path_mm):
-    narrow = FixtureSet((FixtureOptions(Sigmoid(1.0, 0.4)), FixtureOptions(Confinement(1.0, 0.4, 9.0)),
-                         FixtureOptions(Gaussian(6.0, 1.0, 0.3))), 0.6)
-    wide = FixtureSet((FixtureOptions(Sigmoid(1.0, 0.4, -1.5)), FixtureOptions(Confinement(1.0, 0.4, 8.0)),
-                       FixtureOptions(Gaussian(6.5, 1.0, 0.3))), 0.6)
+    narrow = FixtureSet(
+        (
+            FixtureOptions(Sigmoid(1.0, 0.4)),
+            FixtureOptions(Confinement(1.0, 0.4, 9.0)),
+            FixtureOptions(Gaussian(6.0, 1.0, 0.3)),
+        ),
+        0.6,
+    )
+    wide = FixtureSet(
+        (
+            FixtureOptions(Sigmoid(1.0, 0.4, -1.5)),
+            FixtureOptions(Confinement(1.0, 0.4, 8.0)),
+            FixtureOptions(Gaussian(6.5, 1.0, 0.3)),
+        ),
+        0.6,
+    )
     by_margin = field(ball, moving, path_mm, narrow, (1.5, 1.0, 0.5))
     np.testing.assert_allclose(by_margin, field(ball, moving, path_mm, wide), atol=1e-12)
     assert np.abs(by_margin - field(ball, moving, path_mm, narrow)).max() > 0.01
