@@ -30,12 +30,21 @@ from dvf_ig.guidance.supervisor import (
     REARM_RISE_S,
     SLEW_SPEED_M_S,
     SLOW_SLEW_N_PER_S,
+    RearmAnswer,
 )
 from dvf_ig.kernels.dynamic import DEPTH, LAW
 from dvf_ig.kernels.servo import supervision
 from dvf_ig.kernels.servo import tick as kernel
 
 from .options import ServoOptions
+
+REARM_ANSWERS = {
+    supervision.REARMED: RearmAnswer.ACCEPTED,
+    supervision.NOT_LATCHED: RearmAnswer.NOT_LATCHED,
+    supervision.NO_RECENT_STEP: RearmAnswer.NO_RECENT_STEP,
+    supervision.HAZARD_ACTIVE: RearmAnswer.HAZARD_ACTIVE,
+    supervision.FORCE_WANTED: RearmAnswer.FORCE_WANTED,
+}
 
 
 class Bound(NamedTuple):

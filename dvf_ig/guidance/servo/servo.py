@@ -12,14 +12,17 @@ import numpy as np
 from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance.device import COMMON_DEVICE, DeviceLimits
 from dvf_ig.guidance.devices.protocol import HapticDevice
+from dvf_ig.guidance.devices.recorded import RecordedDevice
+from dvf_ig.guidance.evaluator import Evaluator
 from dvf_ig.guidance.fixtures import Fixtures
+from dvf_ig.guidance.sideways import check_sideways
 from dvf_ig.guidance.supervisor import RearmAnswer
 from dvf_ig.kernels.place import POSE_UNTIL
 from dvf_ig.kernels.servo import loop as kernel
-from dvf_ig.kernels.servo import shared, supervision
+from dvf_ig.kernels.servo import shared
 from dvf_ig.kernels.servo import tick as tick_kernel
 
-from .bound import bind_fixtures, new_scratch
+from .bound import REARM_ANSWERS, bind_fixtures, new_scratch
 from .deadlines import BINS, Deadlines
 from .inputs import ServoInputs
 from .options import ServoOptions
@@ -31,14 +34,7 @@ CHECK_NS = 1_000_000
 KEPT_S = 2.0
 """The ring buffer holds the last so many seconds."""
 ANSWER_WITHIN_S = 0.1
-
-ANSWERS = {
-    supervision.REARMED: RearmAnswer.ACCEPTED,
-    supervision.NOT_LATCHED: RearmAnswer.NOT_LATCHED,
-    supervision.NO_RECENT_STEP: RearmAnswer.NO_RECENT_STEP,
-    supervision.HAZARD_ACTIVE: RearmAnswer.HAZARD_ACTIVE,
-    supervision.FORCE_WANTED: RearmAnswer.FORCE_WANTED,
-}
+WARM_UP_TICKS = 20
 
 
 class Servo:
@@ -54,7 +50,8 @@ class Servo:
         options: rate, damping, passivity.
         watchdog: a second thread that sends no force where no tick has ended for 10 ms.
     Raises:
-        InvalidInputError: another system than Linux, or fixtures that the servo does not render.
+        InvalidInputError: another system than Linux, fixtures that the servo does not render, or such as the
+            device does not (`check_sideways`).
     """
 
     def __init__(
@@ -73,6 +70,9 @@ class Servo:
         self.device, self.options = device, options
         self._bound = tuple(bind_fixtures(fixtures, limits, options, device.latency_s))
         self._fixtures = len(fixtures.parts)
+        for part in fixtures.parts:
+            if isinstance(part, Evaluator):
+                check_sideways(part, limits)
         self._functions = np.array(device.functions, dtype=np.int64)
         self._counter = shared.new_counter()
         self._shared = np.zeros(tick_kernel.INPUT_SIZE)
@@ -105,6 +105,8 @@ class Servo:
             self._ring,
             self._histogram,
             self.options.period_ns,
+            0,
+            0,
         )
         if self._watchdog:
             arguments = (self._functions, self.device.context, self._numbers, WATCHDOG_NS, CHECK_NS)
@@ -137,7 +139,7 @@ class Servo:
             if time.monotonic() > until:
                 return RearmAnswer.NO_RECENT_STEP
             time.sleep(0.5 / self.options.rate_hz)
-        return ANSWERS[shared.load_number(self._numbers, kernel.REARM_ANSWER)]
+        return REARM_ANSWERS[shared.load_number(self._numbers, kernel.REARM_ANSWER)]
 
     def read(self) -> ServoRecord:
         """The ticks since the last call, or as many of them as the ring buffer still holds."""
@@ -173,26 +175,24 @@ class Servo:
         """Compile or load every kernel, and touch the coefficients, before the first tick."""
         for coefficients in self._bound[:2]:
             float(np.sum(coefficients))
-        inputs = np.zeros(tick_kernel.INPUT_SIZE)
-        row, force = np.zeros(tick_kernel.ROW), np.zeros(3)
-        scratch = new_scratch(self._fixtures)
-        for _ in range(10):
-            tick_kernel.unpacked_tick(*self._bound, inputs, np.zeros(3), 0, 0.0, 0, *scratch, row, force)
         shared.publish(self._counter, self._shared, self._shared.copy())
-        numbers, nowhere = np.zeros(kernel.NUMBERS, dtype=np.int64), np.zeros(BINS, dtype=np.int64)
-        numbers[kernel.STOP] = 1
-        kernel.copy_rows(self._ring, numbers, 0, np.empty((0, tick_kernel.ROW)))
-        # with STOP set nothing is read from the device; the servo's kernel ends by sending no force
+        numbers, histogram = np.zeros(kernel.NUMBERS, dtype=np.int64), np.zeros(BINS, dtype=np.int64)
+        nobody = RecordedDevice(np.zeros((WARM_UP_TICKS, 3)), self.options.rate_hz)
+        ring = np.zeros((WARM_UP_TICKS, tick_kernel.ROW))
         kernel.run_servo(
             self._bound,
-            tuple(scratch),
-            self._functions,
-            self.device.context,
+            tuple(new_scratch(self._fixtures)),
+            nobody.functions,
+            nobody.context,
             self._counter,
             self._shared,
             numbers,
-            self._ring,
-            nowhere,
+            ring,
+            histogram,
             self.options.period_ns,
+            1,
+            WARM_UP_TICKS,
         )
-        kernel.watch(self._functions, self.device.context, numbers, WATCHDOG_NS, CHECK_NS)
+        kernel.copy_rows(ring, numbers, 0, np.empty((1, tick_kernel.ROW)))
+        numbers[kernel.STOP] = 1
+        kernel.watch(nobody.functions, nobody.context, numbers, WATCHDOG_NS, CHECK_NS)

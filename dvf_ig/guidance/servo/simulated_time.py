@@ -6,10 +6,12 @@ from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance.device import COMMON_DEVICE, DeviceLimits
 from dvf_ig.guidance.devices.protocol import HapticDevice
 from dvf_ig.guidance.fixtures import Fixtures
-from dvf_ig.kernels.servo.loop import simulate_servo
-from dvf_ig.kernels.servo.tick import ROW
+from dvf_ig.guidance.supervisor import RearmAnswer
+from dvf_ig.kernels.servo import loop as kernel
+from dvf_ig.kernels.servo import shared
+from dvf_ig.kernels.servo.tick import INPUT_SIZE, ROW
 
-from .bound import bind_fixtures, new_scratch
+from .bound import REARM_ANSWERS, bind_fixtures, new_scratch
 from .inputs import ServoInputs
 from .options import ServoOptions
 from .record import ServoRecord
@@ -36,6 +38,8 @@ class SimulatedServo:
         self._bound = tuple(bind_fixtures(fixtures, limits, options, device.latency_s))
         self._scratch = tuple(new_scratch(len(fixtures.parts)))
         self._functions = np.array(device.functions, dtype=np.int64)
+        self._numbers, self._counter = np.zeros(kernel.NUMBERS, dtype=np.int64), shared.new_counter()
+        self._shared, self._histogram = np.zeros(INPUT_SIZE), np.zeros(1, dtype=np.int64)
         self._ticks = 0
 
     @property
@@ -52,20 +56,35 @@ class SimulatedServo:
         if ticks < 1:
             raise InvalidInputError(f"{ticks} ticks asked for; needed at least 1")
         rows = np.zeros((ticks, ROW))
-        values = inputs.packed(START_NS * 1e-9 + inputs.now_s)
-        start_ns = START_NS + self._ticks * self.options.period_ns
-        simulate_servo(
+        self._numbers[kernel.HEAD] = 0
+        shared.publish(self._counter, self._shared, inputs.packed(START_NS * 1e-9 + inputs.now_s))
+        kernel.run_servo(
             self._bound,
             self._scratch,
             self._functions,
             self.device.context,
-            values,
-            start_ns,
-            self.options.period_ns,
+            self._counter,
+            self._shared,
+            self._numbers,
             rows,
+            self._histogram,
+            self.options.period_ns,
+            START_NS + self._ticks * self.options.period_ns,
+            ticks,
         )
         self._ticks += ticks
         return ServoRecord(rows)
+
+    def ask_rearm(self) -> None:
+        """An operator's request to leave LATCHED, answered in the next tick (`rearmed`)."""
+        self._numbers[kernel.REARM_ASKED] += 1
+
+    @property
+    def rearmed(self) -> RearmAnswer | None:
+        """Answer to the last request; None before any, and before the tick that answers it."""
+        if self._numbers[kernel.REARM_ANSWERED] < max(1, self._numbers[kernel.REARM_ASKED]):
+            return None
+        return REARM_ANSWERS[int(self._numbers[kernel.REARM_ANSWER])]
 
 
 def simulate(

@@ -1,4 +1,4 @@
-"""The servo loop in real time, the same loop in simulated time, the watchdog, and the machine's floor."""
+"""The servo loop, in real or simulated time; the watchdog; the machine's floor."""
 
 from typing import Any
 
@@ -7,6 +7,7 @@ import numpy as np
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels.compiled import kernel
 
+from .borrowed import borrowed
 from .clock import monotonic_ns, sleep_until, wake_exactly
 from .device_call import call_device
 from .shared import (
@@ -94,8 +95,10 @@ def run_servo(
     ring: FloatArray,
     histogram: Any,
     period_ns: int,
+    start_ns: int,
+    simulated_ticks: int,
 ) -> int:
-    """Tick once a period until STOP; then send no force.
+    """Tick once a period until STOP, then send no force; or so many ticks in simulated time.
 
     Args:
         bound, scratch: of `servo_tick`.
@@ -103,6 +106,8 @@ def run_servo(
         counter, shared: what the session publishes, under a sequence lock.
         numbers: (NUMBERS,) int64 shared with Python and the watchdog.
         ring: (n, ROW) record; histogram: (b,) int64 counts of lateness in µs.
+        start_ns: time of the first tick in simulated time, which stands still between ticks.
+        simulated_ticks: 0 in real time.
     Returns:
         ticks that ran.
     """
@@ -110,15 +115,17 @@ def run_servo(
     late_ticks[:] = -LATE_WITHIN
     inputs, read_work = np.zeros(len(shared)), np.zeros(len(shared))
     xyz, force, zero, row = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(ROW)
+    bound, scratch = borrowed(bound), borrowed(scratch)
     memory, limits, codes = scratch[0], bound[5], bound[6]
     supervisor = memory[SUPERVISION:TOOL]
     missed = codes[MISSED_DEADLINES]
     wake_exactly()
     seen = read_shared(counter, shared, -1, inputs, read_work)
     ticks, overran = 0, False
-    target = monotonic_ns(timespec) + SETTLE_NS
-    while load_ordered(numbers, STOP) == 0:
-        now = sleep_until(target, timespec)
+    simulated = simulated_ticks > 0
+    target = start_ns if simulated else monotonic_ns(timespec) + SETTLE_NS
+    while load_ordered(numbers, STOP) == 0 and not (simulated and ticks == simulated_ticks):
+        now = target if simulated else sleep_until(target, timespec)
         late = now - target
         histogram[min(late // BIN_NS, len(histogram) - 1)] += 1
         if late > load_ordered(numbers, WORST_NS):
@@ -133,7 +140,7 @@ def run_servo(
         device_status = call_device(device[0], context, now, xyz)
         unpacked_tick(*bound, inputs, xyz, device_status, now * 1e-9, found, *scratch, row, force)
         _write(device, context, numbers, now, force, zero)
-        done = monotonic_ns(timespec)
+        done = now if simulated else monotonic_ns(timespec)
         store_ordered(numbers, HEARTBEAT_NS, done)
         row[LATENESS_NS], row[WORK_NS], row[TICK] = late, done - now, ticks
         record_row(ring, numbers, row)
@@ -143,36 +150,9 @@ def run_servo(
         while target < done - period_ns:
             target += period_ns
             numbers[SKIPPED] += 1
-    call_device(device[1], context, monotonic_ns(timespec), zero)
+    if not simulated:
+        call_device(device[1], context, monotonic_ns(timespec), zero)
     return ticks
-
-
-@kernel
-def simulate_servo(
-    bound: Any,
-    scratch: Any,
-    device: Any,
-    context: Any,
-    inputs: FloatArray,
-    start_ns: int,
-    period_ns: int,
-    record: FloatArray,
-) -> None:
-    """The same ticks in simulated time, exactly a period apart: the tests' and the studies' servo.
-
-    Args:
-        inputs: what the session published; the same throughout.
-        start_ns: time of the first tick.
-        record: (n, ROW) one row a tick.
-    """
-    xyz, force = np.zeros(3), np.zeros(3)
-    for tick in range(len(record)):
-        now = start_ns + tick * period_ns
-        device_status = call_device(device[0], context, now, xyz)
-        unpacked_tick(*bound, inputs, xyz, device_status, now * 1e-9, 0, *scratch, record[tick], force)
-        call_device(device[1], context, now, force)
-        record[tick, LATENESS_NS] = record[tick, WORK_NS] = 0.0
-        record[tick, TICK] = tick
 
 
 @kernel

@@ -61,13 +61,9 @@ def test_the_residual_of_one_step_is_half_the_stiffness_times_the_step_squared()
     gamma, cap = 0.02, 0.6
     stiffness = gamma * cap / 4
     hand = Hand(place_mm=np.array([30.0, 0.0, 0.0]), stiffness_n_per_m=2.0, damping_n_s_per_m=20.0)
-    options = ServoOptions(
-        largest_damping_n_s_per_m=0.0, residual_limit_mj=UNBOUNDED_MJ, predict_tool=False
-    )
+    options = ServoOptions(largest_damping_n_s_per_m=0.0, residual_limit_mj=UNBOUNDED_MJ, predict_tool=False)
     law = Sigmoid(gamma, cap)
-    run = press(
-        wall_model(), law, VISCOUS, hand, seconds=2.0, start_mm=-5.0, options=options
-    ).record
+    run = press(wall_model(), law, VISCOUS, hand, seconds=2.0, start_mm=-5.0, options=options).record
     moved = np.diff(run.xyz_mm[:, 0])
     following = run.state[:-1] == SupervisorState.OK
     expected = np.sum(0.5 * stiffness * moved[following] ** 2)

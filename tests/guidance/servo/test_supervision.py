@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from dvf_ig.guidance import DeviceLimits, Hazard, RearmAnswer, Supervisor
-from dvf_ig.guidance.servo.bound import hazard_codes, supervisor_limits
-from dvf_ig.guidance.servo.servo import ANSWERS
+from dvf_ig.guidance.servo.bound import REARM_ANSWERS, hazard_codes, supervisor_limits
 from dvf_ig.kernels.servo import supervision as kernel
 
 
@@ -40,7 +39,7 @@ def test_the_kernel_s_supervisor_is_the_readable_one(seed):
         assert memory[kernel.SCALE] == pytest.approx(expected.scale, abs=1e-12)
         states.add(expected.state)
         if ask:
-            answer = ANSWERS[kernel.rearm(memory, numbers, codes, t_s + 0.01)]
+            answer = REARM_ANSWERS[kernel.rearm(memory, numbers, codes, t_s + 0.01)]
             assert answer is readable.rearm(t_s + 0.01)
             answers.add(answer)
     assert len(states) == 4
@@ -58,7 +57,7 @@ def test_an_old_step_is_no_reason_to_rearm():
         kernel.supervise(memory, numbers, codes, 0.001 * k, np.zeros(3), int(hazards))
     assert memory[kernel.STATE] == kernel.LATCHED
     assert (
-        ANSWERS[kernel.rearm(memory, numbers, codes, 1.0)]
+        REARM_ANSWERS[kernel.rearm(memory, numbers, codes, 1.0)]
         is readable.rearm(1.0)
         is RearmAnswer.NO_RECENT_STEP
     )
