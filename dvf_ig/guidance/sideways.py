@@ -29,8 +29,9 @@ STEP_MM = 0.1
 DISTANCE_SLOPE = 0.8
 """From this |∇d| on a field is a distance; below, normals of several sides are blended."""
 ALLOWED_SHARE = 0.02
-"""Share of the places within reach that may be stiffer than the device renders. None at all would refuse every
-heart: rims and grooves of a few mm² turn the force at 500 to 2500 N/m. The passivity controller acts there."""
+"""Share of the places within reach that may be stiffer than the device renders. None at all would refuse
+every heart: rims and grooves of a few mm² turn the force at 500 to 2500 N/m. The passivity controller acts
+there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +104,8 @@ def check_sideways(evaluator: Evaluator, device: DeviceLimits) -> None:
     x, y, z = worst.xyz_mm
     raise InvalidInputError(
         "the fixture's force turns too fast for the device: beside its law's slope it is stiffer than "
-        f"{allowed * MM_PER_M:.4g} N/m at {worst.share_beyond:.0%} of the places within {REACH_MM:g} mm of the "
-        f"guarded surface, {worst.n_per_mm * MM_PER_M:.4g} N/m at ({x:.1f}, {y:.1f}, {z:.1f}) mm, "
+        f"{allowed * MM_PER_M:.4g} N/m at {worst.share_beyond:.0%} of the places within {REACH_MM:g} mm of "
+        f"the guarded surface, {worst.n_per_mm * MM_PER_M:.4g} N/m at ({x:.1f}, {y:.1f}, {z:.1f}) mm, "
         f"{worst.distance_mm:.2g} mm below the surface; the organ is thin or sharply curved there: lower the "
         "cap, or use a smoother surface"
     )

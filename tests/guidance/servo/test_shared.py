@@ -6,45 +6,49 @@ import numpy as np
 
 from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.servo import loop
-from dvf_ig.kernels.servo.shared import new_counter, publish, read_shared
+from dvf_ig.kernels.servo.shared import load_ordered, new_counter, publish, read_shared, store_number
 from dvf_ig.kernels.servo.tick import ROW
 
-WRITES = 200_000
+READS = 300
 
 
 @kernel
-def write_many(counter, shared, values, count):
-    for k in range(count):
+def write_until_stopped(counter, shared, values, stop):
+    k = 0.0
+    while load_ordered(stop, 0) == 0:
+        k += 1.0
         values[:] = k
         publish(counter, shared, values)
 
 
 @kernel
-def read_until(counter, shared, out, work, last):
-    """Reads, torn values and values that went back, until the last value is seen."""
+def read_many(counter, shared, out, work, count):
+    """Torn values, and values that went back, among so many reads that found something new."""
     seen, reads, torn, back, before = -1, 0, 0, 0, -1.0
-    while before < last:
+    while reads < count:
+        count_before = seen
         seen = read_shared(counter, shared, seen, out, work)
+        reads += seen != count_before
         for i in range(len(out)):
             torn += out[i] != out[0]
         back += out[0] < before
         before = out[0]
-        reads += 1
-    return reads, torn, back
+    return torn, back
 
 
 def test_a_sequence_lock_never_gives_a_torn_value():
-    counter, shared = new_counter(), np.zeros(113)
+    counter, shared, stop = new_counter(), np.zeros(113), np.ones(1, dtype=np.int64)
     out, work = np.full(113, -1.0), np.zeros(113)
-    write_many(new_counter(), np.zeros(113), np.zeros(113), 1)
-    publish(counter, shared, np.zeros(113))
-    read_until(counter, shared, out, work, 0.0)
-    writer = threading.Thread(target=write_many, args=(counter, shared, np.zeros(113), WRITES))
+    write_until_stopped(counter, shared, np.zeros(113), stop)
+    assert read_many(counter, shared, out, work, 1) == (0, 0)
+    stop[0] = 0
+    writer = threading.Thread(target=write_until_stopped, args=(counter, shared, np.zeros(113), stop))
     writer.start()
-    reads, torn, back = read_until(counter, shared, out, work, WRITES - 1.0)
+    found = read_many(counter, shared, out, work, READS)
+    store_number(stop, 0, 1)
     writer.join()
-    assert torn == back == 0
-    assert reads > 1
+    assert found == (0, 0)
+    assert out[0] >= READS - 1
 
 
 def test_a_reader_keeps_what_it_has_while_a_writer_is_in_the_middle():
