@@ -121,14 +121,24 @@ def _one_force(model: DvfModel, law: Sigmoid, tip: FloatArray, phi: FloatArray) 
 
 
 def _ticks(model: DvfModel, tip: FloatArray) -> Pass:
-    """Pose, phase, two fixtures, composition, passivity, saturation, supervision, record."""
+    """Pose, phase, two fixtures, composition, passivity, saturation, supervision; without device and clock.
+
+    The hand goes to and fro on the first 2 s of its path: a jump to another place would latch the force.
+    """
+    stay = tip[: round(2.0 * RATE_HZ)]
+    tip = np.ascontiguousarray(np.tile(np.concatenate([stay, stay[::-1]]), (3, 1))[: len(tip)])
+    numbers = np.zeros(1)
     bound = tuple(bind_fixtures(Fixtures(model, TWO_FIXTURES), COMMON_DEVICE, ServoOptions(), 0.0))
     scratch = tuple(new_scratch(len(TWO_FIXTURES.fixtures)))
     inputs = ServoInputs(
         PoseAndPhase(*steady(POSE)), 0.0, Rigid.identity("tracker", "device"), valid_for_s=1e9
     )
     values, row_, force = inputs.packed(0.0), np.empty(ROW), np.empty(3)
-    return lambda i, j: tick_batch(bound, scratch, values, tip[i:j], i, 1.0 / RATE_HZ, row_, force)
+
+    def run(i: int, j: int) -> None:
+        tick_batch(bound, scratch, values, tip[i:j], numbers, 1.0 / RATE_HZ, row_, force)
+
+    return run
 
 
 @kernel
@@ -137,13 +147,14 @@ def tick_batch(
     scratch: Any,
     inputs: FloatArray,
     xyz_mm: FloatArray,
-    first: int,
+    ticks: FloatArray,
     period_s: float,
     row_: FloatArray,
     force: FloatArray,
 ) -> None:
-    """`servo_tick` at (n, 3) positions a period apart."""
+    """`servo_tick` at (n, 3) positions a period apart; `ticks` counts on."""
     bound, scratch, inputs, xyz_mm = borrowed(bound), borrowed(scratch), borrowed(inputs), borrowed(xyz_mm)
     row_, force = borrowed(row_), borrowed(force)
     for n in range(len(xyz_mm)):
-        unpacked_tick(*bound, inputs, xyz_mm[n], 0, 1.0 + (first + n) * period_s, 0, *scratch, row_, force)
+        unpacked_tick(*bound, inputs, xyz_mm[n], 0, 1.0 + ticks[0] * period_s, 0, *scratch, row_, force)
+        ticks[0] += 1.0
