@@ -51,7 +51,9 @@ from .scenario.presets import PRESETS as PRESETS
 from .scenario.presets import Preset as Preset
 from .scenario.presets import ScenarioSpec as ScenarioSpec
 from .scenario.presets import preset_name as preset_name
+from .scenario.recording import ImagedHeart as ImagedHeart
 from .scenario.recording import cine_scenario as cine_scenario
+from .scenario.recording import imaged_heart as imaged_heart
 from .scenario.recording import phantom_scenario as phantom_scenario
 from .scenario.recording import surface_scenario as surface_scenario
 from .second_world.floor import RigidFloor as RigidFloor

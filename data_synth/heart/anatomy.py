@@ -1,6 +1,6 @@
 """The four-chamber phantom: the standard heart in closed form, or one person's."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -164,6 +164,13 @@ class PhantomAnatomy:
     def _standard_vertices_mm(self) -> FloatArray:
         """(v, 3) of the outline in the standard heart."""
         return self.ed_vertices_mm if self.warp is None else self.warp.inverse(self.ed_vertices_mm)
+
+    def with_mismatch(self, mismatch_mm: float, seed: int) -> "PhantomAnatomy":
+        """The same heart under another mismatch, drawn as `phantom_anatomy` does; they share the rest."""
+        field = random_mismatch(self.box_mm, mismatch_mm, np.random.default_rng(_seed_sequences(seed)[2]))
+        other = replace(self, mismatch=field, seeds=replace(self.seeds, mismatch=seed))
+        vars(other).update(reference=self.reference, resting_motion=self.resting_motion)
+        return other
 
     def placed(self, points: FloatArray) -> FloatArray:
         """(n, 3) positions of points of the standard heart's frame."""

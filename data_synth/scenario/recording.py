@@ -1,7 +1,7 @@
 """One synthetic intervention: a beating heart, what was known of it before, and every recorded stream."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,14 +42,49 @@ TRUTH_PHASES = 40
 Report = Callable[[float], None]
 
 
-def phantom_scenario(spec: ScenarioSpec, progress: Report | None = None) -> Scenario:
+@dataclass(frozen=True, slots=True, eq=False)
+class ImagedHeart:
+    """A phantom's heart and its pre-operative images: what all recordings of one heart share.
+
+    Attributes:
+        spec: it was made for; its recordings agree in kind of heart, motion, and seeds of both.
+    """
+
+    spec: ScenarioSpec
+    anatomy: PhantomAnatomy
+    preop: Preop
+
+    def of(self, spec: ScenarioSpec) -> PhantomAnatomy:
+        """The heart under the mismatch of another recording.
+
+        Raises:
+            InvalidInputError: a recording of another heart.
+        """
+        if _heart_of(spec) != _heart_of(self.spec):
+            raise InvalidInputError("the recording is to be of another heart than the one that was imaged")
+        return self.anatomy.with_mismatch(spec.mismatch, child_seed(spec.seeds.mismatch, "anatomy"))
+
+
+def imaged_heart(spec: ScenarioSpec) -> ImagedHeart:
+    """The heart of `phantom_scenario` with its 4-D MR; the MR's noise comes from `spec.seeds.anatomy`."""
+    anatomy = scenario_heart(spec)
+    return ImagedHeart(spec, anatomy, cine_preop(anatomy, child_rng(spec.seeds.anatomy, "preop")))
+
+
+def phantom_scenario(
+    spec: ScenarioSpec, progress: Report | None = None, imaged: ImagedHeart | None = None
+) -> Scenario:
     """A scenario on the four-chamber phantom.
 
     Args:
         spec: what to make.
         progress: called with the fraction done.
+        imaged: its heart, where another recording of it was made before; saves making it.
+    Raises:
+        InvalidInputError: `imaged` is another heart.
     """
-    anatomy = scenario_heart(spec)
+    imaged = imaged or imaged_heart(spec)
+    anatomy = imaged.of(spec)
     beats = beat_series(spec.options.rhythm, -3.0, spec.seconds + 3.0, child_rng(spec.seed, "rhythm"))
     ecg = synthetic_ecg(beats, spec.seconds, spec.options.ecg, child_rng(spec.seed, "ecg"))
     world = make_world(spec, anatomy, beats.r_peaks_s)
@@ -59,8 +94,11 @@ def phantom_scenario(spec: ScenarioSpec, progress: Report | None = None) -> Scen
     )
     heart = "four-chamber phantom" if spec.heart.kind == "standard" else f"{anatomy.kind} heart"
     name = f"{heart}, {spec.motion}, {spec.preset}, seed {spec.seed}"
-    preop = cine_preop(anatomy, world.rng("preop"))
-    return _assembled(name, world, preop, ecg, sweep, with_start=True, progress=progress)
+    return _assembled(name, world, imaged.preop, ecg, sweep, with_start=True, progress=progress)
+
+
+def _heart_of(spec: ScenarioSpec) -> tuple[object, ...]:
+    return spec.heart.kind, spec.motion, spec.seeds.anatomy, spec.seeds.motion
 
 
 def scenario_heart(spec: ScenarioSpec) -> PhantomAnatomy:

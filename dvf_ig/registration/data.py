@@ -13,10 +13,8 @@ from dvf_ig.registration.lc2.threads import SliceThreads
 from .placement import PlacementUncertainty
 from .start import LandmarkPrior
 
-BOUNDARY_SHARE = 0.35
-"""How far the result goes from LC2's pose to that of the boundary. Both err by what pre-operative and patient
-differ, but not alike: on tuning seeds 101–106 the largest error falls from 2.1 to 1.7 mm in poor images and
-stays at 0.8 mm in calm ones; half-way, calm ones rise to 0.95 mm."""
+BOUNDARY_WEIGHT = 1.0
+"""Of the boundary beside LC2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +26,7 @@ class RegistrationOptions:
         spread_mm: how far a displaced copy is from the start at the heart's radius.
         patch_mm: edge of an LC2 patch.
         density_width_mm: width over which patches share weight, see `density_weights`; None: they do not.
-        boundary_share: how far the result goes from LC2's pose to that of the boundary.
+        boundary_weight: of the boundary beside LC2.
         bound_mm: how far a pose may move from the start over the heart.
         candidates: most poses that are refined on fine slices.
         min_overlap: least share of the slices inside the model's volume.
@@ -41,7 +39,7 @@ class RegistrationOptions:
     spread_mm: float = 9.0
     patch_mm: float = 13.0
     density_width_mm: float | None = None
-    boundary_share: float = BOUNDARY_SHARE
+    boundary_weight: float = BOUNDARY_WEIGHT
     bound_mm: float = 30.0
     candidates: int = 3
     min_overlap: float = 0.35

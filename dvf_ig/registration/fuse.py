@@ -1,4 +1,4 @@
-"""Fusion of LC2's pose with that of the boundary, and the covariance of both together."""
+"""The pose from LC2 and the boundary together, of a heart that may have changed its shape; its covariance."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -6,14 +6,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+from dvf_ig.registration.boundary.blocks import boundary_blocks
 from dvf_ig.registration.boundary.fit import BoundaryFit, fit_boundary
-from dvf_ig.registration.evidence.covariance import (
-    blocks_of,
-    covariance_mm2,
-    independent_covariance_mm2,
-    placement_covariance_mm2,
+from dvf_ig.registration.deformation.blocks import (
+    BLOCK_MM,
+    LC2_INFORMATION,
+    OFFSET_SIGMA_MM,
+    Blocks,
+    blocks_at,
 )
-from dvf_ig.registration.lc2.curvature import curvature_about
+from dvf_ig.registration.deformation.joint_fit import POSE, UNKNOWNS, joint_fit
+from dvf_ig.registration.evidence.covariance import covariance_mm2, placement_covariance_mm2
+from dvf_ig.registration.lc2.blocks import BlockedLc2
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.slices import SliceSet, within
 from dvf_ig.registration.lc2.threads import SliceThreads
@@ -26,7 +30,7 @@ from .refine import Refined
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Fused:
-    """The pose fused from LC2 and the boundary, with its covariance.
+    """The pose that LC2 and the boundary agree on, with its covariance.
 
     Attributes:
         pose: target_from_source.
@@ -49,49 +53,69 @@ class Fused:
 def fuse(
     data: RegistrationData, refined: Refined, options: RegistrationOptions, threads: SliceThreads
 ) -> Fused:
-    """Go a share of the way from LC2's pose to that of the boundary."""
-    base = refined.best.pose
-    chart = PoseChart(base, data.center_mm)
-    covered = within(data.coarse.slices, data.coarse.model.grid, base)
+    """Go from LC2's pose to that which blocks of LC2 and of the boundary agree on best."""
+    chart = PoseChart(refined.best.pose, data.center_mm)
+    covered = within(data.coarse.slices, data.coarse.model.grid, chart.base)
 
     def metric_of(slices: SliceSet) -> Lc2:
         return replace(data.coarse, slices=slices).metric(options, threads)
 
-    boundary, share, pose = None, 0.0, base
+    boundary = None
     if data.visible_boundary is not None:
-        boundary = fit_boundary(data.visible_boundary, base, data.center_mm)
-        share = options.boundary_share
-        pose = chart.pose(share * chart.coordinates(boundary.pose))
-    covariance = noise = np.full((6, 6), np.nan)
-    curvature, landmarks = _curvature(data, refined, chart)
-    determined = _definite(curvature) and (boundary is None or np.isfinite(boundary.covariance).all())
-    if determined and covered.masks.any():
-        noise = covariance_from_mm(independent_covariance_mm2(curvature, boundary, share))
-        spread = covariance_mm2(
-            blocks_of(covered, metric_of, base, data.center_mm),
-            curvature,
-            refined.inside.information,
-            chart=chart,
-            boundary=data.visible_boundary,
-            fit=boundary,
-            share=share,
-            landmarks=landmarks,
-        )
-        if data.placement is not None:
-            spread = spread + placement_covariance_mm2(
-                covered, metric_of, base, data.center_mm, curvature, data.placement, data.rr_s
-            )
-        covariance = covariance_from_mm(spread)
+        boundary = fit_boundary(data.visible_boundary, chart.base, data.center_mm)
+    pose, covariance, noise = chart.base, np.full((6, 6), np.nan), np.full((6, 6), np.nan)
+    if covered.masks.any():
+        blocks = _blocks(data, refined, boundary, options, chart)
+        landmarks, slope = _landmarks(data, chart)
+        curvature = blocks.curvature + landmarks
+        if _definite(curvature):
+            known, known_slope = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
+            known[POSE, POSE], known_slope[POSE] = landmarks, slope
+            known[6, 6] = 1.0 / OFFSET_SIGMA_MM**2
+            fit = joint_fit(blocks.costs, known, known_slope, data.center_mm)
+            pose = chart.pose(fit.step_mm)
+            noise = covariance_from_mm(_noise(blocks, landmarks))
+            spread = covariance_mm2(blocks, fit)
+            if data.placement is not None:
+                spread = spread + placement_covariance_mm2(
+                    covered, metric_of, chart.base, data.center_mm, curvature, data.placement, data.rr_s
+                )
+            covariance = covariance_from_mm(spread)
     return Fused(pose, covariance, noise, boundary, covered, metric_of)
 
 
-def _curvature(data: RegistrationData, refined: Refined, chart: PoseChart) -> tuple[FloatArray, FloatArray]:
-    """(6, 6) curvature of −log posterior at LC2's pose, and of it what the landmarks give."""
-    landmarks = np.zeros((6, 6))
-    if data.prior is not None:
-        landmarks = data.prior.normal_equations(chart.base, chart.center_mm)[0]
-    image = curvature_about(refined.inside, chart).scaled(refined.inside.information)
-    return image + landmarks, landmarks
+def _blocks(
+    data: RegistrationData,
+    refined: Refined,
+    boundary: BoundaryFit | None,
+    options: RegistrationOptions,
+    chart: PoseChart,
+) -> Blocks:
+    seen = data.visible_boundary
+    return blocks_at(
+        BlockedLc2(refined.inside, block_mm=BLOCK_MM),
+        refined.inside.information,
+        None
+        if seen is None or boundary is None
+        else boundary_blocks(seen, boundary, chart.base, data.center_mm, block_mm=BLOCK_MM),
+        options.boundary_weight,
+        chart,
+    )
+
+
+def _noise(blocks: Blocks, landmarks: FloatArray) -> FloatArray:
+    """(6, 6) of independent observations of a heart of the same shape, counted as `Lc2.information` does."""
+    return np.asarray(
+        np.linalg.inv(blocks.costs.curvature[:, POSE, POSE].sum(axis=0) / LC2_INFORMATION + landmarks)
+    )
+
+
+def _landmarks(data: RegistrationData, chart: PoseChart) -> tuple[FloatArray, FloatArray]:
+    """(6, 6) curvature and (6,) gradient of what touched landmarks say of the pose."""
+    if data.prior is None:
+        return np.zeros((6, 6)), np.zeros(6)
+    matrix, downhill = data.prior.normal_equations(chart.base, chart.center_mm)
+    return matrix, -downhill
 
 
 def _definite(matrix: FloatArray) -> bool:

@@ -34,6 +34,7 @@ class RegistrationResult:
         moved_mm: mean distance over the heart between start and result.
         evaluations: of LC2's normal equations; seconds: by the caller's clock; slices: effort.
         options: what it was searched with, and the limits that its evidence was held against.
+        covariance_scale: by which both covariances were multiplied, see `evidence.assessment`.
     """
 
     target_from_source: Rigid
@@ -55,6 +56,7 @@ class RegistrationResult:
     seconds: float
     slices: int
     options: RegistrationOptions
+    covariance_scale: float = 1.0
 
     def refused(self, stop: Stop) -> "RegistrationResult":
         """The same pose, refused by what lies outside of the images, as touched landmarks."""

@@ -2,7 +2,8 @@
 
 1. candidates: many starts optimised on coarse slices, the best distinct ones kept;
 2. refine: the candidates on fine slices, ranked by LC2; the best once more on what lies within the model;
-3. fuse: LC2's pose goes a share of the way to that of the boundary;
+3. fuse: from LC2's pose to that which blocks of LC2 and of the boundary agree on, when the heart may also
+   have changed its shape;
 4. judge: the optima of the boundary and of subsets of the slices, curvature, z-score against wrong poses,
    overlap.
 """
@@ -84,8 +85,9 @@ def register_rigid(
             stop=stop,
             success_probability=assessment.success_probability,
             tre_bound_mm=assessment.tre_bound_mm,
-            covariance=fused.covariance,
-            noise_covariance=fused.noise_covariance,
+            covariance=fused.covariance * assessment.covariance_scale,
+            covariance_scale=assessment.covariance_scale,
+            noise_covariance=fused.noise_covariance * assessment.covariance_scale,
             center_mm=data.center_mm,
             evidence=evidence,
             statistics=statistics,

@@ -15,7 +15,7 @@ from dvf_ig.registration.evidence.checks import VOLUME_LIMITS
 from dvf_ig.registration.lc2.channels import ModelChannels
 from dvf_ig.registration.lc2.slices import SliceSet, joined, root_amplitude, slices_of_volume
 
-from .data import BOUNDARY_SHARE, Level, RegistrationData, RegistrationOptions
+from .data import BOUNDARY_WEIGHT, Level, RegistrationData, RegistrationOptions
 from .result import RegistrationResult
 from .rigid import register_rigid
 from .start import LandmarkPrior
@@ -46,14 +46,14 @@ class VolumeTarget:
         channels: by which LC2 explains the ultrasound; of MR, smoothed by VOLUME_SMOOTHING_MM.
         center_mm: (3,) centre of the heart box, in the channels' frame.
         surface: the model's surface at the phases in use, where its labels are known.
-        boundary_share: how far the result goes from LC2's pose to that of the boundary.
+        boundary_weight: of the boundary beside LC2.
         brightness: of ultrasound that is compared with these channels.
     """
 
     channels: ModelChannels
     center_mm: FloatArray
     surface: BoundaryTarget | None = None
-    boundary_share: float = BOUNDARY_SHARE
+    boundary_weight: float = BOUNDARY_WEIGHT
     brightness: Brightness = root_amplitude
 
 
@@ -94,7 +94,7 @@ def register_volumes(
         slices = prepare_volumes(volumes, pitch_mm=BOUNDARY_PITCH_MM, planes=BOUNDARY_PLANES)
         boundary = Boundary(boundary_points(slices), target.surface)
     data = RegistrationData(coarse, fine, target.center_mm, boundary, prior)
-    options = replace(SEARCH, boundary_share=target.boundary_share)
+    options = replace(SEARCH, boundary_weight=target.boundary_weight)
     result = register_rigid(data, start, rng=rng, clock=clock, options=options, progress=progress)
     return replace(result, seconds=clock() - began)
 

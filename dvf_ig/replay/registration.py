@@ -10,6 +10,7 @@ from dvf_ig.core import DvfModel, Rigid, Scenario, Stop
 from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
 from dvf_ig.session import (
     GatedFrames,
+    Heart,
     UltrasoundRecording,
     build_heart,
     gate_recording,
@@ -49,6 +50,7 @@ def register_scenario(
     start: Rigid | None = None,
     *,
     model: DvfModel | None = None,
+    heart: Heart | None = None,
     seed: int = 0,
     progress: Progress | None = None,
     clock: Clock = perf_counter,
@@ -59,6 +61,7 @@ def register_scenario(
 
     Args:
         model: as `run_replay`.
+        heart: of the scenario's pre-operative data, where another recording of it was registered before.
     Raises:
         NoOverlapError: too few frames can be compared with the model.
         InvalidInputError, QualityGateError: as `run_replay`.
@@ -70,7 +73,8 @@ def register_scenario(
     calibrations = calibrate(scenario, seed)
     peaks, _ = stream_recording(scenario.ecg)
     require_heart_beats(peaks, scenario)
-    heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.6 * f))
+    if heart is None:
+        heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.6 * f))
     pose = start if start is not None else start_pose(scenario, heart, seed)
     recording = UltrasoundRecording(
         scenario.ultrasound, 0, scenario.fan, heart, peaks, calibrations.ultrasound, "two-segment"

@@ -75,7 +75,7 @@ def register_frames(
         options=RegistrationOptions(
             starts=0 if warm else STARTS,
             density_width_mm=DENSITY_WIDTH_MM,
-            boundary_share=heart.boundary_share,
+            boundary_weight=heart.boundary_weight,
             limits=SLICE_LIMITS,
             kind=KIND if heart.beats_update_pose else None,
         ),

@@ -43,18 +43,10 @@ LABEL_VOXEL_MM = 2.0
 LABEL_SMOOTHING_MM = 1.5
 LABEL_MARGIN_MM = 20.0
 
-MR_BOUNDARY_SHARE = 0.1
-LABEL_BOUNDARY_SHARE = 0.8
-MODEL_BOUNDARY_SHARE = 0.35
-"""How far a registration of tracked frames goes from LC2's pose to that of the boundary. With MR, poor images
-and windows of 12 s: 1.87, 1.94 and 2.19 mm off with 0, 0.2 and 0.35 on tuning seeds 101–103; 1.97, 2.00 and
-2.29 mm on 104–106; calm, seed 101: 1.11, 1.16 and 1.29. 0.1 was chosen with all of these in view, and is
-interpolated between 0 and 0.2: it guards against the single windows in which LC2 alone errs most.
-Gated volumes go further (`registration.data.BOUNDARY_SHARE`): they show the boundary in three dimensions.
-Real surfaces, tuning seeds 101 and 102, windows of 8 to 30 s: boundary 1.4 to 2.1 mm off (3.7 once), LC2 on
-label maps 1.7 to 3.7 mm.
-A model alone, whole recordings, tuning seeds 101 to 104: 1.69 mm with 0.8, 1.21 with 0.35; real surfaces,
-seed 101: 1.22 and 0.89."""
+MR_BOUNDARY_WEIGHT = 1.0
+LABEL_BOUNDARY_WEIGHT = 10.0
+MODEL_BOUNDARY_WEIGHT = 3.0
+"""Of the boundary beside LC2, in a registration of tracked frames."""
 
 
 _WITHOUT_CHAMBERS = (
@@ -74,7 +66,7 @@ class Heart:
         coarse, fine: channels at the two pitches of registration.
         center_mm: (3,) centre of the heart box.
         surface: the boundary of blood and wall, which ultrasound shows; None without a cavity.
-        boundary_share: how far a registration goes from LC2's pose (0) to that of the boundary (1).
+        boundary_weight: of the boundary beside LC2.
         beats_update_pose: whether LC2 on these channels is good enough for a single beat to move the pose.
         brightness: of ultrasound that is compared with these channels.
     """
@@ -84,7 +76,7 @@ class Heart:
     fine: ModelChannels
     center_mm: FloatArray
     surface: BoundaryTarget | None
-    boundary_share: float
+    boundary_weight: float
     beats_update_pose: bool = True
     brightness: Callable[[NDArray[np.uint8]], NDArray[np.float32]] = root_amplitude
 
@@ -125,9 +117,9 @@ def build_heart(
             channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
         surface = target.result() if target is not None else None
     if preop.mr is not None:
-        return Heart(model, channels, channels, center, surface, MR_BOUNDARY_SHARE)
-    share = LABEL_BOUNDARY_SHARE if has_anatomy else MODEL_BOUNDARY_SHARE
-    return Heart(model, channels, channels, center, surface, share, False, normalised_grey)
+        return Heart(model, channels, channels, center, surface, MR_BOUNDARY_WEIGHT)
+    weight = LABEL_BOUNDARY_WEIGHT if has_anatomy else MODEL_BOUNDARY_WEIGHT
+    return Heart(model, channels, channels, center, surface, weight, False, normalised_grey)
 
 
 def _require_within(mr: VolumeSeries, model: DvfModel, center_mm: FloatArray) -> None:

@@ -111,7 +111,7 @@ def _target(volumes: Sequence[TrackedVolume], heart: Heart, mr: VolumeSeries | N
     _tell_distant_phases(phases, heart.fine.fractions[nearest])
     if mr is None:
         return VolumeTarget(
-            heart.fine, heart.center_mm, heart.surface, heart.boundary_share, heart.brightness
+            heart.fine, heart.center_mm, heart.surface, heart.boundary_weight, heart.brightness
         )
     used = np.unique(nearest).tolist()
     channels = channels_from_mr(mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=used)

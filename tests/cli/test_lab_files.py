@@ -134,14 +134,14 @@ def test_a_real_record_by_any_of_its_names(data_dir: Path, tmp_path: Path) -> No
 
 @pytest.fixture(scope="module")
 def cine(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A real cine and the expert's labels of end-diastole, cut to the heart and to every fifth frame."""
+    """A real cine and the expert's labels of end-diastole, cut to the heart and to every tenth frame."""
     folder, source = tmp_path_factory.mktemp("cine"), data_dir / "acdc-cine" / "patient002"
     grey = SimpleITK.ReadImage(str(source / "cine_4d.nii.gz"))
     labels = SimpleITK.ReadImage(str(source / "ed_labels.nii.gz"))
     inside = np.argwhere(SimpleITK.GetArrayViewFromImage(labels) > 0)[:, ::-1]
     low, high = (np.maximum(inside.min(axis=0) - 8, 0).tolist(), (inside.max(axis=0) + 9).tolist())
     x, y = slice(low[0], high[0]), slice(low[1], high[1])
-    SimpleITK.WriteImage(grey[x, y, :, 0:30:5], str(folder / "cine.nii.gz"))
+    SimpleITK.WriteImage(grey[x, y, :, 0:30:10], str(folder / "cine.nii.gz"))
     SimpleITK.WriteImage(labels[x, y, :], str(folder / "ed.nii.gz"))
     return folder
 

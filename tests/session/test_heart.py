@@ -43,7 +43,9 @@ def test_a_model_alone_gives_the_heart_of_the_surfaces_it_was_built_from(
     assert alone.surface is not None
     assert full.surface is not None
     np.testing.assert_allclose(alone.surface.coefficients, full.surface.coefficients, atol=0.2)
-    assert alone.boundary_share < full.boundary_share  # its surfaces are smoother than what they were made of
+    assert (
+        alone.boundary_weight < full.boundary_weight
+    )  # its surfaces are smoother than what they were made of
     assert alone.beats_update_pose == full.beats_update_pose
 
 

@@ -23,9 +23,8 @@ from dvf_ig.core import (
     VolumeSeries,
 )
 from dvf_ig.registration import channels_from_mr, normalised_grey
-from dvf_ig.registration.data import BOUNDARY_SHARE
+from dvf_ig.registration.data import BOUNDARY_WEIGHT
 from dvf_ig.session import Heart, model_phase_at, register_gated_volumes
-from dvf_ig.session.heart import MR_BOUNDARY_SHARE
 
 RR_S = 0.6
 
@@ -112,17 +111,16 @@ def test_volumes_meet_mr_of_the_phases_in_use_smoothed_for_volumes(asked: list[S
     expected = channels_from_mr(toy_cine(), smoothing_mm=3.0, phases=[0, 3])
     np.testing.assert_array_equal(call.target.channels.values, expected.values)
     np.testing.assert_array_equal(call.target.channels.fractions, [0.0, 0.6])
-    # not that of tracked frames, which show the boundary less well
-    assert call.target.boundary_share == BOUNDARY_SHARE > MR_BOUNDARY_SHARE
+    assert call.target.boundary_weight == BOUNDARY_WEIGHT
     assert call.rng.integers(1 << 30) == np.random.default_rng(7).integers(1 << 30)
 
 
 def test_without_mr_they_meet_the_models_own_channels(asked: list[SimpleNamespace]) -> None:
-    heart = replace(toy_beating_heart(), boundary_share=0.8, brightness=normalised_grey)
+    heart = replace(toy_beating_heart(), boundary_weight=0.8, brightness=normalised_grey)
     register_gated_volumes([at(0.4)], heart, toy_pose(), mr=None, seed=0, clock=clock)
     target = asked[0].target
     assert target.channels is heart.fine
-    assert (target.boundary_share, target.brightness) == (0.8, normalised_grey)
+    assert (target.boundary_weight, target.brightness) == (0.8, normalised_grey)
 
 
 def test_a_phase_that_the_model_lacks_is_told(

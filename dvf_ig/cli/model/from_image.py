@@ -136,11 +136,12 @@ def _grown(request: BuildRequest, image: VolumeSeries) -> tuple[Volume, tuple[in
     if request.seeds is None:
         raise typer.BadParameter("--image needs either --labels or --seeds")
     seeds = read_seeds(request.seeds, image.grid.frame)
-    labels = segment_from_seeds(image.phase(request.ed_phase), seeds)
+    grey = image.phase(request.ed_phase)
+    labels = segment_from_seeds(grey, seeds)
     path = request.output.with_name(f"{request.output.stem}_ed_labels.nii.gz")
     write_volume(labels, path)
     wrote(path, labels.grid.frame)
-    shortage = seed_shortage(labels, seeds)
+    shortage = seed_shortage(grey, labels, seeds)
     if shortage.told:
         raise InvalidInputError(
             f"the seeds are too few: {'; '.join(shortage.told)}. What grew from them is in {path.name}"
@@ -155,6 +156,12 @@ def _warn_of_limits(result: "CineModel", request: BuildRequest) -> None:
         warn(
             f"the motion of phase {replaced.phase} was rejected: {replaced.reason.value}. It is interpolated "
             "between the phases around it; look at the frame"
+        )
+    for stiffened in result.motion.stiffened:
+        warn(
+            f"the motion of phase {stiffened.phase}, registered back to end-diastole, ends "
+            f"{stiffened.inconsistency_mm:.1f} mm from where it began: it was estimated anew with less "
+            "freedom; look at the frame"
         )
     if result.open_ends:
         ends = " and ".join(f"slice {end.index} (across axis {'ijk'[end.axis]})" for end in result.open_ends)
@@ -202,6 +209,9 @@ def _payload(result: "CineModel", request: BuildRequest) -> dict[str, Any]:
         "replaced_phases": [
             {"phase": r.phase, "reason": r.reason.name.lower(), "jump_mm": r.jump_mm}
             for r in result.motion.replaced
+        ],
+        "stiffened_phases": [
+            {"phase": s.phase, "inconsistency_mm": s.inconsistency_mm} for s in result.motion.stiffened
         ],
         "not_known_beyond": [
             {"axis": "ijk"[end.axis], "index": end.index, "position_mm": end.position_mm.tolist()}

@@ -51,6 +51,8 @@ def cines(
         for one in found:
             if one.replaced_phases:
                 warn(f"{one.patient}: the motion of phases {list(one.replaced_phases)} was rejected")
+            if one.stiffened_phases:
+                warn(f"{one.patient}: phases {list(one.stiffened_phases)} were estimated anew, stiffer")
         emit(summary, _rows(found), as_json=as_json)
         wrote(out / "summary.json")
 

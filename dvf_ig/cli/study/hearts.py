@@ -57,13 +57,20 @@ def hearts(
     images: Annotated[
         ImagesName, typer.Option("--images", help="A tracked sweep of 14 s, or gated 3-D volumes.")
     ] = ImagesName.sweep,
-    quality: Annotated[QualityName, typer.Option("--quality", help="Of the images.")] = QualityName.calm,
+    quality: Annotated[
+        list[QualityName] | None,
+        typer.Option("--quality", help="Of the images (repeatable; default: both)."),
+    ] = None,
     disturbed: Annotated[
-        bool,
+        int,
         typer.Option(
-            "--disturbed", help="Draw errors of calibration, clock, anatomy and start for every heart."
+            "--disturbed",
+            min=0,
+            max=20,
+            help="So many sweeps more of each heart and quality, with errors of calibration, clock, anatomy "
+            "and start drawn for each.",
         ),
-    ] = False,
+    ] = 0,
     count: Annotated[
         int | None, typer.Option("--hearts", min=1, help="The first so many of the list (default: all).")
     ] = None,
@@ -78,7 +85,7 @@ def hearts(
     scheduler: SchedulerOption = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Register every heart of a list once: accuracy, refusals and what the result says of itself.
+    """Register the hearts of a list: accuracy, refusals and what the result says of itself.
 
     Intervals are over hearts: Wilson's of shares, bootstrap of percentiles.
     """
@@ -89,6 +96,7 @@ def hearts(
         from dataclasses import asdict
 
         from dvf_ig.io import output_folder, write_json
+        from dvf_ig.study.hearts.conditions import conditions_of, trial_numbers
         from dvf_ig.study.hearts.lists import heart_list
         from dvf_ig.study.hearts.summary import summarise_hearts
         from dvf_ig.study.hearts.trial import heart_trial
@@ -97,16 +105,18 @@ def hearts(
         settings = {
             "world": world.value,
             "images": images.value,
-            "quality": quality.value,
+            "qualities": [chosen.value for chosen in quality or QualityName],
             "disturbed": disturbed,
         }
-        seeds = heart_list(name.value).of_world(world.value)[:count]
+        hearts_of_list = heart_list(name.value).of_world(world.value)[:count]
+        conditions = len(conditions_of(settings))
         with output_folder(out), progress("hearts") as report:
             lines = run_trials(
                 Study("hearts", settings, heart_trial),
-                seeds,
+                trial_numbers(hearts_of_list, settings),
                 out,
                 workers=cores_or(workers),
+                group_size=conditions,
                 scheduler=scheduler,
                 progress=report,
             )
@@ -141,9 +151,10 @@ def _fit(folders: list[Path], out: Path, *, as_json: bool) -> None:
 
 def _table(groups: "list[HeartGroup]") -> list[tuple[str, ...]]:
     """One column a group, one row a figure."""
-    rows: list[tuple[str, ...]] = [("", *(f"{g.images}, {g.quality}" for g in groups))]
+    rows: list[tuple[str, ...]] = [("", *(_heading(g) for g in groups))]
     figures: dict[str, Callable[[HeartGroup], str]] = {
-        "hearts (failed)": lambda g: f"{g.hearts} ({g.failed})",
+        "hearts": lambda g: str(g.hearts),
+        "trials (failed)": lambda g: f"{g.trials} ({g.failed})",
         "below 2 mm": lambda g: _share(g.success),
         "TRE median mm": lambda g: _estimate(g.tre_median_mm),
         "TRE p95 mm": lambda g: _estimate(g.tre_p95_mm),
@@ -160,6 +171,10 @@ def _table(groups: "list[HeartGroup]") -> list[tuple[str, ...]]:
         "seconds": lambda g: _number(g.seconds_median),
     }
     return rows + [(label, *(figure(g) for g in groups)) for label, figure in figures.items()]
+
+
+def _heading(group: "HeartGroup") -> str:
+    return f"{group.images}, {group.quality}" + (", disturbed" if group.disturbed else "")
 
 
 def _share(share: "Share") -> str:

@@ -29,6 +29,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.frames import require_same_frame
 
+from .consistency import LIMIT_MM, Stiffened, inverse_index, made_consistent, parts_of
 from .demons import DemonsOptions, DisplacementField, match_images_by_demons
 from .free_form import FreeForm, Lattice
 from .image_match import FreeFormOptions, match_images
@@ -38,7 +39,6 @@ from .slice_stack import axis_of_lost_spacing, observable_axes
 Progress = Callable[[float], None]
 Method = Literal["bspline", "demons"]
 
-INVERSE_STEPS = 12
 PADDING_MM = 8.0
 """Image kept beyond the voxels that are compared, for tissue that moves in from outside."""
 
@@ -97,6 +97,7 @@ class CycleMotion:
         observable: (3,) axes of the grid along which motion was estimated; not across a stack of slices.
         spacing_lost: slices differ as if they lay much further apart than the header says.
         replaced: phases whose own motion could not be right; theirs is interpolated in time.
+        stiffened: phases whose own motion did not return when registered back; theirs has less freedom.
     """
 
     ed_phase: int
@@ -108,6 +109,7 @@ class CycleMotion:
     observable: BoolArray
     spacing_lost: bool = False
     replaced: tuple[ReplacedPhase, ...] = ()
+    stiffened: tuple[Stiffened, ...] = ()
 
     @property
     def grid(self) -> Grid:
@@ -157,11 +159,18 @@ def track_cycle(
     identity = _identity(grid, observable, options)
     counter = _Counter(phases, progress)
 
-    def chain(order: Sequence[int]) -> list[AnyDeformation]:
-        found: list[AnyDeformation] = []
+    parts = parts_of(organ[box], None if blood is None else blood[box])
+
+    def chain(order: Sequence[int]) -> list[tuple[AnyDeformation, float]]:
+        found: list[tuple[AnyDeformation, float]] = []
+        before = identity
         for phase in order:
-            before = found[-1] if found else identity
-            found.append(_match(grey[ed_phase], grey[phase], mask, before, observable, options))
+            before = _match(grey[ed_phase], grey[phase], mask, before, observable, options)
+            if isinstance(before, FreeForm):
+                pair = (grey[ed_phase], grey[phase])
+                found.append(made_consistent(before, pair, mask, parts, observable, options.free_form))
+            else:
+                found.append((before, 0.0))
             counter.step()
         return found
 
@@ -171,11 +180,25 @@ def track_cycle(
     with ThreadPoolExecutor(min(options.threads, 2)) as pool:
         ahead, behind = pool.map(chain, (forwards, backwards))
     by_phase = {**dict(zip(backwards, behind, strict=True)), **dict(zip(forwards, ahead, strict=True))}
-    by_phase[ed_phase] = identity
+    by_phase[ed_phase] = (identity, 0.0)
     start = (int(box[0].start), int(box[1].start), int(box[2].start))
-    ordered, replaced = replace_outliers([by_phase[i] for i in range(phases)], grey, mask, ed_phase)
+    estimates = [by_phase[i][0] for i in range(phases)]
+    ordered, replaced = replace_outliers(estimates, grey, mask, ed_phase)
+    rejected = {r.phase for r in replaced}
+    stiffened = tuple(
+        Stiffened(i, by_phase[i][1]) for i in range(phases) if by_phase[i][1] > LIMIT_MM and i not in rejected
+    )
     return CycleMotion(
-        ed_phase, ordered, forwards[-1], behind[-1], start, mask, observable, lost is not None, replaced
+        ed_phase,
+        ordered,
+        forwards[-1],
+        behind[-1][0],
+        start,
+        mask,
+        observable,
+        lost is not None,
+        replaced,
+        stiffened,
     )
 
 
@@ -205,22 +228,11 @@ def propagate_labels(motion: CycleMotion, image: VolumeSeries, labels: Volume, p
     out = np.zeros(image.grid.shape, dtype=labels.values.dtype)
     values = motion.cropped(labels.values)
     if phase != motion.ed_phase:
-        origin = _inverse_index(motion.deformations[phase])
+        deformation = motion.deformations[phase]
+        origin = inverse_index(np.moveaxis(deformation.on_voxels() / deformation.grid.spacing_mm, -1, 0))
         values = ndimage.map_coordinates(values, origin, order=0, mode="nearest")
     motion.cropped(out)[...] = values
     return out
-
-
-def _inverse_index(deformation: Deformation) -> FloatArray:
-    """(3, nx, ny, nz) voxel index that each voxel centre came from: y = x − u(y), iterated."""
-    spacing = deformation.grid.spacing_mm
-    moved = np.moveaxis(deformation.on_voxels() / spacing, -1, 0)
-    here = np.indices(deformation.grid.shape, dtype=np.float64)
-    origin = here - moved
-    for _ in range(INVERSE_STEPS):
-        at = [ndimage.map_coordinates(u, origin, order=1, mode="nearest") for u in moved]
-        origin = here - np.stack(at)
-    return origin
 
 
 def _match(

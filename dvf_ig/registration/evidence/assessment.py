@@ -5,6 +5,7 @@
     μ      w₀ + Σ w_j x_j, all w_j >= 0: predicted logarithm of the largest target error
     P      of a mean error below 2 mm: isotonic regression on μ
     bound  exp(μ + q), q the split-conformal 95 % quantile of log(largest error) − μ, one heart one trial
+    scale  exp(a + b (μ − log predicted)): of the covariance, whose squared error is then 6 on average
 
 P and bound are cross-fitted by heart (`study.hearts.fit`). Of images whose statistics lie outside all that
 was calibrated neither is stated.
@@ -40,6 +41,7 @@ FEATURES = (
 """In the order of a table's weights; each is the worse the larger it is: of the z-score its inverse, and
 "unexplained" is 1 − LC2."""
 LARGEST = 1e3
+LARGEST_SCALE = 16.0
 TABLES = "calibrated.json"
 NAMES = {
     "brightness": "the images' mean brightness",
@@ -69,6 +71,7 @@ class Table:
         refused_probability: share of successes among poses that a check refused.
         bound_quantile: q; inf where there were too few hearts for one.
         largest: μ above which a pose must not guide.
+        spread: a and b of the covariance's scale.
         ranges: lowest and highest value of each image statistic.
         outside_p: at most this share of hearts like those calibrated lie outside of the ranges.
     """
@@ -84,6 +87,7 @@ class Table:
     refused_probability: float
     bound_quantile: float
     largest: float
+    spread: tuple[float, float]
     ranges: dict[str, tuple[float, float]]
     outside_p: float
 
@@ -99,12 +103,14 @@ class Assessment:
             above, and of a refused pose.
         outside: why neither can be stated, as a user reads it; empty otherwise.
         doubtful: whether the evidence is worse than that of nearly all good poses.
+        covariance_scale: by which the covariance is to be multiplied.
     """
 
     success_probability: float | None
     tre_bound_mm: float | None
     outside: str = ""
     doubtful: bool = False
+    covariance_scale: float = 1.0
 
 
 def features_of(evidence: Evidence, similarity: float, predicted_mm: float) -> dict[str, float | None]:
@@ -152,14 +158,30 @@ def assess(table: Table | None, features: dict[str, float | None], statistics: I
     """
     if table is None:
         return Assessment(None, None, "no probability was calibrated for images of this kind")
+    logs = logarithms(features)
+    error = predicted_log_error(table, logs)
+    scale = covariance_scale(table.spread, error - float(logs[FEATURES.index("predicted_mm")]))
     strange = _outside(table, statistics)
     if strange:
-        return Assessment(None, None, strange)
-    error = predicted_log_error(table, logarithms(features))
+        return Assessment(None, None, strange, covariance_scale=max(1.0, scale))
     bound = math.exp(error + table.bound_quantile) if math.isfinite(table.bound_quantile) else None
     return Assessment(
-        float(np.interp(error, table.predicted, table.probability)), bound, doubtful=error > table.largest
+        float(np.interp(error, table.predicted, table.probability)),
+        bound,
+        doubtful=error > table.largest,
+        covariance_scale=scale,
     )
+
+
+def covariance_scale(spread: tuple[float, float], excess: float) -> float:
+    """Scale of a covariance.
+
+    Args:
+        excess: logarithm of the predicted largest error over the RMS target error by the covariance.
+    """
+    if not math.isfinite(excess):
+        return 1.0
+    return min(max(math.exp(spread[0] + spread[1] * excess), 1.0 / LARGEST_SCALE), LARGEST_SCALE)
 
 
 def _outside(table: Table, statistics: ImageStatistics) -> str:
@@ -203,6 +225,7 @@ def table_from_json(held: dict[str, Any]) -> Table:
         refused_probability=held["refused_probability"],
         bound_quantile=math.inf if quantile is None else quantile,
         largest=held["largest"],
+        spread=(held["spread"][0], held["spread"][1]),
         ranges={name: (low, high) for name, (low, high) in held["ranges"].items()},
         outside_p=held["outside_p"],
     )

@@ -23,41 +23,50 @@ class BlockGradients:
     """Cost and gradient of each block of each slice.
 
     Attributes:
-        cell: (b, 3) which block of space, in steps of its edge in the slices' frame.
-        slice: (b,) of which slice.
         cost: (b,); gradient: (b, 6) in the coordinates of `PoseChart`.
     """
 
-    cell: IntArray
-    slice: IntArray
     cost: FloatArray
     gradient: FloatArray
 
 
-def block_gradients(metric: Lc2, pose: Rigid, center_mm: FloatArray, *, block_mm: float) -> BlockGradients:
-    """Evaluate every block of every slice of a metric at a pose.
+class BlockedLc2:
+    """LC2 of every block of every slice.
 
-    Args:
-        block_mm: edge of a block of space.
+    Attributes:
+        cell: (b, 3) which block of space, in steps of its edge in the slices' frame.
+        slice: (b,) of which slice.
     """
-    slices, patches = metric.slices, metric.patches
-    owner = np.repeat(np.arange(len(slices)), np.diff(patches.first))
-    cell = np.floor(patch_centers_mm(slices, patches.first, patches.centers) / block_mm).astype(np.int64)
-    keys, part = np.unique(np.column_stack([owner, cell]), axis=0, return_inverse=True)
-    order = np.argsort(part.ravel(), kind="stable")
-    counts = np.bincount(part.ravel(), minlength=len(keys))
-    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    centers = patches.centers[order]
-    # patches stay centred on every second pixel, which the kernels rely on
-    margin = metric.radius + metric.radius % 2
-    corner = np.minimum.reduceat(centers, first[:-1], axis=0) - margin
-    centers = centers - np.repeat(corner, counts, axis=0)
-    parts = metric.with_patches(
-        _cut(slices, keys[:, 0], corner, centers.max(axis=0) + metric.radius + 1, margin),
-        Patches(first, centers, patches.moments[order]),
-    )
-    found = parts.cost_gradient(pose, center_mm)
-    return BlockGradients(keys[:, 1:], keys[:, 0], found.cost, found.gradient)
+
+    def __init__(self, metric: Lc2, *, block_mm: float) -> None:
+        """Cut the slices of a metric.
+
+        Args:
+            block_mm: edge of a block of space.
+        """
+        slices, patches = metric.slices, metric.patches
+        owner = np.repeat(np.arange(len(slices)), np.diff(patches.first))
+        cell = np.floor(patch_centers_mm(slices, patches.first, patches.centers) / block_mm).astype(np.int64)
+        keys, part = np.unique(np.column_stack([owner, cell]), axis=0, return_inverse=True)
+        order = np.argsort(part.ravel(), kind="stable")
+        counts = np.bincount(part.ravel(), minlength=len(keys))
+        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        centers = patches.centers[order]
+        # patches stay centred on every second pixel, which the kernels rely on
+        margin = metric.radius + metric.radius % 2
+        corner = np.minimum.reduceat(centers, first[:-1], axis=0) - margin
+        centers = centers - np.repeat(corner, counts, axis=0)
+        self._parts = metric.with_patches(
+            _cut(slices, keys[:, 0], corner, centers.max(axis=0) + metric.radius + 1, margin),
+            Patches(first, centers, patches.moments[order]),
+        )
+        self.cell: IntArray = keys[:, 1:]
+        self.slice: IntArray = keys[:, 0]
+
+    def gradients(self, pose: Rigid, center_mm: FloatArray) -> BlockGradients:
+        """Of every block at a pose."""
+        found = self._parts.cost_gradient(pose, center_mm)
+        return BlockGradients(found.cost, found.gradient)
 
 
 def _cut(slices: SliceSet, owner: IntArray, corner: IntArray, size: IntArray, margin: int) -> SliceSet:

@@ -36,12 +36,13 @@ class StructureAgreement:
 
 @dataclass(frozen=True, slots=True)
 class PatientAgreement:
-    """One patient: every structure, the phases whose motion was replaced, the voxel size that was given."""
+    """One patient: every structure, phases whose motion was replaced or stiffened, the voxel size given."""
 
     patient: str
     phases: int
     spacing_given: bool
     replaced_phases: tuple[int, ...]
+    stiffened_phases: tuple[int, ...]
     structures: tuple[StructureAgreement, ...]
 
 
@@ -56,6 +57,7 @@ def cine_agreement(cine: LabelledCine, options: MotionOptions) -> PatientAgreeme
         len(cine.image.timing),
         cine.spacing_given,
         tuple(r.phase for r in motion.replaced),
+        tuple(s.phase for s in motion.stiffened),
         tuple(
             _structure(name, moved == value, cine.ed.values == value, cine.es.values == value, spacing)
             for name, value in STRUCTURES

@@ -8,7 +8,8 @@ hearts (cross-fitting in FOLDS). Fitted are, for each kind of images, the tables
 2. isotonic regression (pool adjacent violators) of success on the cross-fitted prediction;
 3. the split-conformal 95 % quantile of its residuals, one trial a heart;
 4. the prediction above which a pose is refused: 1 − GOOD_REFUSED of the good poses lie below;
-5. ranges of the image statistics.
+5. the covariance's scale;
+6. ranges of the image statistics.
 """
 
 import math
@@ -16,10 +17,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
+from scipy.optimize import minimize, nnls
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError
 from dvf_ig.registration.evidence.assessment import FEATURES, SUCCESS_MM, logarithms
+from dvf_ig.study.registration.summary import FAILURE_MM
 from dvf_ig.study.trials import Line
 
 FOLDS = 5
@@ -32,6 +34,8 @@ HUBER = 1.345
 """Residuals beyond so many standard deviations count linearly (Huber 1981)."""
 RIDGE = 0.02
 """Of the weights, in squared standard deviations of a feature: checks that say alike share their weight."""
+SPREAD_RIDGE = 0.1
+"""Of the slope of the covariance's scale, in trials."""
 RANGE_MARGIN = 0.25
 """Of the range of an image statistic over the hearts, beyond either end."""
 JUDGED_LATER = ("DOUBTFUL", "CONVERGED")
@@ -95,6 +99,7 @@ def fit_table(lines: Sequence[Line]) -> dict[str, Any]:
         "refused_probability": float((weight[refused & success].sum() + 1.0) / (weight[refused].sum() + 2.0)),
         "bound_quantile": conformal_quantile((target - predicted)[passed], hearts[passed]),
         "largest": float(np.quantile(predicted[good], 1.0 - GOOD_REFUSED)),
+        "spread": fit_spread(*_squared_errors(lines, predicted, passed), weight),
         **_ranges(statistics, int(hearts.max()) + 1),
     }
 
@@ -177,6 +182,36 @@ def conformal_quantile(residual: FloatArray, hearts: IntArray) -> float | None:
     reached = np.cumsum(share[order]) / (share.sum() + 1.0)
     enough = np.flatnonzero(reached >= CONFIDENCE - 1e-12)
     return float(residual[order][enough[0]]) if len(enough) else None
+
+
+def _squared_errors(
+    lines: Sequence[Line], predicted: FloatArray, passed: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n,) χ² by the covariance before it was scaled, NaN of lost poses, and (n,) excess."""
+    squared = np.array(
+        [line["chi2"] * line["covariance_scale"] if line["chi2"] is not None else np.nan for line in lines]
+    )
+    lost = ~passed | np.array([line["tre_mm"] > FAILURE_MM for line in lines])
+    own = np.array([logarithms(line["features"])[FEATURES.index("predicted_mm")] for line in lines])
+    return np.where(lost, np.nan, squared), predicted - own
+
+
+def fit_spread(squared: FloatArray, excess: FloatArray, weight: FloatArray) -> tuple[float, float]:
+    """a and b of the covariance's scale, by which the mean of χ² is 6 whatever the excess.
+
+    Args:
+        squared: (n,) χ² before scaling, NaN where it does not count; excess: (n,) see `covariance_scale`.
+    Source: the quasi-likelihood of gamma regression (McCullagh and Nelder 1989, ch. 8).
+    """
+    known = np.isfinite(squared) & np.isfinite(excess)
+    ratio, at, own = squared[known] / 6.0, excess[known], weight[known]
+
+    def loss(values: FloatArray) -> float:
+        scale = values[0] + values[1] * at
+        return float(own @ (scale + ratio * np.exp(-scale)) + SPREAD_RIDGE * values[1] ** 2)
+
+    found = minimize(loss, np.zeros(2), method="L-BFGS-B", bounds=[(-4.0, 4.0), (0.0, 2.0)])
+    return float(found.x[0]), float(found.x[1])
 
 
 def _ranges(statistics: Sequence[dict[str, float]], hearts: int) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from time import perf_counter
 from typing import Any
 
@@ -10,12 +11,14 @@ import numpy as np
 from data_synth import (
     PRESETS,
     HeartSpec,
+    ImagedHeart,
     PairSpec,
     Preset,
     ScenarioSpec,
     SecondWorldSpec,
     child_rng,
     image_pair,
+    imaged_heart,
     phantom_scenario,
     second_world_pair,
     second_world_scenario,
@@ -23,10 +26,12 @@ from data_synth import (
 from dvf_ig.core import FloatArray, InvalidInputError, Points, Rigid, Scenario, read_only_arrays
 from dvf_ig.registration import RegistrationResult
 from dvf_ig.replay import register_scenario
-from dvf_ig.session import build_heart, register_gated_volumes
+from dvf_ig.session import Heart, build_heart, register_gated_volumes
 from dvf_ig.study.registration.problem import GATED, volume_problem
 from dvf_ig.study.registration.trial import KnownTruth, start_with_error
 from dvf_ig.study.trials import Settings
+
+from .conditions import Condition, of_trial
 
 VARIED = HeartSpec("varied")
 """Drawn from a population of healthy, dilated and hypertrophic hearts."""
@@ -37,6 +42,7 @@ SWEEP_S = 14.0
 START_MM = (4.0, 12.0)
 """Mean error of the start over the targets, drawn evenly."""
 DISTURBED_START_MM = (4.0, 50.0)
+START_OF = {False: START_MM, True: DISTURBED_START_MM}
 DISTURBED_SWEEP_S = (6.0, 14.0)
 DISTURBED_MISMATCH_MM = (1.0, 5.0)
 DISTURBED_PROBE_MM = (0.0, 2.0)
@@ -65,43 +71,67 @@ class RegisteredHeart:
     drawn: dict[str, float]
 
 
-def registered_heart(settings: Settings, seed: int) -> RegisteredHeart:
+def registered_heart(settings: Settings, number: int) -> RegisteredHeart:
     """Make, image and register one heart.
 
     Args:
         settings: as `heart_trial`.
+        number: of the trial.
     Raises:
         InvalidInputError: a disturbed heart of the second world, which is never fitted to.
     """
-    rng = child_rng(seed, "heart trial")
-    quality, disturbed = settings["quality"], settings["disturbed"]
+    seed, condition = of_trial(number, settings)
     if settings["world"] == "second":
-        if disturbed:
+        if condition.disturbed:
             raise InvalidInputError("the second world is for reporting; its hearts are not disturbed further")
+        rng = child_rng(seed, "heart trial")
+        quality: Any = condition.quality
         second = {"sweep": _second_sweep, "volumes": _second_volumes}[settings["images"]]
         return second(SecondWorldSpec(seed, quality, _motion(seed), SWEEP_S), rng)
+    drawing = seed if condition.draw == 0 else number
+    rng = child_rng(drawing, "heart trial")
     first: Callable[..., RegisteredHeart] = {"sweep": _sweep, "volumes": _volumes}[settings["images"]]
-    return first(seed, quality, disturbed, rng)
+    return first(seed, drawing, condition, rng)
 
 
 def _motion(seed: int) -> Any:
     return MOTION[seed % 2]
 
 
-def _sweep(seed: int, quality: str, disturbed: bool, rng: np.random.Generator) -> RegisteredHeart:
-    preset, drawn = PRESETS[quality], {"sweep_s": SWEEP_S}
-    if disturbed:
+@lru_cache(maxsize=1)
+def _prepared(seed: int) -> tuple[ImagedHeart, Heart]:
+    """A heart of the first world with what is made of its pre-operative images, for all its trials."""
+    imaged = imaged_heart(ScenarioSpec(motion=_motion(seed), seed=seed, heart=VARIED))
+    return imaged, build_heart(imaged.preop)
+
+
+def _sweep(seed: int, drawing: int, condition: Condition, rng: np.random.Generator) -> RegisteredHeart:
+    """The probe's path, speckle and rhythm of disturbed recordings are drawn anew, the heart is not."""
+    imaged, heart = _prepared(seed)
+    preset, drawn = PRESETS[condition.quality], {"sweep_s": SWEEP_S}
+    if condition.disturbed:
         preset, drawn = _disturbed(preset, rng)
-    spec = ScenarioSpec(quality, _motion(seed), drawn["sweep_s"], seed, changed=preset, heart=VARIED)
-    return _registered_sweep(phantom_scenario(spec), seed, disturbed, rng, drawn)
+    same = replace(VARIED, anatomy_seed=seed, motion_seed=seed)
+    spec = ScenarioSpec(
+        condition.quality, _motion(seed), drawn["sweep_s"], drawing, changed=preset, heart=same
+    )
+    scenario = phantom_scenario(spec, imaged=imaged)
+    return _registered_sweep(scenario, heart, seed, START_OF[condition.disturbed], rng, drawn)
 
 
 def _second_sweep(spec: SecondWorldSpec, rng: np.random.Generator) -> RegisteredHeart:
-    return _registered_sweep(second_world_scenario(spec), spec.seed, False, rng, {"sweep_s": spec.seconds})
+    scenario = second_world_scenario(spec)
+    heart = build_heart(scenario.preop)
+    return _registered_sweep(scenario, heart, spec.seed, START_MM, rng, {"sweep_s": spec.seconds})
 
 
 def _registered_sweep(
-    touched: Scenario, seed: int, disturbed: bool, rng: np.random.Generator, drawn: dict[str, float]
+    touched: Scenario,
+    heart: Heart,
+    seed: int,
+    start_mm: tuple[float, float],
+    rng: np.random.Generator,
+    drawn: dict[str, float],
 ) -> RegisteredHeart:
     """Without landmarks: what is judged is what the images say."""
     scenario = replace(touched, landmarks_mr=None, landmarks_tracker=None)
@@ -111,12 +141,9 @@ def _registered_sweep(
     box = truth.surface.vertices_mm[0]
     center = (box.min(axis=0) + box.max(axis=0)) / 2
     known = _Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
-    start = _start(known, disturbed, rng)
-    return RegisteredHeart(register_scenario(scenario, start, seed=seed).result, start, known, drawn)
-
-
-def _start(known: KnownTruth, disturbed: bool, rng: np.random.Generator) -> Rigid:
-    return start_with_error(known, float(rng.uniform(*(DISTURBED_START_MM if disturbed else START_MM))), rng)
+    start = start_with_error(known, float(rng.uniform(*start_mm)), rng)
+    done = register_scenario(scenario, start, heart=heart, seed=seed)
+    return RegisteredHeart(done.result, start, known, drawn)
 
 
 def _disturbed(preset: Preset, rng: np.random.Generator) -> tuple[Preset, dict[str, float]]:
@@ -138,13 +165,14 @@ def _disturbed(preset: Preset, rng: np.random.Generator) -> tuple[Preset, dict[s
     return changed, drawn
 
 
-def _volumes(seed: int, quality: str, disturbed: bool, rng: np.random.Generator) -> RegisteredHeart:
-    named: Any = quality
-    change: Any = str(rng.choice(["none", "deformation", "motion"])) if disturbed else "none"
-    late = float(rng.uniform(0.0, 0.06)) if disturbed else 0.0
-    pair = image_pair(PairSpec(seed, _motion(seed), named, change, VARIED))
+def _volumes(seed: int, drawing: int, condition: Condition, rng: np.random.Generator) -> RegisteredHeart:
+    named: Any = condition.quality
+    change: Any = str(rng.choice(["none", "deformation", "motion"])) if condition.disturbed else "none"
+    late = float(rng.uniform(0.0, 0.06)) if condition.disturbed else 0.0
+    same = replace(VARIED, anatomy_seed=seed, motion_seed=seed)
+    pair = image_pair(PairSpec(drawing, _motion(seed), named, change, same))
     problem = volume_problem(pair, pair.volumes(GATED, phase_error=late))
-    start = _start(problem, disturbed, rng)
+    start = start_with_error(problem, float(rng.uniform(*START_OF[condition.disturbed])), rng)
     result = problem.register(start, np.random.default_rng(seed))
     return RegisteredHeart(result, start, problem, {"gate_late": late})
 
@@ -152,7 +180,7 @@ def _volumes(seed: int, quality: str, disturbed: bool, rng: np.random.Generator)
 def _second_volumes(spec: SecondWorldSpec, rng: np.random.Generator) -> RegisteredHeart:
     pair = second_world_pair(spec)
     known = _Truth(pair.mr_from_tracker, pair.targets.points, pair.center_mm)
-    start = _start(known, False, rng)
+    start = start_with_error(known, float(rng.uniform(*START_MM)), rng)
     result = register_gated_volumes(
         pair.volumes(GATED),
         build_heart(pair.preop),

@@ -1,12 +1,14 @@
-"""What trials on hearts say together; the unit is the heart, one trial each.
+"""What trials on hearts say together; the unit is the heart.
 
 Shares have Wilson intervals, percentiles bootstrap intervals over hearts (Efron and Tibshirani 1993, ch. 13),
-both of 95 %. A heart whose registration ended in an error is no success, and has no other figure.
+both of 95 %. Where a heart has several trials, hearts are resampled with all of theirs, and a share's
+interval is that of as many trials as there are hearts. A trial whose registration ended in an error is no
+success, and has no other figure.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,7 +39,7 @@ class HeartGroup:
 
     Attributes:
         world, images, quality, disturbed: what was registered (see `trial`).
-        hearts: trials, one a heart; failed: those that ended in an error.
+        hearts, trials: how many; failed: trials that ended in an error.
         success: mean error over the targets below SUCCESS_MM.
         tre_median_mm, tre_p95_mm: over hearts, of each heart's mean error over its targets.
         target_p95_mm, target_max_mm: 95th percentile over hearts of each heart's 95th percentile over its
@@ -58,6 +60,7 @@ class HeartGroup:
     quality: str
     disturbed: bool
     hearts: int
+    trials: int
     failed: int
     success: Share
     tre_median_mm: Estimate
@@ -85,20 +88,30 @@ def summarise_hearts(lines: Sequence[Line]) -> list[HeartGroup]:
     return [_group(key, of) for key, of in groups.items()]
 
 
-def bootstrap(values: Sequence[float], statistic: Callable[..., Any]) -> Estimate:
-    """A statistic of values, one a heart, and its percentile interval over resampled hearts.
+def bootstrap(
+    values: Sequence[float], statistic: Callable[..., Any], hearts: Sequence[int] | None = None
+) -> Estimate:
+    """A statistic of values and its percentile interval over resampled hearts.
 
     Args:
         statistic: of an array along `axis`, for example np.median.
+        hearts: which heart each value is of; one each without.
     """
     known = np.array(values, dtype=np.float64)
     if len(known) == 0:
         return Estimate(None, None, None)
     value = float(statistic(known, axis=0))
-    if len(known) < LEAST_HEARTS:
+    own = np.unique(range(len(known)) if hearts is None else hearts, return_inverse=True)[1].ravel()
+    count = int(own.max()) + 1
+    if count < LEAST_HEARTS:
         return Estimate(value, None, None)
-    drawn = np.random.default_rng(0).integers(0, len(known), size=(RESAMPLES, len(known)))
-    low, high = np.percentile(statistic(known[drawn], axis=1), [2.5, 97.5])
+    drawn = np.random.default_rng(0).integers(0, count, size=(RESAMPLES, count))
+    if count == len(known):
+        resampled = statistic(known[np.argsort(own)][drawn], axis=1)
+    else:
+        members = [known[own == heart] for heart in range(count)]
+        resampled = [statistic(np.concatenate([members[heart] for heart in row]), axis=0) for row in drawn]
+    low, high = np.percentile(resampled, [2.5, 97.5])
     return Estimate(value, float(low), float(high))
 
 
@@ -118,29 +131,30 @@ def calibration_error(stated: Sequence[float], succeeded: Sequence[bool]) -> flo
 def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
     world, images, quality, disturbed = key
     done = [line for line in lines if "refused" not in line]
-    errors = [line["tre_mm"] for line in done]
     stated = [line for line in done if line["success_probability"] is not None]
     bounded = [line for line in done if line.get("tre_bound_mm") is not None]
-    chi2_of = [line["chi2"] for line in done if line["chi2"] is not None]
+    placed = [line for line in done if line["chi2"] is not None]
     bad = [line for line in done if line["tre_mm"] > FAILURE_MM]
     good = [line for line in done if line["tre_mm"] < SUCCESS_MM]
+    region = float(chi2.ppf(COVERAGE, 6))
     return HeartGroup(
         world=str(world),
         images=str(images),
         quality=str(quality),
         disturbed=bool(disturbed),
-        hearts=len(lines),
+        hearts=len({line["heart"] for line in lines}),
+        trials=len(lines),
         failed=len(lines) - len(done),
-        success=share_of(len(good), len(lines)),
-        tre_median_mm=bootstrap(errors, np.median),
-        tre_p95_mm=bootstrap(errors, _p95),
-        target_p95_mm=bootstrap([line["tre_p95_mm"] for line in done], _p95),
-        target_max_mm=bootstrap([line["tre_max_mm"] for line in done], _p95),
-        bad_refused=_refused(bad),
-        good_refused=_refused(good),
-        chi2_mean=bootstrap(chi2_of, np.mean),
-        region_covers=share_of(sum(x <= chi2.ppf(COVERAGE, 6) for x in chi2_of), len(chi2_of)),
-        bound_covers=share_of(sum(x["tre_max_mm"] <= x["tre_bound_mm"] for x in bounded), len(bounded)),
+        success=_share(lines, lambda line: "refused" not in line and line["tre_mm"] < SUCCESS_MM),
+        tre_median_mm=_over_hearts(done, "tre_mm", np.median),
+        tre_p95_mm=_over_hearts(done, "tre_mm", _p95),
+        target_p95_mm=_over_hearts(done, "tre_p95_mm", _p95),
+        target_max_mm=_over_hearts(done, "tre_max_mm", _p95),
+        bad_refused=_share(bad, _is_refused),
+        good_refused=_share(good, _is_refused),
+        chi2_mean=_over_hearts(placed, "chi2", np.mean),
+        region_covers=_share(placed, lambda line: line["chi2"] <= region),
+        bound_covers=_share(bounded, lambda line: line["tre_max_mm"] <= line["tre_bound_mm"]),
         bound_median_mm=_median([line["tre_bound_mm"] for line in bounded]),
         calibration_error=calibration_error(
             [line["success_probability"] for line in stated], [line["tre_mm"] < SUCCESS_MM for line in stated]
@@ -151,12 +165,29 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
     )
 
 
+def _over_hearts(lines: Sequence[Line], name: str, statistic: Callable[..., Any]) -> Estimate:
+    return bootstrap([line[name] for line in lines], statistic, [line["heart"] for line in lines])
+
+
 def _p95(values: FloatArray, axis: int) -> FloatArray:
     return np.asarray(np.percentile(values, 95, axis=axis))
 
 
-def _refused(lines: Sequence[Line]) -> Share:
-    return share_of(sum(not line["usable"] for line in lines), len(lines))
+def _share(lines: Sequence[Line], true: Callable[[Line], bool]) -> Share:
+    """Of trials, with the interval of as many as there are hearts."""
+    count, hearts = sum(map(true, lines)), len({line["heart"] for line in lines})
+    whole = share_of(count, len(lines))
+    if hearts == len(lines):
+        return whole
+    # Wilson's interval at the same share of fewer trials
+    share, z2 = count / len(lines), float(chi2.ppf(COVERAGE, 1))
+    middle = (share + z2 / (2 * hearts)) / (1 + z2 / hearts)
+    half = math.sqrt(z2 * (share * (1 - share) / hearts + z2 / (4 * hearts**2))) / (1 + z2 / hearts)
+    return replace(whole, low=max(0.0, middle - half), high=min(1.0, middle + half))
+
+
+def _is_refused(line: Line) -> bool:
+    return not line["usable"]
 
 
 def _probabilities(lines: Sequence[Line]) -> list[float]:

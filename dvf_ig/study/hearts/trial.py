@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import DvfIgError, FloatArray, Rigid
 from dvf_ig.registration import (
     PoseChart,
     RegistrationResult,
@@ -16,19 +16,31 @@ from dvf_ig.registration import (
 from dvf_ig.registration.evidence.assessment import features_of
 from dvf_ig.study.trials import Line, Settings
 
+from .conditions import of_trial
 from .registered import RegisteredHeart, registered_heart
 
 
 def heart_trial(settings: Settings, number: int) -> Line:
-    """One heart of a list.
+    """One recording of one heart of a list.
 
     Args:
         settings: `world` ("first", "second"), `images` ("sweep": a tracked sweep, "volumes": gated 3-D
-            images), `quality` (a preset of the scenario), `disturbed`.
-        number: seed of the heart.
+            images), `qualities` (presets of scenarios), `disturbed` (see `conditions_of`).
+        number: of the trial.
     """
-    done = registered_heart(settings, number)
-    return {**settings, "heart": number, **done.drawn, **_measured(done)}
+    heart, condition = of_trial(number, settings)
+    named = {
+        "world": settings["world"],
+        "images": settings["images"],
+        "quality": condition.quality,
+        "disturbed": condition.disturbed,
+        "heart": heart,
+    }
+    try:
+        done = registered_heart(settings, number)
+    except DvfIgError as exc:
+        return {**named, "refused": str(exc)}
+    return {**named, **done.drawn, **_measured(done)}
 
 
 def _measured(done: RegisteredHeart) -> Line:
@@ -41,11 +53,16 @@ def _measured(done: RegisteredHeart) -> Line:
         "tre_p95_mm": float(np.percentile(errors, 95)),
         "tre_max_mm": float(errors.max()),
         "chi2": _chi2(result, done.known.truth),
+        "covariance_scale": result.covariance_scale,
         "stop": result.stop.name,
         "usable": result.stop.usable,
         "success_probability": result.success_probability,
         "tre_bound_mm": result.tre_bound_mm,
-        "features": features_of(result.evidence, result.similarity, predicted_error_mm(result.covariance)),
+        "features": features_of(
+            result.evidence,
+            result.similarity,
+            predicted_error_mm(result.covariance / result.covariance_scale),
+        ),
         "statistics": None if result.statistics is None else result.statistics.values(),
         "offset_mm": _offset(result, done.known.truth),
         "covariance_mm2": _listed(result.covariance),

@@ -55,7 +55,19 @@ def test_from_labels_of_end_diastole(folder):
     output = folder / "from_labels.npz"
     image, labels = folder / "cine.nii.gz", folder / "ed.nii.gz"
     result = run(
-        "model", "build", "--image", image, "--labels", labels, "--cavity", "2", "-o", output, "--json"
+        "model",
+        "build",
+        "--image",
+        image,
+        "--labels",
+        labels,
+        "--cavity",
+        "2",
+        "--knot-mm",
+        5,
+        "-o",
+        output,
+        "--json",
     )
     assert result.exit_code == 0, result.output
     motion = json.loads(result.stdout)["motion"]
@@ -75,7 +87,7 @@ def test_from_labels_of_end_diastole(folder):
 def test_labels_of_every_phase_assess_the_motion(folder):
     output = folder / "assessed.npz"
     image, labels = folder / "cine.nii.gz", folder / "labels.nii.gz"
-    result = run("model", "build", "--image", image, "--labels", labels, "-o", output)
+    result = run("model", "build", "--image", image, "--labels", labels, "--knot-mm", 6, "-o", output)
     assert result.exit_code == 0, result.output
     assert "closure error" in result.stdout
     assert "ED surface" in result.stdout
@@ -120,7 +132,7 @@ def test_the_cavity_of_labels_of_every_phase(folder):
 def test_from_seeds(folder):
     output = folder / "grown.npz"
     image, seeds = folder / "cine.nii.gz", folder / "seeds.json"
-    result = run("model", "build", "--image", image, "--seeds", seeds, "-o", output, "--json")
+    result = run("model", "build", "--image", image, "--seeds", seeds, "--knot-mm", 6, "-o", output, "--json")
     assert result.exit_code == 0, result.output
     assert (folder / "grown_ed_labels.nii.gz").is_file()
     assert np.abs(radius_mm(read_model(output).reference[0]) - OUTER_MM).mean() < 0.8

@@ -33,6 +33,7 @@ def table() -> Table:
         refused_probability=0.1,
         bound_quantile=0.4,
         largest=0.8,
+        spread=(0.3, 1.0),
         ranges={name: (0.5 * value, 1.5 * value) for name, value in STATISTICS.values().items()},
         outside_p=0.1,
     )
@@ -40,6 +41,19 @@ def table() -> Table:
 
 def features(evidence: Evidence = GOOD, predicted_mm: float = 1.2) -> dict[str, float | None]:
     return features_of(evidence, STATISTICS.similarity, predicted_mm)
+
+
+def test_a_covariance_that_claims_less_than_the_checks_is_widened() -> None:
+    modest, bold = (
+        assess(table(), features(predicted_mm=size), STATISTICS).covariance_scale for size in (1.2, 0.3)
+    )
+    assert bold > 2.0 * modest
+    assert assess(table(), features(predicted_mm=1e-3), STATISTICS).covariance_scale <= 16.0
+    assert assess(None, features(), STATISTICS).covariance_scale == 1.0
+    strange = replace(STATISTICS, view_spread_deg=2.0)
+    calm = replace(table(), spread=(-2.0, 0.0))
+    assert assess(calm, features(), STATISTICS).covariance_scale < 1.0
+    assert assess(calm, features(), strange).covariance_scale == 1.0  # never narrowed by what is not known
 
 
 @pytest.mark.parametrize("name", ["split_half_mm", "phase_mm", "half_volume_mm", "boundary_mm"])

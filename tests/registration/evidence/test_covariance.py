@@ -6,8 +6,8 @@ from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid
 from dvf_ig.registration import Lc2, PlacementUncertainty, SliceSet, channels_from_mr
-from dvf_ig.registration.evidence.sandwich import blended_influence, sandwich
-from dvf_ig.registration.lc2.blocks import block_gradients
+from dvf_ig.registration.evidence.sandwich import sandwich
+from dvf_ig.registration.lc2.blocks import BlockedLc2
 from dvf_ig.registration.placement import clock_covariance_mm2, image_covariance_mm2
 
 MODEL = channels_from_mr(toy_mr(), smoothing_mm=3.0)
@@ -18,22 +18,19 @@ def metric_of(slices: SliceSet) -> Lc2:
     return Lc2(slices, MODEL, patch_mm=13.0, pitch_mm=3.0)
 
 
-def cells(count: int) -> np.ndarray:
-    return np.column_stack([np.arange(count), np.zeros(count), np.zeros(count)]).astype(np.int64)
-
-
 def test_blocks_add_up_to_the_gradient_of_all_and_lie_where_they_say() -> None:
     metric = metric_of(SLICES)
     whole = metric.cost_gradient(toy_pose(), CENTER_MM)
-    blocks = block_gradients(metric, toy_pose(), CENTER_MM, block_mm=30.0)
+    cut = BlockedLc2(metric, block_mm=30.0)
+    blocks = cut.gradients(toy_pose(), CENTER_MM)
     assert len(blocks.cost) > 3 * len(SLICES)
     for number in range(len(SLICES)):
-        own = blocks.slice == number
+        own = cut.slice == number
         np.testing.assert_allclose(blocks.cost[own].sum(), whole.cost[number], rtol=1e-9)
         np.testing.assert_allclose(
             blocks.gradient[own].sum(axis=0), whole.gradient[number], atol=1e-9 * np.abs(whole.gradient).max()
         )
-    assert len(np.unique(np.column_stack([blocks.slice, blocks.cell]), axis=0)) == len(blocks.cost)
+    assert len(np.unique(np.column_stack([cut.slice, cut.cell]), axis=0)) == len(blocks.cost)
 
 
 def test_the_sandwich_finds_the_scatter_of_a_mean_whose_errors_share_cells_and_slices() -> None:
@@ -48,17 +45,6 @@ def test_the_sandwich_finds_the_scatter_of_a_mean_whose_errors_share_cells_and_s
         pulls = (errors - mean) / len(cell)
         claims.append(np.diag(sandwich(pulls, np.column_stack([cell, cell, cell]), number)))
     assert np.mean(claims) == pytest.approx(np.var(means), rel=0.15)
-
-
-def test_blended_pulls_of_one_cell_add() -> None:
-    """LC2 and boundary that err alike in a cell err together: their spread is no smaller than either's."""
-    pulls = np.random.default_rng(3).normal(size=(12, 6))
-    own = cells(12)
-    together = blended_influence(pulls, own, np.arange(12), pulls, own, 0.35)
-    total = sum(np.outer(p, p) for p in pulls)
-    blended, place, _ = together
-    sums = np.stack([blended[(place == own[k]).all(axis=1)].sum(axis=0) for k in range(12)])
-    np.testing.assert_allclose(sums.T @ sums, total, rtol=1e-9)
 
 
 def image_covariance(turn_rad: float, shift_mm: float) -> PlacementUncertainty:

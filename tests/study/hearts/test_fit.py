@@ -12,6 +12,7 @@ from dvf_ig.registration.evidence.image_statistics import ImageStatistics
 from dvf_ig.study.hearts.fit import conformal_quantile, cross_fitted, fit_tables, isotonic
 
 Line = dict[str, Any]
+INSIDE = ImageStatistics(*[1.0] * 10)
 
 
 def drawn(seed: int, hearts: int, trials: int = 3) -> list[Line]:
@@ -41,6 +42,8 @@ def drawn(seed: int, hearts: int, trials: int = 3) -> list[Line]:
                     "images": "sweep",
                     "stop": "CONVERGED",
                     "tre_mm": float(error),
+                    "chi2": 6.0 * (error / predicted) ** 2 * rng.chisquare(6) / 6.0,
+                    "covariance_scale": 1.0,
                     "tre_max_mm": float(1.8 * error),
                     "features": features,
                     "statistics": statistics,
@@ -53,6 +56,17 @@ def drawn(seed: int, hearts: int, trials: int = 3) -> list[Line]:
 def fitted() -> Table:
     held = json.loads(json.dumps(fit_tables(drawn(1, 150))))
     return table_from_json(held["kinds"]["sweep"])
+
+
+def test_squared_errors_by_the_scaled_covariance_are_6_whatever_was_predicted(fitted: Table) -> None:
+    lines = [line for line in drawn(3, 400, trials=1) if line["tre_mm"] < 3.0]
+    logs = np.array([np.log(line["features"]["predicted_mm"]) for line in lines])
+    scales = np.array([assess(fitted, line["features"], INSIDE).covariance_scale for line in lines])
+    squared = np.array([line["chi2"] for line in lines])
+    for half in (logs < 0, logs >= 0):
+        before, after = squared[half].mean(), (squared / scales)[half].mean()
+        assert 4.8 < after < 7.2
+        assert abs(after - 6.0) < abs(before - 6.0)
 
 
 def test_the_bound_covers_and_the_probability_is_a_frequency_on_other_hearts(fitted: Table) -> None:

@@ -10,7 +10,7 @@ from dvf_ig.study.hearts.summary import bootstrap, calibration_error, summarise_
 
 def line(heart: int, tre_mm: float, **more: Any) -> dict[str, Any]:
     return {
-        "seed": heart,
+        "heart": heart,
         "world": "first",
         "images": "sweep",
         "quality": "calm",
@@ -48,6 +48,16 @@ def test_a_pose_outside_what_was_calibrated_has_no_probability_and_is_counted() 
     (group,) = summarise_hearts([line(1, 1.0), line(2, 1.0, success_probability=None, tre_bound_mm=None)])
     assert group.outside == 1
     assert group.bound_covers.of == 1
+
+
+def test_trials_of_one_heart_count_once_in_an_interval() -> None:
+    (apart,) = summarise_hearts([line(heart, 1.0 + heart % 2) for heart in range(20)])
+    (together,) = summarise_hearts([line(heart // 4, 1.0 + heart // 4 % 2) for heart in range(20)])
+    assert (apart.hearts, together.hearts, together.trials) == (20, 5, 20)
+    for name in ("success", "tre_median_mm"):
+        one, many = getattr(apart, name), getattr(together, name)
+        assert many.high - many.low >= one.high - one.low
+    assert together.success.high - together.success.low > 1.5 * (apart.success.high - apart.success.low)
 
 
 def test_groups_are_told_apart() -> None:
