@@ -42,6 +42,8 @@ LATENCY_S = 0.0015
 """The scheduler hands positions and forces over at its own ticks, half of one late on average each, beside
 the link's; not measured here."""
 
+LOST_AFTER_S = 0.02
+
 
 class _ErrorInfo(ctypes.Structure):
     _fields_: ClassVar = [
@@ -58,6 +60,7 @@ class OpenHapticsDevice:
         configured: its name; None: the default device.
         path: of libHD.so; None: where the system's loader finds it.
         latency_s: from a force sent to the force felt, and from a position to its reading, together.
+        lost_after_s: without a new position from the scheduler for so long the device is lost.
     Raises:
         VendorLibraryError: no library, or a device that does not open.
     """
@@ -68,6 +71,7 @@ class OpenHapticsDevice:
         path: str | Path | None = None,
         *,
         latency_s: float = LATENCY_S,
+        lost_after_s: float = LOST_AFTER_S,
     ) -> None:
         self.name = f"OpenHaptics device '{configured or 'default'}'"
         self.latency_s = latency_s
@@ -85,6 +89,7 @@ class OpenHapticsDevice:
         self.context = np.zeros(kernel.CONTEXT_SIZE, dtype=np.int64)
         self.functions = np.array([kernel.read_openhaptics.address, kernel.write_openhaptics.address])
         self.context[kernel.HANDLE] = handle
+        self.context[kernel.LOST_AFTER_NS] = round(1e9 * lost_after_s)
         self.context[kernel.SEEN_POSITION] = self.context[kernel.SEEN_FORCE] = -1
         for at, name in (
             (kernel.BEGIN_FRAME, "hdBeginFrame"),

@@ -31,6 +31,8 @@ from .threads import real_time_thread
 
 WATCHDOG_NS = 10_000_000
 CHECK_NS = 1_000_000
+LATE_NS = 2_000_000
+"""Three ticks in a hundred that wake or end so late latch."""
 KEPT_S = 2.0
 """The ring buffer holds the last so many seconds."""
 ANSWER_WITHIN_S = 0.1
@@ -79,6 +81,7 @@ class Servo:
         self._shared[tick_kernel.VALID_UNTIL_S] = np.inf
         self._shared[tick_kernel.POSE_AND_PHASE + POSE_UNTIL] = -np.inf
         self._numbers = np.zeros(kernel.NUMBERS, dtype=np.int64)
+        self._numbers[kernel.LATE_NS] = LATE_NS
         self._histogram = np.zeros(BINS, dtype=np.int64)
         self._ring = np.zeros((max(1024, round(KEPT_S * options.rate_hz)), tick_kernel.ROW))
         self._watchdog = watchdog

@@ -42,12 +42,12 @@ SEEN_POSITION = 64
 READ_NS = 65
 LAST_XYZ = 66
 WORK = 72
+LOST_AFTER_NS = 76
+"""Without a new position for so long the device is lost."""
 CONTEXT_SIZE = 80
 
 SILENT_AFTER_TICKS = 20
 """Scheduler ticks without a force from the servo, 20 ms at 1 kHz, after which none is sent."""
-LOST_AFTER_NS = 20_000_000
-"""Without a new position for so long the device is lost."""
 
 
 @cfunc(types.uint32(types.voidptr), cache=True, nopython=True)
@@ -94,7 +94,7 @@ def read_openhaptics(context: Any, now_ns: int, out: Any) -> int:
         c[SEEN_POSITION], c[READ_NS] = seen, now_ns
     for k in range(3):
         position[k] = n[LAST_XYZ + k]
-    lost = now_ns - c[READ_NS] > LOST_AFTER_NS or load_relaxed(c, ERROR) != 0
+    lost = now_ns - c[READ_NS] > c[LOST_AFTER_NS] or load_relaxed(c, ERROR) != 0
     return 1 if lost or seen <= 0 else 0
 
 

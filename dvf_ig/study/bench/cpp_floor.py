@@ -14,7 +14,7 @@ from dvf_ig.core import DvfModel, FloatArray, Rigid
 from dvf_ig.guidance import Sigmoid
 
 SOURCE = Path(__file__).with_name("floor.cpp")
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-shared", "-fPIC")
+FLAGS = ("-O3", "-march=native", "-ffast-math", "-fPIC", "-c")
 
 
 class CppFloor:
@@ -53,12 +53,12 @@ def compiled_floor(model: DvfModel, model_from_query: Rigid, law: Sigmoid) -> Cp
     if compiler is None:
         return None
     with tempfile.TemporaryDirectory() as folder:
-        library = Path(folder) / "floor.so"
-        done = subprocess.run(
-            [compiler, *FLAGS, str(SOURCE), "-o", str(library)], capture_output=True, check=False
-        )
-        return (
-            CppFloor(ctypes.CDLL(str(library)), model, model_from_query, law)
-            if done.returncode == 0
-            else None
-        )
+        compiled, library = Path(folder) / "floor.o", Path(folder) / "floor.so"
+        # linked without -ffast-math: gcc would make the whole process flush subnormal numbers to zero
+        for step in (
+            [compiler, *FLAGS, str(SOURCE), "-o", str(compiled)],
+            [compiler, "-shared", str(compiled), "-o", str(library)],
+        ):
+            if subprocess.run(step, capture_output=True, check=False).returncode != 0:
+                return None
+        return CppFloor(ctypes.CDLL(str(library)), model, model_from_query, law)

@@ -10,6 +10,7 @@ from dvf_ig.core import InvalidInputError, Rigid
 from dvf_ig.guidance import Fixtures, FixtureSet, Hazard, RearmAnswer, SupervisorState
 from dvf_ig.guidance.devices import RecordedDevice
 from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions
+from dvf_ig.guidance.servo import servo as servo_module
 from dvf_ig.guidance.servo.deadlines import BINS, deadlines_of
 from dvf_ig.kernels.servo.clock import monotonic_ns, sleep_until
 from dvf_ig.kernels.servo.device_call import device_function
@@ -151,8 +152,9 @@ def test_the_watchdog_sends_no_force_where_a_tick_hangs(ball, steady_ball):
     assert servo.deadlines.skipped > 20
 
 
-def test_three_late_ticks_of_a_hundred_latch(ball, steady_ball):
+def test_three_late_ticks_of_a_hundred_latch(ball, steady_ball, monkeypatch):
     """Every 30th read takes 5 ms: less than the watchdog waits for, three times in ninety ticks."""
+    monkeypatch.setattr(servo_module, "LATE_NS", 2_000_000)
     with Servo(Fixtures(ball, FixtureSet()), SlowDevice(30, 5), watchdog=False) as servo:
         spoken = Spoken(servo, steady_ball)
         spoken.speak()

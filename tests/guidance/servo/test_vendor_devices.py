@@ -153,7 +153,7 @@ def test_a_force_dimension_device_that_breaks_latches(dhd, ball, steady_ball):
 
 
 def test_an_openhaptics_device_is_driven_inside_its_frames(hd, ball, steady_ball):
-    device = OpenHapticsDevice(path=hd)
+    device = OpenHapticsDevice(path=hd, lost_after_s=0.5)
     run_servo(
         ball,
         steady_ball,
@@ -170,7 +170,7 @@ def test_an_openhaptics_device_is_driven_inside_its_frames(hd, ball, steady_ball
 
 
 def test_a_servo_that_falls_silent_leaves_no_force_on_an_openhaptics_device(hd):
-    device = OpenHapticsDevice(path=hd)
+    device = OpenHapticsDevice(path=hd, lost_after_s=0.5)
     write = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int64, ctypes.POINTER(ctypes.c_double))(
         int(device.functions[1])
     )
@@ -183,7 +183,7 @@ def test_a_servo_that_falls_silent_leaves_no_force_on_an_openhaptics_device(hd):
 
 @pytest.mark.parametrize(("name", "value"), [("fake_stalled", 1), ("fake_error", 0x0303)])
 def test_a_scheduler_that_stops_or_fails_is_a_lost_device(hd, ball, steady_ball, name, value):
-    device = OpenHapticsDevice(path=hd)
+    device = OpenHapticsDevice(path=hd, lost_after_s=0.5)
 
     def look(speak, place):
         felt(speak, place, vector(hd, "fake_force"))
