@@ -11,6 +11,8 @@ from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress,
 if TYPE_CHECKING:
     from dvf_ig.guidance import Continuity
     from dvf_ig.study.bench.rows import Bench
+    from dvf_ig.study.bench.servo import ServoBench
+    from dvf_ig.study.bench.servo_cost import TickCost
     from dvf_ig.study.bench.session import SessionBench
     from dvf_ig.study.bench.timing import Row
 
@@ -33,6 +35,15 @@ def bench(
             help="Instead: a whole session of so many simulated seconds, on one core unless --threads.",
         ),
     ] = None,
+    servo_s: Annotated[
+        float | None,
+        typer.Option(
+            "--servo",
+            metavar="SECONDS",
+            min=1.0,
+            help="Instead: the lateness of each servo loop for so long, and what a tick costs.",
+        ),
+    ] = None,
     step_mm: Annotated[float, typer.Option("--step-mm", help="Pitch of the phantom's mesh.")] = 1.5,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for bench.json.")] = None,
     seed: SeedOption = 1,
@@ -46,6 +57,9 @@ def bench(
     """
     if session_s is not None:
         _bench_session(session_s, model_file, out, seed, threads or 1, as_json=as_json)
+        return
+    if servo_s is not None:
+        _bench_servo(servo_s, model_file, step_mm, out, seed, threads or 2, as_json=as_json)
         return
     with command(threads):
         from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
@@ -94,6 +108,48 @@ def _bench_session(
         emit(result, _session_rows(done), as_json=as_json)
         if out is not None:
             wrote(out / "bench.json")
+
+
+def _bench_servo(
+    seconds: float,
+    model_file: Path | None,
+    step_mm: float,
+    out: Path | None,
+    seed: int,
+    threads: int,
+    *,
+    as_json: bool,
+) -> None:
+    with command(threads):
+        from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
+        from dvf_ig.io.json_file import plain
+        from dvf_ig.study.bench.heart import bench_model
+        from dvf_ig.study.bench.servo import bench_servo
+        from dvf_ig.study.bench.servo_cost import bench_tick
+
+        if model_file is not None:
+            model = read_model(model_file)
+        else:
+            with progress("the phantom's heart") as report:
+                model = bench_model(step_mm=step_mm, threads=threads, progress=report)
+        cost = bench_tick(model, seed)
+        with progress("the servo loops") as report:
+            done = bench_servo(model, seconds, seed, report)
+        result = {**plain(done), "rows": plain((*done.rows, *cost.rows)), "ratios": cost.ratios, "seed": seed}
+        if out is not None:
+            with output_folder(out):
+                write_json(out / "bench.json", {**result, **provenance_fields()})
+        emit(result, _servo_rows(done, cost), as_json=as_json)
+        if out is not None:
+            wrote(out / "bench.json")
+
+
+def _servo_rows(done: "ServoBench", cost: "TickCost") -> list[tuple[str, ...]]:
+    rows = _timing_rows((*done.rows, *cost.rows))
+    rows += [("ratio", name, f"{ratio:9.2f}") for name, ratio in cost.ratios.items()]
+    rows.append(("", "p99, Python thread / servo at 1 kHz", f"{done.python_p99_ratio:9.0f}"))
+    rows.append(("", "real-time priority", "yes" if done.realtime else "no"))
+    return rows
 
 
 def _session_rows(done: "SessionBench") -> list[tuple[str, ...]]:

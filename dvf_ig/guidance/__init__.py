@@ -14,6 +14,9 @@ from .continuity import ForceBounds as ForceBounds
 from .continuity import check_continuity as check_continuity
 from .continuity import force_bounds as force_bounds
 from .device import DeviceLimits as DeviceLimits
+from .devices.simulated import DEVICES as DEVICES
+from .devices.simulated import DeviceState as DeviceState
+from .devices.simulated import SimulatedDevice as SimulatedDevice
 from .evaluator import Evaluator as Evaluator
 from .evaluator import ForceSamples as ForceSamples
 from .feed_forward import FeedForward as FeedForward
@@ -42,9 +45,6 @@ from .places import PlaceInModel as PlaceInModel
 from .places import PlacesInModel as PlacesInModel
 from .pose_and_phase import BoundTick as BoundTick
 from .pose_and_phase import PoseAndPhase as PoseAndPhase
-from .simulated_device import DEVICES as DEVICES
-from .simulated_device import DeviceState as DeviceState
-from .simulated_device import SimulatedDevice as SimulatedDevice
 from .status import Status as Status
 from .supervision_summary import SupervisionSummary as SupervisionSummary
 from .supervision_summary import summarise_supervision as summarise_supervision

@@ -1,21 +1,17 @@
-"""Composition of several fixtures into one force: forbidden regions before guidance, within one cap."""
+"""Composition of several fixtures into one force: forbidden regions before guidance, within one cap.
+
+The rule is computed by `dvf_ig.kernels.composition`, which the servo loop calls too.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.core.arrays import frozen_floats
 from dvf_ig.core.frames import check_frame, require_same_frame
-
-CONFLICT_SHARE = 0.25
-"""Guidance of which more than this share of the cap is rejected is in conflict with forbidden regions."""
-OPPOSED_SHARE = 0.5
-"""Forbidden regions are in conflict where this share of their forces cancels."""
-NEGLIGIBLE_SHARE = 0.1
-"""Cancelled forces below this share of the cap are no conflict."""
+from dvf_ig.kernels import composition as kernel
 
 
 @read_only_arrays
@@ -86,6 +82,7 @@ def compose(
        force and f its activation, the sum becomes the x that minimises ½|x − F_g|² + ½ Σ f/(1−f)·max(0,
        x·n)². For one region that is F_g − f·max(0, F_g·n)·n (docs/theory/fixtures.md); for several it does
        not depend on their order, is continuous, never longer than F_g, and at f = 1 leads into none of them.
+       Penalties of parallel walls add up: two at f = ½ reject 2/3 (decision 0007).
     3. Guidance is shortened to the rest of the cap, cap − |F_f|.
 
     Args:
@@ -102,34 +99,44 @@ def compose(
         raise InvalidInputError(f"the composed cap is {cap_n:g} N; it must be positive and finite")
     for contribution in (*forbidden, *guidance):
         require_same_frame(frame, contribution.frame, "composed fixtures")
-    all_forbidden = _sum(forbidden)
-    forbidden_n = _shortened(all_forbidden, cap_n)
-    all_guidance = _sum(guidance)
-    outward = without_inward_part(all_guidance, forbidden)
-    guidance_n = _shortened(outward, max(0.0, cap_n - float(np.linalg.norm(forbidden_n))))
-    rejected = all_guidance - outward
-    saturated = bool(np.any(forbidden_n != all_forbidden) or np.any(guidance_n != outward))
-    conflict = float(np.linalg.norm(rejected)) > CONFLICT_SHARE * cap_n or _opposed(
-        forbidden, all_forbidden, cap_n
+    parts = (*forbidden, *guidance)
+    if not parts:
+        nothing = np.zeros(3)
+        return Composed(frame, nothing, nothing, nothing, nothing, saturated=False, conflict=False)
+    forces_n, caps_n = np.array([part.force_n for part in parts]), np.array([part.cap_n for part in parts])
+    first = np.repeat([1.0, 0.0], [len(forbidden), len(guidance)])
+    work, order, out = (
+        np.empty(kernel.work_size(len(parts))),
+        np.empty(len(parts)),
+        np.empty(kernel.COMPOSED_SIZE),
     )
-    return Composed(frame, forbidden_n + guidance_n, forbidden_n, guidance_n, rejected, saturated, conflict)
+    kernel.compose_forces(forces_n, caps_n, first, cap_n, work, order, out)
+    forbidden_n, guidance_n, rejected_n = (
+        out[k : k + 3].copy() for k in (kernel.FORBIDDEN_N, kernel.GUIDANCE_N, kernel.REJECTED_N)
+    )
+    return Composed(
+        frame,
+        forbidden_n + guidance_n,
+        forbidden_n,
+        guidance_n,
+        rejected_n,
+        saturated=bool(out[kernel.SATURATED]),
+        conflict=bool(out[kernel.CONFLICT]),
+    )
 
 
 def without_inward_part(force_n: FloatArray, forbidden: Sequence[Contribution]) -> FloatArray:
-    """(3,) a force without its component into forbidden regions: step 2 of `compose`.
-
-    The minimiser is x = F − Nλ with λ >= 0 minimising |F − Nλ|² + Σ λᵢ²(1−fᵢ)/fᵢ (N holds the nᵢ as columns),
-    a non-negative least-squares problem; it is solved for λᵢ/√fᵢ, whose columns have unit length.
-    """
-    acting = [c for c in _ordered(forbidden) if c.activation > 0.0]
-    if not acting:
-        return np.array(force_n)
-    activation = np.array([c.activation for c in acting])
-    inward = np.stack([-c.force_n / np.linalg.norm(c.force_n) for c in acting], axis=1)
-    columns = inward * np.sqrt(activation)
-    matrix = np.vstack([columns, np.diag(np.sqrt(1.0 - activation))])
-    scaled, _ = nnls(matrix, np.concatenate([force_n, np.zeros(len(acting))]))
-    return np.asarray(force_n - columns @ scaled)
+    """(3,) a force without its component into forbidden regions: step 2 of `compose`."""
+    left = np.array(force_n, dtype=np.float64)
+    if forbidden:
+        forces_n, caps_n = np.array([c.force_n for c in forbidden]), np.array([c.cap_n for c in forbidden])
+        count = len(forbidden)
+        order = np.empty(count)
+        kernel.ordered(forces_n, caps_n, order)
+        kernel.without_inward_part(
+            forces_n, caps_n, np.ones(count), order, left, np.empty(kernel.work_size(count))
+        )
+    return left
 
 
 def slew_limited(
@@ -150,24 +157,7 @@ def slew_limited(
     return np.asarray(previous_n + step), bool(np.any(step != change))
 
 
-def _ordered(contributions: Sequence[Contribution]) -> list[Contribution]:
-    """Sorted by value, so that not even rounding depends on the caller's order."""
-    return sorted(contributions, key=lambda c: (*c.force_n.tolist(), c.cap_n))
-
-
-def _sum(contributions: Sequence[Contribution]) -> FloatArray:
-    rows = [c.force_n for c in _ordered(contributions)]
-    return np.asarray(np.sum(rows, axis=0)) if rows else np.zeros(3)
-
-
 def _shortened(force_n: FloatArray, cap_n: float) -> FloatArray:
     """The force, no longer than the cap."""
     length = float(np.linalg.norm(force_n))
     return force_n if length <= cap_n else np.asarray(force_n * (cap_n / length))
-
-
-def _opposed(forbidden: Sequence[Contribution], total_n: FloatArray, cap_n: float) -> bool:
-    """Whether a large share of the forbidden forces cancels."""
-    sizes = float(sum(np.linalg.norm(c.force_n) for c in forbidden))
-    cancelled = sizes - float(np.linalg.norm(total_n))
-    return cancelled > max(OPPOSED_SHARE * sizes, NEGLIGIBLE_SHARE * cap_n)

@@ -27,6 +27,10 @@ class Hazard(IntFlag, boundary=STRICT):
     OUT_OF_VOLUME = 1 << 12
     NOT_FINITE = 1 << 13
     FORCE_CLAMPED = 1 << 14
+    SESSION_SILENT = 1 << 15
+    DEVICE_LOST = 1 << 16
+    ENERGY = 1 << 17
+    MISSED_DEADLINES = 1 << 18
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -41,6 +45,7 @@ class Response(Enum):
     SLOW = "the force changes by at most 6 N/s"
     FADE = "the force fades within 250 ms"
     FAST_FADE = "the force fades within 20 ms"
+    NO_FORCE = "the force is zero at once"
 
 
 class Latch(Enum):
@@ -109,6 +114,20 @@ HAZARD_RULES: Mapping[Hazard, HazardRule] = MappingProxyType(
         Hazard.FORCE_CLAMPED: HazardRule(
             Response.FADE, Latch.AT_ONCE, "the force jumped: ten of its steps within 1 s had to be cut"
         ),
+        Hazard.SESSION_SILENT: HazardRule(
+            Response.FADE, Latch.AFTER_1_S, "nothing has been heard from the session for 0.1 s"
+        ),
+        Hazard.DEVICE_LOST: HazardRule(
+            Response.FAST_FADE, Latch.AT_ONCE, "the haptic device does not answer"
+        ),
+        Hazard.ENERGY: HazardRule(
+            Response.FADE, Latch.AT_ONCE, "the fixture gave the hand more than 5 mJ that it had not stored"
+        ),
+        Hazard.MISSED_DEADLINES: HazardRule(
+            Response.NO_FORCE,
+            Latch.AT_ONCE,
+            "the servo was late: by 2 ms in 3 of 100 ticks, or by 10 ms (watchdog)",
+        ),
     }
 )
 """Where docs/theory/safety.md is silent:
@@ -154,5 +173,5 @@ _OF_STATUS = {
     Status.FAULT: Hazard.NOT_FINITE,
 }
 
-WITHHOLDING = hazards_with(Response.FADE) | hazards_with(Response.FAST_FADE)
+WITHHOLDING = hazards_with(Response.FADE) | hazards_with(Response.FAST_FADE) | hazards_with(Response.NO_FORCE)
 """While any of these is active no force is given."""

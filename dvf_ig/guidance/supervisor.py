@@ -88,8 +88,8 @@ class Supervisor:
     with the wanted one; so it does at the start. A latch takes effect at the end of its fade.
 
     What is sent never exceeds the larger of what was wanted and what was sent before, so a cap on the wanted
-    force is one on the sent force. Missed servo deadlines and the watchdog belong to the servo loop, which
-    has a clock.
+    force is one on the sent force. Missed servo deadlines and the watchdog are found by the servo loop, which
+    has a clock; it runs this supervisor as a kernel (`dvf_ig.kernels.servo.supervision`).
 
     Args:
         device: its stiffness gives the slew limit.
@@ -129,7 +129,8 @@ class Supervisor:
         bits = int(hazards)
         self._note_latching(t_s, bits)
         if bits & _FADING and self._state is not SupervisorState.LATCHED:
-            self._fade(t_s, FAST_FADE_S if bits & _FAST else FADE_S)
+            fade_s = FAST_FADE_S if bits & _FAST else FADE_S
+            self._fade(t_s, 0.0 if bits & _AT_ONCE else fade_s)
         scale, clamped = 0.0, False
         if self._state is SupervisorState.FADE:
             scale = self._release(t_s, bits)
@@ -142,6 +143,11 @@ class Supervisor:
         return SupervisedForce(
             _read_only(self._sent), self._state, self._hazards, self._cause, scale, clamped
         )
+
+    @property
+    def rising(self) -> bool:
+        """The force is on its way to the wanted one, at 6 N/s at most."""
+        return self._slow
 
     def rearm(self, t_s: float) -> RearmAnswer:
         """An operator's request to leave LATCHED; nothing else may call this, least of all a network message.
@@ -252,6 +258,7 @@ class Supervisor:
 # plain integers: an IntFlag's operators cost as much as the rest of a step
 _FADING = int(WITHHOLDING)
 _FAST = int(hazards_with(Response.FAST_FADE))
+_AT_ONCE = int(hazards_with(Response.NO_FORCE))
 _SLOW = int(hazards_with(Response.SLOW))
 _LATCH_LATE = int(hazards_that_latch(Latch.AFTER_1_S))
 _LATCH_AT_ONCE = int(hazards_that_latch(Latch.AT_ONCE))

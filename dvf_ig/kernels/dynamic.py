@@ -160,29 +160,82 @@ def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, ph
 
 
 @inlined
-def _force_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Output:
-    """Force at one point of the model's frame; linear in phase, unless the blend is periodic."""
-    blend = int(f[BLEND])
-    if blend == BLEND_PERIODIC:
-        return _periodic_at(coefficients, f, q, phi)
-    status, u, v, w = _knot_coordinates(coefficients, f, q, phi)
-    if status != code.OK:
-        return _no_output(status)
-    cell = find_cell(u, v, w, _cells(coefficients))
+def _two_fields(
+    coefficients: NDArray[np.float32], f: FloatArray, knot: Vector, phi: float
+) -> tuple[Float64x4, Float64x4, Float64x4, float, float]:
+    """Fields of the phases around `phi`, their blend, the second's weight, the distance rate."""
+    cell = find_cell(knot[0], knot[1], knot[2], _cells(coefficients))
     first, second, alpha, width = phase_bracket(f, TIMES, len(coefficients), phi)
     a = _field(coefficients, first, cell, f[PER_KNOT])
     b = _field(coefficients, second, cell, f[PER_KNOT])
     mixed = fma(scale(1.0 - alpha, a), alpha, b)
-    rate = (unpack(b)[0] - unpack(a)[0]) / width
-    if blend == BLEND_DISTANCE:
-        force = scale(_force_per_gradient_of_blend(f, mixed), mixed)
-    else:
-        force = fma(
-            scale((1.0 - alpha) * _force_per_gradient_of_field(f, a), a),
-            alpha * _force_per_gradient_of_field(f, b),
-            b,
-        )
-    return _output(force, mixed, rate)
+    return a, b, mixed, alpha, (unpack(b)[0] - unpack(a)[0]) / width
+
+
+@inlined
+def _blended_force(f: FloatArray, a: Float64x4, b: Float64x4, mixed: Float64x4, alpha: float) -> Float64x4:
+    """(0, force) of a fixture that is linear in phase."""
+    if int(f[BLEND]) == BLEND_DISTANCE:
+        return scale(_force_per_gradient_of_blend(f, mixed), mixed)
+    return fma(
+        scale((1.0 - alpha) * _force_per_gradient_of_field(f, a), a),
+        alpha * _force_per_gradient_of_field(f, b),
+        b,
+    )
+
+
+@inlined
+def _force_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Output:
+    """Force at one point of the model's frame; linear in phase, unless the blend is periodic."""
+    if int(f[BLEND]) == BLEND_PERIODIC:
+        return _periodic_at(coefficients, f, q, phi)
+    status, u, v, w = _knot_coordinates(coefficients, f, q, phi)
+    if status != code.OK:
+        return _no_output(status)
+    a, b, mixed, alpha, rate = _two_fields(coefficients, f, (u, v, w), phi)
+    return _output(_blended_force(f, a, b, mixed, alpha), mixed, rate)
+
+
+@inlined
+def forces_on_surface(
+    linear: NDArray[np.float32],
+    periodic: NDArray[np.float32],
+    packed: FloatArray,
+    q: Vector,
+    phi: float,
+    forces: FloatArray,
+) -> Output:
+    """Forces of several fixtures on one surface; those linear in phase share the spline's evaluation.
+
+    Args:
+        linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
+        packed: (k, p) fixtures; their poses are not used.
+        q: point in the model's frame.
+        phi: model phase.
+        forces: (k, 3) N, model frame; only whole where the status is OK.
+    Returns:
+        output of the first fixture; the status is that of the first that is not OK.
+    """
+    nothing = pack(0.0, 0.0, 0.0, 0.0)
+    a, b, mixed, alpha, rate = nothing, nothing, nothing, 0.0, 0.0
+    if len(linear) > 0:
+        status, u, v, w = _knot_coordinates(linear, packed[0], q, phi)
+        if status != code.OK:
+            return _no_output(status)
+        a, b, mixed, alpha, rate = _two_fields(linear, packed[0], (u, v, w), phi)
+    first = _no_output(code.FAULT)
+    for i in range(len(packed)):
+        f = packed[i]
+        if int(f[BLEND]) == BLEND_PERIODIC:
+            found = _periodic_at(periodic, f, q, phi)
+        else:
+            found = _output(_blended_force(f, a, b, mixed, alpha), mixed, rate)
+        if found[0] != code.OK:
+            return _no_output(found[0])
+        forces[i, 0], forces[i, 1], forces[i, 2] = found[1]
+        if i == 0:
+            first = found
+    return first
 
 
 @inlined

@@ -13,7 +13,7 @@ from dvf_ig.core import HEART_RADIUS_MM, FloatArray, IntArray
 from . import status as code
 from .compiled import inlined, kernel
 from .dynamic import POSE, WITHOUT_RATE, force_tick
-from .place import COVARIANCE, COVARIANCE_CENTER, Columns, phase_at, pose_at, set_pose, status_at
+from .place import COVARIANCE, COVARIANCE_CENTER, Columns, Phase, phase_at, pose_at, set_pose, status_at
 from .vectors import Vector, cross, dot, vector_at
 
 DISTANCE_RATE = 8
@@ -47,6 +47,28 @@ def _combined(pose: Columns, v: FloatArray, at: int) -> Vector:
         x[1] * v[at] + y[1] * v[at + 1] + z[1] * v[at + 2],
         x[2] * v[at] + y[2] * v[at + 1] + z[2] * v[at + 2],
     )
+
+
+@inlined
+def distance_rate_and_sigma(
+    packed: FloatArray, pose: Columns, phase: Phase, xyz_mm: FloatArray, out: FloatArray
+) -> tuple[float, float]:
+    """∂d/∂t at the tool's fixed place (mm/s), by the twist of the pose and the phase's rate; and σ_d (mm).
+
+    Args:
+        packed: pose and phase; pose, phase: of that, at the time.
+        xyz_mm: (3,) tool tip, tracker frame.
+        out: of `force_tick`, with the distance's rate.
+    """
+    turned, gradient = _combined(pose, xyz_mm, 0), _combined(pose, out, 4)
+    shift = pose[3]
+    at = (turned[0] + shift[0], turned[1] + shift[1], turned[2] + shift[2])
+    swept, moved = cross(pose[4], at), pose[5]
+    velocity = (swept[0] + moved[0], swept[1] + moved[1], swept[2] + moved[2])
+    by_phase = out[WITHOUT_RATE] * phase[2]
+    variance = _distance_variance(packed, at, gradient)
+    sigma = math.sqrt((0.0 if variance < 0.0 else variance) + by_phase**2)
+    return dot(gradient, velocity) + out[WITHOUT_RATE] * phase[1], sigma
 
 
 @kernel
@@ -84,15 +106,7 @@ def guided_tick(
     set_pose(fixture, POSE, pose)
     status = force_tick(coefficients, fixture, xyz_mm, phase[0], status, out)
     if len(out) > DISTANCE_SIGMA:
-        turned, gradient = _combined(pose, xyz_mm, 0), _combined(pose, out, 4)
-        shift = pose[3]
-        at = (turned[0] + shift[0], turned[1] + shift[1], turned[2] + shift[2])
-        swept, moved = cross(pose[4], at), pose[5]
-        velocity = (swept[0] + moved[0], swept[1] + moved[1], swept[2] + moved[2])
-        by_phase = out[WITHOUT_RATE] * phase[2]
-        variance = _distance_variance(packed, at, gradient)
-        out[DISTANCE_RATE] = dot(gradient, velocity) + out[WITHOUT_RATE] * phase[1]
-        out[DISTANCE_SIGMA] = math.sqrt((0.0 if variance < 0.0 else variance) + by_phase**2)
+        out[DISTANCE_RATE], out[DISTANCE_SIGMA] = distance_rate_and_sigma(packed, pose, phase, xyz_mm, out)
     return status
 
 

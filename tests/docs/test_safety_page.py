@@ -11,6 +11,7 @@ FORCE = {
     Response.SLOW: f"at most {supervisor.SLOW_SLEW_N_PER_S:g} N/s",
     Response.FADE: f"fades in {supervisor.FADE_S * 1000:g} ms",
     Response.FAST_FADE: f"fades in {supervisor.FAST_FADE_S * 1000:g} ms",
+    Response.NO_FORCE: "zero at once",
 }
 
 

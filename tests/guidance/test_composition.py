@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import nnls
 
 from dvf_ig.core import FrameMismatchError, InvalidInputError
 from dvf_ig.guidance import Contribution, compose, slew_limited
@@ -33,6 +34,30 @@ def nudged(rng, contributions, step):
             Contribution("mr", force * min(1.0, c.cap_n / max(np.linalg.norm(force), 1e-300)), c.cap_n)
         )
     return out
+
+
+def by_least_squares(force, contributions):
+    """The minimiser of ½|x − F|² + ½ Σ f/(1−f) max(0, x·n)² as a non-negative least-squares problem."""
+    acting = [c for c in contributions if c.activation > 0.0]
+    activation = np.array([c.activation for c in acting])
+    inward = np.stack([-c.force_n / np.linalg.norm(c.force_n) for c in acting], axis=1)
+    columns = inward * np.sqrt(activation)
+    matrix = np.vstack([columns, np.diag(np.sqrt(1.0 - activation))])
+    scaled, _ = nnls(matrix, np.concatenate([force, np.zeros(len(acting))]))
+    return force - columns @ scaled
+
+
+@given(seeds, st.integers(1, 6))
+def test_the_kernel_is_the_least_squares_solution(seed, count):
+    rng = np.random.default_rng(seed)
+    walls = [w for w in drawn(rng, count) if w.activation > 0.0]
+    if count % 2 and len(walls) > 1:
+        walls[1] = Contribution("mr", rng.choice([-1.0, 1.0]) * walls[0].force_n, CAP)
+    if walls:
+        force = rng.normal(size=3)
+        np.testing.assert_allclose(
+            without_inward_part(force, walls), by_least_squares(force, walls), atol=1e-12
+        )
 
 
 def test_one_region_rejects_the_theory_s_share_of_the_inward_part():

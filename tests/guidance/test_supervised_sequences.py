@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from supervised_loop import CAP
 
-from dvf_ig.guidance import Hazard, RearmAnswer, Response, Supervisor, SupervisorState, hazards_with
+from dvf_ig.guidance import WITHHOLDING, Hazard, RearmAnswer, Supervisor, SupervisorState
 
 OK, DEGRADED, FADE, LATCHED = SupervisorState
 
@@ -17,7 +17,7 @@ def drawn_sequence(seed, count):
     """(time, wanted, hazards, re-arm asked) of a rough session: jumps, NaN, flicker, uneven steps."""
     rng = np.random.default_rng(seed)
     t_s, wanted, hazards = 0.0, np.zeros(3), Hazard.NONE
-    members = list(Hazard)
+    members = [hazard for hazard in Hazard if hazard is not Hazard.FORCE_CLAMPED]
     smooth = rng.uniform() < 0.5
     for _ in range(count):
         t_s += float(rng.choice([0.0, 0.001, 0.001, 0.001, 0.004, 0.03], p=[0.05, 0.3, 0.3, 0.3, 0.04, 0.01]))
@@ -25,10 +25,10 @@ def drawn_sequence(seed, count):
         if rng.uniform() < 0.002:
             wanted = rng.normal(size=3)
         wanted = wanted * min(1.0, CAP / max(float(np.linalg.norm(wanted)), 1e-9))
-        if rng.uniform() < 0.02:
+        if rng.uniform() < 0.05:
             hazards = Hazard.NONE
         if rng.uniform() < 0.005:
-            hazards |= members[int(rng.integers(len(members) - 1))]
+            hazards |= members[int(rng.integers(len(members)))]
         given_n = wanted.copy()
         if rng.uniform() < 0.0005:
             given_n[rng.integers(3)] = rng.choice([np.nan, np.inf])
@@ -47,10 +47,10 @@ def since_when(active, t_s, since):
     return (t_s if since is None else since) if active else None
 
 
-@pytest.mark.parametrize("seed", range(101, 107))
+@pytest.mark.parametrize("seed", range(101, 106))
 def test_what_holds_in_any_sequence_of_steps(seed):
     rows = run(seed)
-    fading = hazards_with(Response.FADE) | hazards_with(Response.FAST_FADE)
+    fading = WITHHOLDING
     previous, previous_s, state, rearmed = np.zeros(3), 0.0, DEGRADED, False
     unsafe_since = broken_since = None
     begun_n = 0.0
@@ -69,9 +69,11 @@ def test_what_holds_in_any_sequence_of_steps(seed):
         else:
             assert size <= before * slack or out.hazards & Hazard.FORCE_CLAMPED
             begun_n = before if state in (OK, DEGRADED) else begun_n
-            assert (
-                change <= max(begun_n * math.pi / 2 / 0.020, 100.0 if out.clamped else 0) * dt * slack + 1e-12
-            )
+            allowed = max(begun_n * math.pi / 2 / 0.020, 100.0 if out.clamped else 0) * dt * slack + 1e-12
+            if hazards & Hazard.MISSED_DEADLINES:
+                assert not out.force_n.any()
+            else:
+                assert change <= allowed
         if out.state is LATCHED:
             assert not out.force_n.any()
         if state is LATCHED:

@@ -11,6 +11,7 @@ from .gating import gating
 from .hearts import hearts
 from .options import TrialsCommand
 from .pairs import pairs
+from .passivity import passivity
 from .registration import add_registration_commands
 from .replay import replay
 from .retiming import retiming
@@ -33,3 +34,4 @@ app.command("watch")(watch)
 add_registration_commands(app)
 app.command("calibration", cls=TrialsCommand)(calibration)
 app.command("pairs")(pairs)
+app.command("passivity")(passivity)

@@ -226,7 +226,7 @@ def _dynamic_rows(
         elsewhere = np.ascontiguousarray(POSE.inverse().apply_array(scattered))
         anywhen = np.random.default_rng(options.seed).uniform(size=len(phi))
         yield _kernel_row("random kernel", tick.args, elsewhere, anywhen, None, options)
-        yield from _guided_rows(evaluator, PoseAndPhase(*_steady(pose)), tip, error, options)
+        yield from _guided_rows(evaluator, PoseAndPhase(*steady(pose)), tip, error, options)
 
 
 def _guided_rows(
@@ -243,7 +243,7 @@ def _guided_rows(
     yield row(OURS, "guided python", spent, error_mm, note="pose and phase at t, rates and σ_d included")
 
 
-def _steady(pose: Rigid) -> tuple[PoseMotion, PhaseForecast, RetimingCurve, FloatArray]:
+def steady(pose: Rigid) -> tuple[PoseMotion, PhaseForecast, RetimingCurve, FloatArray]:
     """A pose that stays, with its covariance, and a heart that beats once in CYCLE_S."""
     beat = PhaseForecast(
         since_s=0.0,

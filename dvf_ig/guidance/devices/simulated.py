@@ -1,16 +1,16 @@
 """Simulated haptic stylus: mass, viscous and dry friction, sensor resolution and servo rate."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.core.arrays import frozen_floats
-from dvf_ig.kernels.device import advance
-
-from .device import DeviceLimits
-from .feed_forward import NO_FEED_FORWARD, FeedForward
+from dvf_ig.guidance.device import DeviceLimits
+from dvf_ig.guidance.feed_forward import NO_FEED_FORWARD, FeedForward
+from dvf_ig.kernels.device import MM_PER_M, advance
+from dvf_ig.kernels.servo import simulated as kernel
 
 
 @read_only_arrays
@@ -140,3 +140,89 @@ largest force (3.3 N). No viscous friction is published: that of the Premium is 
 
 DEVICES = {"premium": PREMIUM, "omni": OMNI}
 """Simulated devices by name."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class Hand:
+    """A hand on a simulated stylus: a constant push, and a spring and damper to a place.
+
+    Attributes:
+        push_n: (3,) N.
+        place_mm: (3,) where the spring pulls to.
+        stiffness_n_per_m, damping_n_s_per_m: of the hand.
+    """
+
+    push_n: FloatArray = field(default_factory=lambda: np.zeros(3))
+    place_mm: FloatArray = field(default_factory=lambda: np.zeros(3))
+    stiffness_n_per_m: float = 0.0
+    damping_n_s_per_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("push_n", "place_mm"):
+            object.__setattr__(self, name, frozen_floats(getattr(self, name), f"hand {name}", (3,)))
+
+
+NO_HAND = Hand()
+
+
+class SimulatedStylus:
+    """A simulated device in motion: a `HapticDevice` that moves in the loop's own time.
+
+    Args:
+        device: mass, frictions, resolution.
+        position_mm: (3,) where it starts, at rest, frame "device".
+        delay_s: from a force that is sent to the force that acts.
+        hand: on the stylus; may be changed while it moves.
+    Raises:
+        InvalidInputError: a delay that is negative or longer than the queue of forces.
+    """
+
+    def __init__(
+        self,
+        device: SimulatedDevice,
+        position_mm: FloatArray,
+        *,
+        delay_s: float = 0.0,
+        hand: Hand = NO_HAND,
+    ) -> None:
+        longest_s = (kernel.QUEUE_LENGTH - 2) / device.rate_hz
+        if not 0.0 <= delay_s <= longest_s:
+            raise InvalidInputError(f"the device's delay is {delay_s:g} s; needed 0 to {longest_s:g} s")
+        self.device = device
+        self.name = f"simulated {device.name}"
+        self.latency_s = delay_s
+        self.context = np.zeros(kernel.CONTEXT_SIZE, dtype=np.int64)
+        self.functions = np.array([kernel.read_simulated.address, kernel.write_simulated.address])
+        numbers = self._numbers
+        numbers[:3] = position_mm
+        numbers[kernel.MASS_KG : kernel.DELAY_S + 1] = (
+            device.mass_kg,
+            device.viscous_n_s_per_m,
+            device.dry_n,
+            device.largest_n,
+            1.0 / (device.rate_hz * device.steps),
+            device.resolution_mm,
+            delay_s,
+        )
+        self.hold(hand)
+
+    @property
+    def _numbers(self) -> FloatArray:
+        return self.context.view(np.float64)
+
+    @property
+    def position_mm(self) -> FloatArray:
+        """(3,) true position now, frame "device"."""
+        return self._numbers[:3].copy()
+
+    def hold(self, hand: Hand) -> None:
+        """Another hand from now on."""
+        numbers = self._numbers
+        numbers[kernel.HAND_N : kernel.HAND_N + 3] = hand.push_n
+        numbers[kernel.HAND_MM : kernel.HAND_MM + 3] = hand.place_mm
+        numbers[kernel.HAND_STIFFNESS] = hand.stiffness_n_per_m / MM_PER_M
+        numbers[kernel.HAND_DAMPING] = hand.damping_n_s_per_m / MM_PER_M
+
+    def close(self) -> None:
+        """Nothing is held open."""

@@ -1,0 +1,9 @@
+"""The servo: pose, phase and fixtures to a supervised force at 1 to 4 kHz, without Python in between."""
+
+from .deadlines import Deadlines as Deadlines
+from .inputs import ServoInputs as ServoInputs
+from .options import ServoOptions as ServoOptions
+from .record import ServoRecord as ServoRecord
+from .servo import Servo as Servo
+from .simulated_time import SimulatedServo as SimulatedServo
+from .simulated_time import simulate as simulate

@@ -1,0 +1,68 @@
+"""What a session tells the servo: pose and phase, hazards, margins, until when it holds."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, InvalidInputError, Rigid, read_only_arrays
+from dvf_ig.core.arrays import frozen_floats
+from dvf_ig.guidance.hazards import Hazard
+from dvf_ig.guidance.pose_and_phase import PoseAndPhase
+from dvf_ig.guidance.status import Status
+from dvf_ig.kernels.servo import tick as kernel
+
+VALID_FOR_S = 0.1
+"""A session speaks 30 times a second: three missed words are silence."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class ServoInputs:
+    """One word of the session to the servo; it holds until the next, or until it is out of date.
+
+    Attributes:
+        transform: pose and phase as functions of time.
+        now_s: the session's time.
+        tracker_from_device: where the device stands; frames "tracker" and "device".
+        hazards: that the session knows of; the servo's supervisor adds its own.
+        tool_status: `Status` of the tool's pose where that comes from a tracker; OK with a device's encoders.
+        margin_mm: (k,) by which each fixture is widened: a forbidden region begins so much earlier, a
+            guidance's δ grows by it, which makes it softer. Empty: none.
+        valid_for_s: silence after that withholds the force.
+    Raises:
+        InvalidInputError: margins that are negative or not finite, or more than the servo has fixtures.
+    """
+
+    transform: PoseAndPhase
+    now_s: float
+    tracker_from_device: Rigid
+    hazards: Hazard = Hazard.NONE
+    tool_status: Status = Status.OK
+    margin_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
+    valid_for_s: float = VALID_FOR_S
+
+    def __post_init__(self) -> None:
+        margin = frozen_floats(self.margin_mm, "margins of the fixtures", (None,))
+        object.__setattr__(self, "margin_mm", margin)
+        if len(margin) > kernel.MAX_FIXTURES or (margin < 0.0).any():
+            raise InvalidInputError(
+                f"margins of {len(margin)} fixtures, the least {margin.min(initial=0.0):g} mm; needed at "
+                f"most {kernel.MAX_FIXTURES}, none negative"
+            )
+
+    def packed(self, clock_s: float) -> FloatArray:
+        """One array for the kernels.
+
+        Args:
+            clock_s: the servo's clock at `now_s`.
+        """
+        values = np.zeros(kernel.INPUT_SIZE)
+        values[kernel.VALID_UNTIL_S] = clock_s + self.valid_for_s
+        values[kernel.HAZARDS] = float(self.hazards)
+        values[kernel.TOOL_STATUS] = float(self.tool_status)
+        values[kernel.CLOCK_OFFSET_S] = clock_s - self.now_s
+        pose = values[kernel.TRACKER_FROM_DEVICE : kernel.MARGIN_MM].reshape(3, 4)
+        pose[...] = self.tracker_from_device.matrix[:3]
+        values[kernel.MARGIN_MM : kernel.MARGIN_MM + len(self.margin_mm)] = self.margin_mm
+        values[kernel.POSE_AND_PHASE :] = self.transform.packed
+        return values

@@ -1,0 +1,201 @@
+"""The servo: a loop at 1 to 4 kHz in a thread of its own, which never waits for Python."""
+
+import sys
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import InvalidInputError
+from dvf_ig.guidance.device import COMMON_DEVICE, DeviceLimits
+from dvf_ig.guidance.devices.protocol import HapticDevice
+from dvf_ig.guidance.devices.recorded import RecordedDevice
+from dvf_ig.guidance.evaluator import Evaluator
+from dvf_ig.guidance.fixtures import Fixtures
+from dvf_ig.guidance.sideways import check_sideways
+from dvf_ig.guidance.supervisor import RearmAnswer
+from dvf_ig.kernels.place import POSE_UNTIL
+from dvf_ig.kernels.servo import loop as kernel
+from dvf_ig.kernels.servo import shared
+from dvf_ig.kernels.servo import tick as tick_kernel
+
+from .bound import REARM_ANSWERS, bind_fixtures, new_scratch
+from .deadlines import BINS, Deadlines
+from .inputs import ServoInputs
+from .options import ServoOptions
+from .record import ServoRecord
+from .threads import real_time_thread
+
+WATCHDOG_NS = 10_000_000
+CHECK_NS = 1_000_000
+LATE_NS = 2_000_000
+"""Three ticks in a hundred that wake or end so late latch."""
+KEPT_S = 2.0
+"""The ring buffer holds the last so many seconds."""
+ANSWER_WITHIN_S = 0.1
+WARM_UP_TICKS = 20
+
+
+class Servo:
+    """Reads a haptic device, evaluates the fixtures and sends the supervised force, once a period.
+
+    A context manager: entered, it warms up and begins to tick; left, it stops and sends no force. Forces
+    begin after the first `publish`, from zero, at 6 N/s. One thread publishes, re-arms and reads.
+
+    Args:
+        fixtures: on the patient's model.
+        device: open.
+        limits: of the device; the stiffness gives the slew limit.
+        options: rate, damping, passivity.
+        watchdog: a second thread that sends no force where no tick has ended for 10 ms.
+    Raises:
+        InvalidInputError: another system than Linux, fixtures that the servo does not render, or such as the
+            device does not (`check_sideways`).
+    """
+
+    def __init__(
+        self,
+        fixtures: Fixtures,
+        device: HapticDevice,
+        *,
+        limits: DeviceLimits = COMMON_DEVICE,
+        options: ServoOptions = ServoOptions(),  # noqa: B008  frozen
+        watchdog: bool = True,
+    ) -> None:
+        if sys.platform != "linux":
+            raise InvalidInputError(
+                f"the servo needs Linux, which sleeps until an absolute time; this is {sys.platform}"
+            )
+        self.device, self.options = device, options
+        self._bound = tuple(bind_fixtures(fixtures, limits, options, device.latency_s))
+        self._fixtures = len(fixtures.parts)
+        for part in fixtures.parts:
+            if isinstance(part, Evaluator):
+                check_sideways(part, limits)
+        self._functions = np.array(device.functions, dtype=np.int64)
+        self._counter = shared.new_counter()
+        self._shared = np.zeros(tick_kernel.INPUT_SIZE)
+        self._shared[tick_kernel.VALID_UNTIL_S] = np.inf
+        self._shared[tick_kernel.POSE_AND_PHASE + POSE_UNTIL] = -np.inf
+        self._numbers = np.zeros(kernel.NUMBERS, dtype=np.int64)
+        self._numbers[kernel.LATE_NS] = LATE_NS
+        self._histogram = np.zeros(BINS, dtype=np.int64)
+        self._ring = np.zeros((max(1024, round(KEPT_S * options.rate_hz)), tick_kernel.ROW))
+        self._watchdog = watchdog
+        self._threads: list[threading.Thread] = []
+        self.realtime = False
+        """The machine schedules this servo before all ordinary programs."""
+        self._read_to = 0
+
+    def __enter__(self) -> "Servo":
+        if self._threads or self._numbers[kernel.STOP]:
+            raise InvalidInputError("a servo runs once; make a new one")
+        scratch = tuple(new_scratch(self._fixtures))
+        self._warm_up()
+        self._begin(
+            "dvf-ig servo",
+            kernel.run_servo,
+            self._bound,
+            scratch,
+            self._functions,
+            self.device.context,
+            self._counter,
+            self._shared,
+            self._numbers,
+            self._ring,
+            self._histogram,
+            self.options.period_ns,
+            0,
+            0,
+        )
+        if self._watchdog:
+            arguments = (self._functions, self.device.context, self._numbers, WATCHDOG_NS, CHECK_NS)
+            self._begin("dvf-ig watchdog", kernel.watch, *arguments)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        shared.store_number(self._numbers, kernel.STOP, 1)
+        for thread in self._threads:
+            thread.join()
+
+    def publish(self, inputs: ServoInputs) -> None:
+        """Tell the servo what the session knows now; never waits.
+
+        `inputs.now_s` is taken to be this moment of the session's clock.
+        """
+        shared.publish(self._counter, self._shared, inputs.packed(time.monotonic_ns() * 1e-9))
+
+    def rearm(self) -> RearmAnswer:
+        """An operator's request to leave LATCHED, judged by the servo in its next tick.
+
+        A servo whose watchdog has tripped is not re-armed: stop it, find out why, and start a new one.
+        """
+        asked = shared.load_number(self._numbers, kernel.REARM_ASKED) + 1
+        shared.store_number(self._numbers, kernel.REARM_ASKED, asked)
+        until = time.monotonic() + ANSWER_WITHIN_S
+        while shared.load_number(self._numbers, kernel.REARM_ANSWERED) < asked:
+            if time.monotonic() > until:
+                return RearmAnswer.NO_RECENT_STEP
+            time.sleep(0.5 / self.options.rate_hz)
+        return REARM_ANSWERS[shared.load_number(self._numbers, kernel.REARM_ANSWER)]
+
+    def read(self) -> ServoRecord:
+        """The ticks since the last call, or as many of them as the ring buffer still holds."""
+        head = shared.load_number(self._numbers, kernel.HEAD)
+        begin = max(self._read_to, head - len(self._ring) + 64)
+        rows = np.empty((head - begin, tick_kernel.ROW))
+        kernel.copy_rows(self._ring, self._numbers, begin, rows)
+        self._read_to = head
+        return ServoRecord(rows[np.isfinite(rows[:, tick_kernel.T_S])])
+
+    @property
+    def ticks(self) -> int:
+        """Ticks so far."""
+        return shared.load_number(self._numbers, kernel.HEAD)
+
+    @property
+    def watchdog_tripped(self) -> bool:
+        """No tick had ended for 10 ms at some time: no force is sent until a new servo is started."""
+        return shared.load_number(self._numbers, kernel.TRIPPED) != 0
+
+    @property
+    def deadlines(self) -> Deadlines:
+        """Lateness of all ticks so far; exact once the servo has stopped."""
+        worst, skipped = self._numbers[kernel.WORST_NS], self._numbers[kernel.SKIPPED]
+        return Deadlines(self._histogram.copy(), float(worst) / 1e3, int(skipped))
+
+    def _begin(self, name: str, function: Callable[..., Any], *arguments: Any) -> None:
+        thread, realtime = real_time_thread(name, function, *arguments)
+        self._threads.append(thread)
+        self.realtime = realtime
+
+    def _warm_up(self) -> None:
+        """Compile or load every kernel, and touch the coefficients, before the first tick."""
+        for coefficients in self._bound[:2]:
+            float(np.sum(coefficients))
+        shared.publish(self._counter, self._shared, self._shared.copy())
+        numbers, histogram = np.zeros(kernel.NUMBERS, dtype=np.int64), np.zeros(BINS, dtype=np.int64)
+        nobody = RecordedDevice(np.zeros((WARM_UP_TICKS, 3)), self.options.rate_hz)
+        ring = np.zeros((WARM_UP_TICKS, tick_kernel.ROW))
+        kernel.run_servo(
+            self._bound,
+            tuple(new_scratch(self._fixtures)),
+            nobody.functions,
+            nobody.context,
+            self._counter,
+            self._shared,
+            numbers,
+            ring,
+            histogram,
+            self.options.period_ns,
+            1,
+            WARM_UP_TICKS,
+        )
+        kernel.copy_rows(ring, numbers, 0, np.empty((1, tick_kernel.ROW)))
+        numbers[kernel.STOP] = 1
+        kernel.watch(nobody.functions, nobody.context, numbers, WATCHDOG_NS, CHECK_NS)

@@ -1,0 +1,131 @@
+"""One tick of the servo in readable form; tests hold `dvf_ig.kernels.servo.tick` to it."""
+
+import numpy as np
+
+from dvf_ig.core import FloatArray
+from dvf_ig.guidance.device import DeviceLimits
+from dvf_ig.guidance.evaluator import Evaluator
+from dvf_ig.guidance.fixture import FixtureSet
+from dvf_ig.guidance.fixtures import Fixtures
+from dvf_ig.guidance.hazards import Hazard, hazard_of
+from dvf_ig.guidance.joint_force import composed_force
+from dvf_ig.guidance.status import Status
+from dvf_ig.guidance.supervisor import SupervisedForce, Supervisor, SupervisorState
+
+from .bound import tick_constants
+from .inputs import ServoInputs
+from .options import ServoOptions
+
+
+class PassivityObserver:
+    """Energy that holding, latency and quantisation have made, and the damping that takes it back.
+
+    `dvf_ig.kernels.servo.passivity` explains the formula and is the kernel's form.
+
+    Attributes:
+        residual_mj: made and not yet taken back; given_mj: work on the hand; by_surface_mj: of that, by the
+            surface's motion.
+    """
+
+    def __init__(self, delay_ticks: int, largest_damping: float) -> None:
+        self._delay, self._largest = delay_ticks, largest_damping
+        self.residual_mj = self.given_mj = self.by_surface_mj = 0.0
+        self._last: tuple[FloatArray, FloatArray] | None = None
+        self._surface = np.zeros(3)
+        self._sent: list[FloatArray] = []
+
+    def observe(self, xyz_mm: FloatArray, field_n: FloatArray, dt_s: float, *, following: bool) -> None:
+        """Account for the period that has just passed."""
+        if self._last is not None:
+            at = len(self._sent) - 1 - self._delay
+            felt = self._sent[at] if at >= 0 else np.zeros(3)
+            moved, surface = xyz_mm - self._last[0], self._surface * dt_s
+            self.given_mj += float(felt @ moved)
+            self.by_surface_mj += float(felt @ surface)
+            if following:
+                ideal = 0.5 * (field_n + self._last[1])
+                self.residual_mj = max(0.0, self.residual_mj + float((felt - ideal) @ (moved - surface)))
+        self._last = (xyz_mm.copy(), field_n.copy())
+
+    def damping(self, speed: FloatArray, surface: FloatArray, period_s: float) -> FloatArray:
+        """(3,) force of the controller for the period to come."""
+        self._surface = surface.copy()
+        relative = speed - surface
+        square = float(relative @ relative)
+        if self._largest <= 0.0 or self.residual_mj <= 0.0 or square <= 0.0:
+            return np.zeros(3)
+        return np.asarray(-min(self._largest, self.residual_mj / (square * period_s)) * relative)
+
+    def note(self, sent_n: FloatArray) -> None:
+        self._sent.append(sent_n.copy())
+
+    def forget_residual(self) -> None:
+        """Nothing is sent any more."""
+        self.residual_mj = 0.0
+
+
+class ReadableTick:
+    """Ticks in Python; arguments as of `Servo`, with the device's latency. For tests: no speed, no thread."""
+
+    def __init__(
+        self, fixtures: Fixtures, limits: DeviceLimits, options: ServoOptions, latency_s: float
+    ) -> None:
+        self._set: FixtureSet = fixtures.options
+        self._parts = [part for part in fixtures.parts if isinstance(part, Evaluator)]
+        self._c, self._options = tick_constants(fixtures, options, latency_s), options
+        self._supervisor = Supervisor(limits)
+        self.observer = PassivityObserver(self._c.delay_ticks, self._c.largest_damping)
+        self._last: tuple[float, FloatArray] | None = None
+        self._speed = np.zeros(3)
+        self._following = False
+
+    def step(self, t_s: float, xyz_device_mm: FloatArray, inputs: ServoInputs) -> SupervisedForce:
+        """One tick at the session's time `t_s`; the force sent, tracker frame."""
+        c = self._c
+        dt_s = c.period_s if self._last is None else t_s - self._last[0]
+        xyz = inputs.tracker_from_device.apply_array(xyz_device_mm[None])[0]
+        if self._last is not None:
+            self._speed = self._speed + c.speed_share * ((xyz - self._last[1]) / dt_s - self._speed)
+        self._last = (t_s, xyz)
+        hazards = inputs.hazards
+        silent = t_s > inputs.now_s + inputs.valid_for_s
+        status = Status.NO_POSE if silent else inputs.tool_status
+        hazards |= Hazard.SESSION_SILENT if silent else Hazard.NONE
+        ahead = xyz + (c.lead_s * self._speed if self._options.predict_tool else 0.0)
+        field_n, wanted_n, surface, status = self._forces(ahead, t_s + c.lead_s, inputs, status)
+        self.observer.observe(xyz, field_n, dt_s, following=self._following)
+        if status == Status.OK:
+            wanted_n = wanted_n + self.observer.damping(self._speed, surface, c.period_s)
+        length = float(np.linalg.norm(wanted_n))
+        if length > c.cap_n:
+            wanted_n = wanted_n * (c.cap_n / length)
+        if self.observer.residual_mj > self._options.residual_limit_mj:
+            hazards |= Hazard.ENERGY
+        sent = self._supervisor.step(t_s, wanted_n, hazards | hazard_of(status))
+        if sent.state is SupervisorState.LATCHED:
+            self.observer.forget_residual()
+        self.observer.note(sent.force_n)
+        self._following = sent.state is SupervisorState.OK or (
+            sent.state is SupervisorState.DEGRADED and not self._supervisor.rising
+        )
+        return sent
+
+    def _forces(
+        self, xyz: FloatArray, t_s: float, inputs: ServoInputs, status: Status
+    ) -> tuple[FloatArray, FloatArray, FloatArray, Status]:
+        """The fixtures' force, the same with relative damping, the surface's velocity, the status."""
+        nothing = np.zeros(3)
+        each = [
+            inputs.transform.evaluate(part, xyz[None], t_s, np.array([int(status)])) for part in self._parts
+        ]
+        found = Status(int(each[0].status[0]))
+        if found != Status.OK:
+            return nothing, nothing, nothing, found
+        field_n = composed_force(self._set, np.array([one.force_n[0] for one in each])).force_n
+        gradient = each[0].gradient[0]
+        place = inputs.transform.at(xyz[None], t_s)
+        rotation = inputs.transform.pose.at(t_s).rotation if inputs.transform.pose is not None else np.eye(3)
+        rate = float(place.distance_rate_mm_s((rotation @ gradient)[None], each[0].rate_mm_per_cycle)[0])
+        norm = float(np.linalg.norm(gradient))
+        pushed = field_n + self._options.feed_forward.force(gradient, rate, self._speed)
+        return field_n, pushed, -rate / norm * gradient / norm, found

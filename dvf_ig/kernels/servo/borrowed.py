@@ -1,0 +1,38 @@
+"""Arrays whose owner outlives a kernel, taken without reference counts.
+
+numba counts references to every slice of an array with an atomic operation. A tick takes some thirty slices,
+and the counts then cost more than the forces. The arrays of a loop are held by the thread that called it, so
+the loop may borrow them: a slice of a borrowed array counts nothing.
+"""
+
+from typing import Any
+
+from llvmlite import ir
+from numba import core
+from numba.extending import intrinsic
+
+types: Any = core.types
+
+
+def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    array = context.make_array(kind)(context, builder, value)
+    array.meminfo = ir.Constant(array.meminfo.type, None)
+    array.parent = ir.Constant(array.parent.type, None)
+    return array._getvalue()
+
+
+@intrinsic
+def borrowed(typing: Any, arrays: Any) -> Any:
+    """The same arrays, one or a tuple of them, without an owner; valid while the originals are held."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kind = signature.args[0]
+        if isinstance(kind, types.Array):
+            return _without_owner(context, builder, kind, args[0])
+        parts = [
+            _without_owner(context, builder, part, builder.extract_value(args[0], k))
+            for k, part in enumerate(kind.types)
+        ]
+        return context.make_tuple(builder, signature.return_type, parts)
+
+    return arrays(arrays), build

@@ -1,0 +1,85 @@
+"""Calls of vendors' C functions by address, with the few signatures that haptic devices have.
+
+Source: dhdc.h of the Force Dimension SDK; hd.h and hdDefines.h of OpenHaptics.
+"""
+
+from typing import Any
+
+from llvmlite import ir
+from numba import core
+from numba.extending import intrinsic
+
+types: Any = core.types
+
+_INT8, _INT32, _INT64 = ir.IntType(8), ir.IntType(32), ir.IntType(64)
+_DOUBLE = ir.DoubleType()
+_NUMBERS = _DOUBLE.as_pointer()
+
+
+def _function(builder: Any, address: Any, result: Any, *arguments: Any) -> Any:
+    return builder.inttoptr(address, ir.FunctionType(result, arguments).as_pointer())
+
+
+def _numbers_at(context: Any, builder: Any, kind: Any, array: Any, i: Any) -> Any:
+    data = context.make_array(kind)(context, builder, array).data
+    return builder.gep(data, [i])
+
+
+@intrinsic
+def call_get_position(typing: Any, address: int, out: Any, i: int, device: int) -> Any:
+    """int dhdGetPosition(double *x, double *y, double *z, char id), into out[i], out[i+1], out[i+2]."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        function = _function(builder, args[0], _INT32, _NUMBERS, _NUMBERS, _NUMBERS, _INT8)
+        first = _numbers_at(context, builder, signature.args[1], args[1], args[2])
+        places = [builder.gep(first, [ir.Constant(_INT64, k)]) for k in range(3)]
+        return builder.call(function, [*places, builder.trunc(args[3], _INT8)])
+
+    return types.int32(types.int64, out, types.int64, types.int64), build
+
+
+@intrinsic
+def call_set_force(typing: Any, address: int, x: float, y: float, z: float, device: int) -> Any:
+    """int dhdSetForce(double fx, double fy, double fz, char id)."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        function = _function(builder, args[0], _INT32, _DOUBLE, _DOUBLE, _DOUBLE, _INT8)
+        return builder.call(function, [*args[1:4], builder.trunc(args[4], _INT8)])
+
+    number = types.float64
+    return types.int32(types.int64, number, number, number, types.int64), build
+
+
+@intrinsic
+def call_with_handle(typing: Any, address: int, handle: int) -> Any:
+    """void hdBeginFrame(HHD), void hdEndFrame(HHD), void hdMakeCurrentDevice(HHD)."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.call(_function(builder, args[0], ir.VoidType(), _INT32), [builder.trunc(args[1], _INT32)])
+        return context.get_dummy_value()
+
+    return types.none(types.int64, types.int64), build
+
+
+@intrinsic
+def call_doubles(typing: Any, address: int, name: int, numbers: Any, i: int) -> Any:
+    """void hdGetDoublev(HDenum, HDdouble *), void hdSetDoublev(HDenum, const HDdouble *), at numbers[i]."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        function = _function(builder, args[0], ir.VoidType(), _INT32, _NUMBERS)
+        first = _numbers_at(context, builder, signature.args[2], args[2], args[3])
+        builder.call(function, [builder.trunc(args[1], _INT32), first])
+        return context.get_dummy_value()
+
+    return types.none(types.int64, types.int64, numbers, types.int64), build
+
+
+@intrinsic
+def call_error_code(typing: Any, address: int) -> Any:
+    """HDErrorInfo hdGetError(void): three 32-bit numbers in two registers, of which the first is the code."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        packed = builder.call(_function(builder, args[0], _INT64), [])
+        return builder.and_(packed, ir.Constant(_INT64, 0xFFFFFFFF))
+
+    return types.int64(types.int64), build

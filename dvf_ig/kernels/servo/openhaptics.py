@@ -1,0 +1,110 @@
+"""An OpenHaptics device behind the two functions of `device_call`.
+
+The vendor's scheduler owns the device: frames begin and end in its thread. A callback there, compiled and
+without Python, hands positions over and takes forces under sequence locks, once a scheduler tick. If the
+servo falls silent the callback sends no force: the scheduler would otherwise repeat the last one for ever.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import carray, cfunc, core
+
+from .device_call import device_function
+from .foreign import call_doubles, call_error_code, call_with_handle
+from .shared import load_relaxed, publish, read_shared, store_relaxed
+
+types: Any = core.types
+
+HD_CURRENT_POSITION = 0x2050
+HD_CURRENT_FORCE = 0x2700
+HD_CALLBACK_CONTINUE = 1
+
+# Offsets in its context. Locks and what they guard:
+POSITION_LOCK = 0
+POSITION = 8
+FORCE_LOCK = 16
+FORCE = 24
+# Of the callback:
+HANDLE = 32
+BEGIN_FRAME = 33
+END_FRAME = 34
+GET_DOUBLES = 35
+SET_DOUBLES = 36
+GET_ERROR = 37
+SEEN_FORCE = 38
+SILENT_TICKS = 39
+FRAME = 40
+"""(3,) numbers in the vendor's order; (3,) the force read last; (3,) of the reads."""
+ERROR = 56
+# Of the servo's thread:
+SEEN_POSITION = 64
+READ_NS = 65
+LAST_XYZ = 66
+WORK = 72
+LOST_AFTER_NS = 76
+"""Without a new position for so long the device is lost."""
+CONTEXT_SIZE = 80
+
+SILENT_AFTER_TICKS = 20
+"""Scheduler ticks without a force from the servo, 20 ms at 1 kHz, after which none is sent."""
+
+
+@cfunc(types.uint32(types.voidptr), cache=True, nopython=True)
+def exchange(context: Any) -> int:
+    """The scheduler's callback: position out, force in."""
+    c, n = carray(context, CONTEXT_SIZE, np.int64), carray(context, CONTEXT_SIZE, np.float64)
+    call_with_handle(c[BEGIN_FRAME], c[HANDLE])
+    call_doubles(c[GET_DOUBLES], HD_CURRENT_POSITION, n, FRAME)
+    seen = read_shared(
+        c[FORCE_LOCK : FORCE_LOCK + 1],
+        n[FORCE : FORCE + 3],
+        c[SEEN_FORCE],
+        n[FRAME + 3 : FRAME + 6],
+        n[FRAME + 6 : FRAME + 9],
+    )
+    c[SILENT_TICKS] = 0 if seen != c[SEEN_FORCE] else c[SILENT_TICKS] + 1
+    c[SEEN_FORCE] = seen
+    error = load_relaxed(c, ERROR)
+    if error != 0 or c[SILENT_TICKS] > SILENT_AFTER_TICKS:
+        for k in range(3):
+            n[FRAME + 3 + k] = 0.0
+    call_doubles(c[SET_DOUBLES], HD_CURRENT_FORCE, n, FRAME + 3)
+    call_with_handle(c[END_FRAME], c[HANDLE])
+    failed = call_error_code(c[GET_ERROR])
+    if failed != 0 and error == 0:
+        store_relaxed(c, ERROR, failed)
+    publish(c[POSITION_LOCK : POSITION_LOCK + 1], n[POSITION : POSITION + 3], n[FRAME : FRAME + 3])
+    return HD_CALLBACK_CONTINUE
+
+
+@device_function
+def read_openhaptics(context: Any, now_ns: int, out: Any) -> int:
+    """The position of the newest scheduler tick."""
+    c, n = carray(context, CONTEXT_SIZE, np.int64), carray(context, CONTEXT_SIZE, np.float64)
+    position = carray(out, 3)
+    seen = read_shared(
+        c[POSITION_LOCK : POSITION_LOCK + 1],
+        n[POSITION : POSITION + 3],
+        c[SEEN_POSITION],
+        n[LAST_XYZ : LAST_XYZ + 3],
+        n[WORK : WORK + 3],
+    )
+    if seen != c[SEEN_POSITION] or c[READ_NS] == 0:
+        c[SEEN_POSITION], c[READ_NS] = seen, now_ns
+    for k in range(3):
+        position[k] = n[LAST_XYZ + k]
+    lost = now_ns - c[READ_NS] > c[LOST_AFTER_NS] or load_relaxed(c, ERROR) != 0
+    return 1 if lost or seen <= 0 else 0
+
+
+@device_function
+def write_openhaptics(context: Any, now_ns: int, force_n: Any) -> int:
+    """Hand the force to the next scheduler tick."""
+    c, n, force = (
+        carray(context, CONTEXT_SIZE, np.int64),
+        carray(context, CONTEXT_SIZE, np.float64),
+        carray(force_n, 3),
+    )
+    publish(c[FORCE_LOCK : FORCE_LOCK + 1], n[FORCE : FORCE + 3], force)
+    return 0 if load_relaxed(c, ERROR) == 0 else 1

@@ -1,0 +1,108 @@
+"""Passivity observer and controller of a moving fixture, on the force that was really sent.
+
+Between two ticks the device held a force F that had been sent (`delay_ticks` ticks ago, where the device is
+late) while the tool moved by Δx and the fixture's surface, where the tool is, by Δs. The work given to the
+hand, F·Δx, has two parts: F·Δs, by which a moving surface takes the tool with it, known and wanted; and
+F·(Δx − Δs), the work relative to the surface. A fixture in continuous time would have done
+½(F_k + F_{k−1})·(Δx − Δs) there, F_k its force at each place: what it stores it gives back. The difference
+
+    r = [F − ½(F_k + F_{k−1})]·(Δx − Δs)
+
+is energy that holding, latency and quantisation have made. Its sum, less what was taken back, is the
+residual. The controller adds a damping force −b(v − v_s) with b chosen so that the residual is gone after one
+period, but never more than `largest damping`. A negative residual gives no credit.
+
+Source: Hannaford and Ryu 2002 (observer and controller in the time domain); Ryu et al. 2005 (following a
+reference energy); surface motion and the trapezoid as the reference are this project's.
+"""
+
+import math
+
+from dvf_ig.core import FloatArray
+from dvf_ig.kernels.compiled import kernel
+
+# Offsets in the observer's memory.
+LAST_XYZ = 0
+LAST_FIELD = 3
+SURFACE_SPEED = 6
+RESIDUAL = 9
+GIVEN = 10
+BY_SURFACE = 11
+STARTED = 13
+DAMPING = 14
+SENT_COUNT = 15
+SENT = 16
+SENT_KEPT = 32
+"""Ticks of sent force that are remembered: the longest latency that can be accounted for, plus one."""
+MEMORY_SIZE = SENT + 3 * SENT_KEPT
+
+
+@kernel
+def observe(
+    p: FloatArray, xyz: FloatArray, field: FloatArray, dt_s: float, delay_ticks: int, following: bool
+) -> None:
+    """Account for the period that has just passed; fills GIVEN, BY_SURFACE and RESIDUAL, in mJ.
+
+    Args:
+        p: memory; all zero before the first tick.
+        xyz: (3,) measured position, mm.
+        field: (3,) N, the fixtures' force there, before damping and supervision.
+        dt_s: since the last tick.
+        delay_ticks: ticks between sending a force and feeling it, beyond the period in which it is sent.
+        following: the supervisor sends what is wanted; while it fades or limits, the residual is kept.
+    """
+    if p[STARTED] != 0.0:
+        back = int(p[SENT_COUNT]) - 1 - min(delay_ticks, SENT_KEPT - 1)
+        given = by_surface = made = 0.0
+        for k in range(3):
+            sent = p[SENT + 3 * (back % SENT_KEPT) + k] if back >= 0 else 0.0
+            moved = xyz[k] - p[LAST_XYZ + k]
+            surface = p[SURFACE_SPEED + k] * dt_s
+            given += sent * moved
+            by_surface += sent * surface
+            made += (sent - 0.5 * (field[k] + p[LAST_FIELD + k])) * (moved - surface)
+        p[GIVEN] += given
+        p[BY_SURFACE] += by_surface
+        if following:
+            p[RESIDUAL] = max(0.0, p[RESIDUAL] + made)
+    p[STARTED] = 1.0
+    for k in range(3):
+        p[LAST_XYZ + k], p[LAST_FIELD + k] = xyz[k], field[k]
+
+
+@kernel
+def control(
+    p: FloatArray, speed: FloatArray, surface_speed: FloatArray, dt_s: float, largest: float, out: FloatArray
+) -> None:
+    """Add the controller's damping force to `out` (3,) N, and remember the surface's speed for `observe`.
+
+    Args:
+        speed, surface_speed: (3,) mm/s of tool and surface.
+        dt_s: period in which the force will act.
+        largest: largest damping, N·s/mm; 0 switches the controller off.
+    """
+    square = 0.0
+    for k in range(3):
+        p[SURFACE_SPEED + k] = surface_speed[k]
+        square += (speed[k] - surface_speed[k]) ** 2
+    p[DAMPING] = 0.0
+    if largest <= 0.0 or p[RESIDUAL] <= 0.0 or square <= 0.0:
+        return
+    damping = min(largest, p[RESIDUAL] / (square * dt_s))
+    p[DAMPING] = damping
+    for k in range(3):
+        out[k] -= damping * (speed[k] - surface_speed[k])
+
+
+@kernel
+def note_sent(p: FloatArray, sent: FloatArray) -> None:
+    """Remember a force that was sent, (3,) N."""
+    at = int(p[SENT_COUNT]) % SENT_KEPT
+    for k in range(3):
+        p[SENT + 3 * at + k] = sent[k]
+    p[SENT_COUNT] += 1.0
+
+
+@kernel
+def is_finite3(v: FloatArray) -> bool:
+    return math.isfinite(v[0] + v[1] + v[2])

@@ -1,0 +1,374 @@
+"""One tick of the servo: position in, force out, everything in between, without Python.
+
+    validate → pose and phase at the moment at which the force is felt → fixtures → compose → relative damping
+    → passivity → saturate → supervise (fade, slew, latch) → output
+
+`dvf_ig.guidance.servo.twin` is the readable form.
+"""
+
+import math
+from typing import Any
+
+from numpy.typing import NDArray
+
+from dvf_ig.core import FloatArray
+from dvf_ig.kernels import status as code
+from dvf_ig.kernels.compiled import inlined
+from dvf_ig.kernels.composition import COMPOSED_SIZE, CONFLICT, compose_forces, work_size
+from dvf_ig.kernels.dynamic import DEPTH, LAW, forces_on_surface
+from dvf_ig.kernels.laws import direction_certainty
+from dvf_ig.kernels.place import PACKED_SIZE, Columns, phase_at, pose_at, status_at
+from dvf_ig.kernels.pose_and_phase import DISTANCE_RATE, DISTANCE_SIGMA, GUIDED_SIZE, distance_rate_and_sigma
+from dvf_ig.kernels.vectors import Vector, dot
+
+from . import passivity, supervision
+from .passivity import control, note_sent, observe
+from .supervision import supervise
+
+MAX_FIXTURES = 8
+
+# Offsets in what a session publishes. Only pose and phase live in the session's time: what fades, latches or
+# times out runs by the servo's own clock, which no session can set back.
+VALID_UNTIL_S = 0
+"""By the servo's clock."""
+HAZARDS = 1
+TOOL_STATUS = 2
+CLOCK_OFFSET_S = 3
+TRACKER_FROM_DEVICE = 4
+MARGIN_MM = 16
+POSE_AND_PHASE = MARGIN_MM + MAX_FIXTURES
+INPUT_SIZE = POSE_AND_PHASE + PACKED_SIZE
+
+# Offsets in the constants of a servo.
+PERIOD_S = 0
+CAP_N = 1
+LEAD_S = 2
+PREDICT_TOOL = 3
+SPEED_SHARE = 4
+RELATIVE_DAMPING = 5
+FRICTION_N = 6
+SLOW_MM_S = 7
+LARGEST_DAMPING = 8
+RESIDUAL_LIMIT_MJ = 9
+DELAY_TICKS = 10
+CONSTANTS_SIZE = 11
+
+# Columns of the fixtures' constants.
+FIXTURE_CAP_N = 0
+FORBIDDEN = 1
+BASE_WIDTH = 2
+BASE_DEPTH = 3
+WIDEN_WIDTH = 4
+"""Share of the margin by which a law's width grows: 1 of a guidance, which it softens."""
+WIDEN_DEPTH = 5
+"""−1 of a forbidden region, +1 of a confinement, in the kernel's sign of depth: both widen the region."""
+FIXTURE_SIZE = 6
+
+# Offsets in the hazard codes, after the supervisor's masks.
+OF_STATUS = supervision.MASKS_SIZE
+SESSION_SILENT = OF_STATUS + 6
+DEVICE_LOST = SESSION_SILENT + 1
+ENERGY = DEVICE_LOST + 1
+MISSED_DEADLINES = ENERGY + 1
+CODES_SIZE = MISSED_DEADLINES + 1
+
+# Offsets in a tick's memory.
+SUPERVISION = passivity.MEMORY_SIZE
+TOOL = SUPERVISION + supervision.MEMORY_SIZE
+TOOL_XYZ = TOOL
+TOOL_SPEED = TOOL + 3
+TOOL_KNOWN = TOOL + 6
+LAST_TICK_S = TOOL + 7
+MEMORY_SIZE = TOOL + 8
+
+# Columns of a row of the record.
+T_S = 0
+XYZ_MM = 1
+FIELD_N = 4
+WANTED_N = 7
+SENT_N = 10
+DISTANCE_MM = 13
+SIGMA_MM = 14
+SURFACE_MM_S = 15
+STATUS = 16
+STATE = 17
+ACTIVE_HAZARDS = 18
+CAUSE = 19
+SCALE = 20
+CLAMPED = 21
+IN_CONFLICT = 22
+RESIDUAL_MJ = 23
+GIVEN_MJ = 24
+BY_SURFACE_MJ = 25
+CONTROLLER_DAMPING = 26
+LATENESS_NS = 27
+WORK_NS = 28
+TICK = 29
+ROW = 30
+
+
+def scratch_sizes(fixtures: int) -> dict[str, Any]:
+    """Shapes of a tick's scratch arrays for so many fixtures."""
+    return {
+        "forces": (fixtures, 3),
+        "first": (GUIDED_SIZE,),
+        "work": work_size(fixtures),
+        "order": (fixtures,),
+        "composed": (COMPOSED_SIZE,),
+        "vectors": (5, 3),
+    }
+
+
+@inlined
+def _place_in_tracker(
+    m: FloatArray, c: FloatArray, inputs: FloatArray, xyz_device: FloatArray, dt_s: float
+) -> bool:
+    """Tool in the tracker frame and its filtered speed, into the memory; whether it is finite."""
+    t = TRACKER_FROM_DEVICE
+    finite = True
+    for k in range(3):
+        x = (
+            inputs[t + 4 * k] * xyz_device[0]
+            + inputs[t + 4 * k + 1] * xyz_device[1]
+            + inputs[t + 4 * k + 2] * xyz_device[2]
+            + inputs[t + 4 * k + 3]
+        )
+        finite = finite and math.isfinite(x)
+        if m[TOOL_KNOWN] != 0.0 and dt_s > 0.0:
+            now = (x - m[TOOL_XYZ + k]) / dt_s
+            m[TOOL_SPEED + k] += c[SPEED_SHARE] * (now - m[TOOL_SPEED + k])
+        m[TOOL_XYZ + k] = x
+    m[TOOL_KNOWN] = 1.0 if finite else 0.0
+    if not finite:
+        for k in range(3):
+            m[TOOL_SPEED + k] = 0.0
+    return finite
+
+
+@inlined
+def _in_model(pose: Columns, p: FloatArray) -> Vector:
+    x, y, z, t = pose[0], pose[1], pose[2], pose[3]
+    return (
+        x[0] * p[0] + y[0] * p[1] + z[0] * p[2] + t[0],
+        x[1] * p[0] + y[1] * p[1] + z[1] * p[2] + t[1],
+        x[2] * p[0] + y[2] * p[1] + z[2] * p[2] + t[2],
+    )
+
+
+@inlined
+def _to_tracker(pose: Columns, v: Vector) -> Vector:
+    """A free vector of the model's frame in the tracker's."""
+    return dot(pose[0], v), dot(pose[1], v), dot(pose[2], v)
+
+
+@inlined
+def fixtures_force(
+    linear: NDArray[Any],
+    periodic: NDArray[Any],
+    packed: FloatArray,
+    fixtures: FloatArray,
+    cap_n: float,
+    inputs: FloatArray,
+    t_s: float,
+    xyz: FloatArray,
+    input_status: int,
+    first: FloatArray,
+    forces: FloatArray,
+    work: FloatArray,
+    order: FloatArray,
+    composed: FloatArray,
+) -> int:
+    """All fixtures' force at one place and time: `composed`; distance, gradient, rates, σ in `first`."""
+    pose_phase = inputs[POSE_AND_PHASE:]
+    status = input_status
+    if status == code.OK:
+        status = status_at(pose_phase, t_s, xyz[0] + xyz[1] + xyz[2])
+    composed[:] = 0.0
+    first[:] = math.nan
+    if status != code.OK:
+        return status
+    pose, phase = pose_at(pose_phase, t_s), phase_at(pose_phase, t_s)
+    for i in range(len(packed)):
+        margin = inputs[MARGIN_MM + i]
+        packed[i, LAW + 1] = fixtures[i, BASE_WIDTH] + fixtures[i, WIDEN_WIDTH] * margin
+        packed[i, DEPTH] = fixtures[i, BASE_DEPTH] + fixtures[i, WIDEN_DEPTH] * margin
+    found = forces_on_surface(linear, periodic, packed, _in_model(pose, xyz), phase[0], forces)
+    if found[0] != code.OK:
+        return found[0]
+    for i in range(len(packed)):
+        forces[i, 0], forces[i, 1], forces[i, 2] = _to_tracker(
+            pose, (forces[i, 0], forces[i, 1], forces[i, 2])
+        )
+    gradient = _to_tracker(pose, found[3])
+    first[3], first[4], first[5], first[6], first[7] = (
+        found[2],
+        gradient[0],
+        gradient[1],
+        gradient[2],
+        found[4],
+    )
+    compose_forces(forces, fixtures[:, FIXTURE_CAP_N], fixtures[:, FORBIDDEN], cap_n, work, order, composed)
+    first[DISTANCE_RATE], first[DISTANCE_SIGMA] = distance_rate_and_sigma(pose_phase, pose, phase, xyz, first)
+    return code.OK
+
+
+@inlined
+def _relative_damping(
+    c: FloatArray, m: FloatArray, first: FloatArray, surface: FloatArray, out: FloatArray
+) -> float:
+    """Surface velocity (3,) along the normal; `dvf_ig.guidance.FeedForward` added to `out`; its speed."""
+    gx, gy, gz = first[4], first[5], first[6]
+    norm = math.sqrt(gx * gx + gy * gy + gz * gz)
+    certainty = direction_certainty(norm)
+    if not certainty > 0.0:
+        return math.nan
+    nx, ny, nz = gx / norm, gy / norm, gz / norm
+    speed: float = -first[DISTANCE_RATE] / norm
+    surface[0], surface[1], surface[2] = speed * nx, speed * ny, speed * nz
+    push = 0.0
+    if c[FRICTION_N] > 0.0:
+        push = c[FRICTION_N] * math.tanh(speed / c[SLOW_MM_S])
+    along = m[TOOL_SPEED] * nx + m[TOOL_SPEED + 1] * ny + m[TOOL_SPEED + 2] * nz
+    push = certainty * (push - c[RELATIVE_DAMPING] * (along - speed))
+    out[0] += push * nx
+    out[1] += push * ny
+    out[2] += push * nz
+    return speed
+
+
+@inlined
+def _saturate(v: FloatArray, cap_n: float) -> None:
+    length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    if length > cap_n:
+        for k in range(3):
+            v[k] *= cap_n / length
+
+
+@inlined
+def servo_tick(
+    linear: NDArray[Any],
+    periodic: NDArray[Any],
+    packed: FloatArray,
+    fixtures: FloatArray,
+    c: FloatArray,
+    limits: FloatArray,
+    codes: Any,
+    inputs: FloatArray,
+    xyz_device: FloatArray,
+    device_status: int,
+    clock_s: float,
+    found: int,
+    m: FloatArray,
+    first: FloatArray,
+    forces: FloatArray,
+    work: FloatArray,
+    order: FloatArray,
+    composed: FloatArray,
+    vectors: FloatArray,
+    row: FloatArray,
+    force_device: FloatArray,
+) -> None:
+    """One tick.
+
+    Args:
+        linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
+        packed: (k, p) fixtures (`packed_fixture`), written to.
+        fixtures: (k, 6) their constants; c: constants of the servo; limits, codes: of the supervisor.
+        inputs: what the session published; writable.
+        xyz_device: (3,) mm, device frame; device_status: not 0 where the device did not answer.
+        clock_s: monotonic clock at which the position was read.
+        found: hazard bits that the loop found.
+        m: memory; first, forces, work, order, composed, vectors: scratch (`scratch_sizes`).
+        row: (30,) the record of this tick.
+        force_device: (3,) N to send, device frame.
+    """
+    t_s = clock_s - inputs[CLOCK_OFFSET_S]
+    dt_s = clock_s - m[LAST_TICK_S] if m[LAST_TICK_S] != 0.0 else c[PERIOD_S]
+    m[LAST_TICK_S] = clock_s
+    hazards = found | int(inputs[HAZARDS])
+    xyz, field, wanted, surface, speed = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
+    status = int(inputs[TOOL_STATUS])
+    if device_status != 0:
+        hazards |= codes[DEVICE_LOST]
+        status = code.STALE_TOOL
+        m[TOOL_KNOWN] = 0.0
+    elif not _place_in_tracker(m, c, inputs, xyz_device, dt_s):
+        status = code.FAULT
+    if not clock_s <= inputs[VALID_UNTIL_S]:
+        hazards |= codes[SESSION_SILENT]
+        status = code.NO_POSE if status == code.OK else status
+    for k in range(3):
+        speed[k] = m[TOOL_SPEED + k]
+        xyz[k] = m[TOOL_XYZ + k] + c[PREDICT_TOOL] * c[LEAD_S] * speed[k]
+        surface[k] = 0.0
+    status = fixtures_force(
+        linear,
+        periodic,
+        packed,
+        fixtures,
+        c[CAP_N],
+        inputs,
+        t_s + c[LEAD_S],
+        xyz,
+        status,
+        first,
+        forces,
+        work,
+        order,
+        composed,
+    )
+    surface_speed = math.nan
+    for k in range(3):
+        xyz[k] = m[TOOL_XYZ + k]
+        field[k] = composed[k] + composed[3 + k]
+        wanted[k] = field[k]
+    if status == code.OK:
+        surface_speed = _relative_damping(c, m, first, surface, wanted)
+    hazards |= codes[OF_STATUS + status]
+    supervisor = m[SUPERVISION:TOOL]
+    if device_status == 0 and m[TOOL_KNOWN] != 0.0:
+        following = (
+            supervisor[supervision.STATE] <= supervision.DEGRADED and supervisor[supervision.SLOW] == 0.0
+        )
+        observe(m, xyz, field, dt_s, int(c[DELAY_TICKS]), following)
+        if status == code.OK:
+            control(m, speed, surface, c[PERIOD_S], c[LARGEST_DAMPING], wanted)
+    else:
+        m[passivity.STARTED] = 0.0
+    if m[passivity.RESIDUAL] > c[RESIDUAL_LIMIT_MJ]:
+        hazards |= codes[ENERGY]
+    _saturate(wanted, c[CAP_N])
+    supervise(supervisor, limits, codes, clock_s, wanted, hazards)
+    if supervisor[supervision.STATE] == supervision.LATCHED:
+        m[passivity.RESIDUAL] = 0.0
+    sent = supervisor[supervision.SENT : supervision.SENT + 3]
+    if not math.isfinite(sent[0] + sent[1] + sent[2]):
+        sent[0] = sent[1] = sent[2] = 0.0
+    note_sent(m, sent)
+    for k in range(3):
+        force_device[k] = (
+            inputs[TRACKER_FROM_DEVICE + k] * sent[0]
+            + inputs[TRACKER_FROM_DEVICE + 4 + k] * sent[1]
+            + inputs[TRACKER_FROM_DEVICE + 8 + k] * sent[2]
+        )
+        row[XYZ_MM + k], row[FIELD_N + k], row[WANTED_N + k], row[SENT_N + k] = (
+            xyz[k],
+            field[k],
+            wanted[k],
+            sent[k],
+        )
+    row[T_S], row[DISTANCE_MM], row[SIGMA_MM], row[SURFACE_MM_S] = (
+        t_s,
+        first[3],
+        first[DISTANCE_SIGMA],
+        surface_speed,
+    )
+    row[STATUS], row[STATE], row[IN_CONFLICT] = status, supervisor[supervision.STATE], composed[CONFLICT]
+    row[ACTIVE_HAZARDS], row[CAUSE] = supervisor[supervision.HAZARDS], supervisor[supervision.CAUSE]
+    row[SCALE], row[CLAMPED] = supervisor[supervision.SCALE], supervisor[supervision.CLAMPED]
+    row[RESIDUAL_MJ], row[GIVEN_MJ] = m[passivity.RESIDUAL], m[passivity.GIVEN]
+    row[BY_SURFACE_MJ], row[CONTROLLER_DAMPING] = m[passivity.BY_SURFACE], m[passivity.DAMPING]
+
+
+unpacked_tick: Any = servo_tick
+"""The same, for callers that unpack two tuples into its arguments, which type checkers do not follow."""

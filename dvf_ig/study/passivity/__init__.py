@@ -1,0 +1,1 @@
+"""A hand on a simulated device against a wall: what sampling does, with and without the controller."""

@@ -1,0 +1,195 @@
+"""Vendors' devices against shared libraries with the vendors' symbols, compiled here."""
+
+import ctypes
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dvf_ig.core import Rigid
+from dvf_ig.guidance import Fixtures, FixtureSet, SupervisorState
+from dvf_ig.guidance.devices import ForceDimensionDevice, OpenHapticsDevice, VendorLibraryError
+from dvf_ig.guidance.servo import Servo, ServoInputs
+
+HERE = Path(__file__).parent
+WITHIN_S = 5.0
+
+
+def compiled(source, folder):
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler (cc), so no library with the vendor's symbols can be made")
+    library = folder / f"{source}.so"
+    subprocess.run(
+        [compiler, "-shared", "-fPIC", "-O1", "-pthread", str(HERE / f"{source}.c"), "-o", str(library)],
+        check=True,
+    )
+    return library
+
+
+@pytest.fixture
+def dhd(tmp_path):
+    return compiled("fake_dhd", tmp_path)
+
+
+@pytest.fixture
+def hd(tmp_path):
+    return compiled("fake_hd", tmp_path)
+
+
+def number(library, name, kind=ctypes.c_int):
+    return kind.in_dll(ctypes.CDLL(str(library)), name)
+
+
+def vector(library, name):
+    return (ctypes.c_double * 3).in_dll(ctypes.CDLL(str(library)), name)
+
+
+def within(condition):
+    end = time.monotonic() + WITHIN_S
+    while not condition():
+        assert time.monotonic() < end, "it did not happen in time"
+        time.sleep(0.002)
+
+
+@pytest.mark.parametrize(
+    ("device", "variable", "what"),
+    [
+        (ForceDimensionDevice, "FORCEDIM_SDK", "install the SDK"),
+        (OpenHapticsDevice, "HOME", "install OpenHaptics"),
+    ],
+)
+def test_a_missing_library_is_named_with_what_to_do(device, variable, what, monkeypatch, tmp_path):
+    monkeypatch.setenv(variable, str(tmp_path))
+    with pytest.raises(VendorLibraryError, match=what):
+        device()
+    with pytest.raises(VendorLibraryError, match="nowhere"):
+        device(path=tmp_path / "nowhere.so")
+
+
+@pytest.mark.parametrize("device", [ForceDimensionDevice, OpenHapticsDevice])
+def test_another_library_is_refused(device, dhd, hd):
+    wrong = hd if device is ForceDimensionDevice else dhd
+    with pytest.raises(VendorLibraryError, match="lacks"):
+        device(path=wrong)
+
+
+def test_the_sdk_s_folder_is_searched(dhd, monkeypatch, tmp_path):
+    import platform
+
+    place = tmp_path / "sdk" / "lib" / "release" / f"lin-{platform.machine()}-gcc"
+    place.mkdir(parents=True)
+    shutil.copy(dhd, place / "libdhd.so")
+    monkeypatch.setenv("FORCEDIM_SDK", str(tmp_path / "sdk"))
+    ForceDimensionDevice().close()
+
+
+@pytest.mark.parametrize(("device", "fake"), [(ForceDimensionDevice, "dhd"), (OpenHapticsDevice, "hd")])
+def test_no_device_is_an_error_with_the_vendor_s_reason(device, fake, request):
+    library = request.getfixturevalue(fake)
+    number(library, "fake_devices").value = 0
+    with pytest.raises(VendorLibraryError, match=r"no device found|0x0305"):
+        device(path=library)
+
+
+def run_servo(ball, steady_ball, device, at_device_mm, look):
+    """The servo on a device whose position is 15 mm from the ball's centre; `look` is called meanwhile."""
+    tracker_from_device = Rigid.from_rotation_vector([0.0, 0.0, 0.5], [0.0, 0.0, 0.0], "tracker", "device")
+    moved = tracker_from_device.apply_array(np.array([at_device_mm]))[0]
+    place = Rigid("tracker", "device", tracker_from_device.rotation, np.array([15.0, 0.0, 0.0]) - moved)
+    with Servo(Fixtures(ball, FixtureSet()), device, watchdog=False) as servo:
+        begin = time.monotonic()
+
+        def speak():
+            servo.publish(ServoInputs(steady_ball, time.monotonic() - begin, place, valid_for_s=5.0))
+            return servo.read()
+
+        return look(speak, place)
+
+
+def felt(speak, place, force):
+    """Until the device has the force of the servo's last tick, in its own frame."""
+
+    def same():
+        record = speak()
+        if len(record) == 0 or record.state[-1] != SupervisorState.OK:
+            return False
+        expected = record.sent_n[-1] @ place.rotation
+        return np.linalg.norm(expected) > 0.05 and np.abs(np.array(force) - expected).max() < 0.02
+
+    within(same)
+
+
+def test_a_force_dimension_device_is_driven_in_metres(dhd, ball, steady_ball):
+    device = ForceDimensionDevice(path=dhd)
+    assert number(dhd, "fake_forces_on").value == 1
+    run_servo(
+        ball,
+        steady_ball,
+        device,
+        [10.0, -20.0, 30.0],
+        lambda speak, place: felt(speak, place, vector(dhd, "fake_force")),
+    )
+    assert number(dhd, "fake_forces_sent").value > 10
+    np.testing.assert_array_equal(list(vector(dhd, "fake_force")), 0.0)
+    device.close()
+    device.close()
+    assert number(dhd, "fake_forces_on").value == 0
+
+
+def test_a_force_dimension_device_that_breaks_latches(dhd, ball, steady_ball):
+    device = ForceDimensionDevice(path=dhd)
+
+    def look(speak, place):
+        felt(speak, place, vector(dhd, "fake_force"))
+        number(dhd, "fake_broken").value = 1
+        within(lambda: SupervisorState.LATCHED in speak().state)
+
+    run_servo(ball, steady_ball, device, [10.0, -20.0, 30.0], look)
+    device.close()
+
+
+def test_an_openhaptics_device_is_driven_inside_its_frames(hd, ball, steady_ball):
+    device = OpenHapticsDevice(path=hd, lost_after_s=0.5)
+    run_servo(
+        ball,
+        steady_ball,
+        device,
+        [10.0, -20.0, 30.0],
+        lambda speak, place: felt(speak, place, vector(hd, "fake_force")),
+    )
+    within(lambda: not any(vector(hd, "fake_force")))
+    assert number(hd, "fake_misuse").value == 0
+    assert number(hd, "fake_forces_on").value == 1
+    device.close()
+    device.close()
+    assert number(hd, "fake_forces_on").value == 0
+
+
+def test_a_servo_that_falls_silent_leaves_no_force_on_an_openhaptics_device(hd):
+    device = OpenHapticsDevice(path=hd, lost_after_s=0.5)
+    write = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int64, ctypes.POINTER(ctypes.c_double))(
+        int(device.functions[1])
+    )
+    write(device.context.ctypes.data, 0, (ctypes.c_double * 3)(0.1, 0.2, 0.3))
+    force = vector(hd, "fake_force")
+    within(lambda: list(force) == [0.1, 0.2, 0.3])
+    within(lambda: not any(force))
+    device.close()
+
+
+@pytest.mark.parametrize(("name", "value"), [("fake_stalled", 1), ("fake_error", 0x0303)])
+def test_a_scheduler_that_stops_or_fails_is_a_lost_device(hd, ball, steady_ball, name, value):
+    device = OpenHapticsDevice(path=hd, lost_after_s=0.5)
+
+    def look(speak, place):
+        felt(speak, place, vector(hd, "fake_force"))
+        number(hd, name).value = value
+        within(lambda: SupervisorState.LATCHED in speak().state)
+
+    run_servo(ball, steady_ball, device, [10.0, -20.0, 30.0], look)
+    assert device.error_code == (value if name == "fake_error" else 0)
+    device.close()
