@@ -1,0 +1,123 @@
+"""σ of the distance against sampling; margins that widen without a jump; walls where the phase is unknown."""
+
+import numpy as np
+import pytest
+from toy_ball import CENTERS, RADII, ball_model
+
+from dvf_ig.core import InvalidInputError, Rigid
+from dvf_ig.guidance import Confinement, Evaluator, Gaussian, Sigmoid, Status
+from dvf_ig.guidance.margins import (
+    MarginOptions,
+    distance_sigma,
+    isotropic,
+    next_margin_mm,
+    widened,
+    worst_phase_forces,
+)
+
+IN_MODEL = Rigid.identity("mr", "mr")
+LAWS = [Sigmoid(), Confinement(), Gaussian()]
+
+
+@pytest.fixture(scope="module")
+def model():
+    return ball_model()
+
+
+def covariance(seed: int) -> np.ndarray:
+    a = np.random.default_rng(seed).normal(size=(3, 3)) * 0.3
+    return a @ a.T
+
+
+def test_the_sigma_of_a_distance_is_that_of_sampled_distances():
+    rng = np.random.default_rng(5)
+    normal = np.array([2.0, -1.0, 2.0]) / 3.0
+    parts = [covariance(k) for k in range(5)]
+    found = distance_sigma(
+        normal[None],
+        np.array([-12.0]),
+        np.array([0.03]),
+        **dict(
+            zip(
+                ["registration_mm2", "shape_mm2", "calibration_mm2", "breathing_mm2", "tracking_mm2"],
+                parts,
+                strict=True,
+            )
+        ),
+    )
+    moved = sum(rng.multivariate_normal(np.zeros(3), part, size=100_000) for part in parts)
+    d = -np.linalg.norm(1000.0 * normal - moved, axis=1) - 12.0 * rng.normal(0, 0.03, 100_000)
+    assert found.total_mm[0] == pytest.approx(np.std(d), rel=0.02)
+    assert found.phase_mm[0] == pytest.approx(0.36)
+    assert found.registration_mm[0] == pytest.approx(np.sqrt(normal @ parts[0] @ normal))
+
+
+def test_an_unknown_cause_makes_the_sigma_unknown_and_the_margin_the_cap():
+    zero = isotropic(0.0)
+    found = distance_sigma(
+        np.eye(3)[:1],
+        np.zeros(1),
+        np.zeros(1),
+        registration_mm2=np.full((1, 3, 3), np.nan),
+        shape_mm2=zero,
+        calibration_mm2=zero,
+        breathing_mm2=zero,
+        tracking_mm2=isotropic(0.25),
+    )
+    assert found.tracking_mm[0] == pytest.approx(0.25)
+    options = MarginOptions("adaptive", largest_mm=4.0)
+    assert options.wanted_mm(float(found.total_mm[0])) == 4.0
+
+
+def test_the_three_modes():
+    assert MarginOptions("off").wanted_mm(1.0) == 0.0
+    assert MarginOptions("fixed", fixed_mm=1.5).wanted_mm(np.nan) == 1.5
+    assert MarginOptions("adaptive").wanted_mm(1.0) == pytest.approx(1.6449, abs=1e-4)
+    assert MarginOptions("adaptive").wanted_mm(100.0) == 5.0
+
+
+@pytest.mark.parametrize("wrong", [{"mode": "none"}, {"fixed_mm": 6.0}, {"quantile": 1.0}, {"quantile": 0.2}])
+def test_margins_that_cannot_be_are_refused(wrong):
+    with pytest.raises(InvalidInputError):
+        MarginOptions(**wrong)
+
+
+@pytest.mark.parametrize("law", [Sigmoid(2.0, 2.0), Gaussian(), Sigmoid(0.5, 0.3)])
+def test_a_margin_moves_to_the_wanted_one_within_the_slew_rules(law):
+    step_n, dt_s = 0.1, 1.0 / 30.0
+    path = [0.0]
+    for _ in range(200):
+        path.append(next_margin_mm(path[-1], 3.0, dt_s, law, step_n))
+    steps = np.diff(path)
+    assert path[-1] == 3.0
+    assert steps.max() * law.stiffness_n_per_mm <= min(step_n, 6.0 * dt_s) + 1e-12
+    assert steps.max() <= 10.0 * dt_s + 1e-12
+    assert next_margin_mm(3.0, 0.0, dt_s, law, step_n) == pytest.approx(3.0 - steps.max())
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_widened_law_pushes_earlier_or_pulls_less(law):
+    d = np.linspace(-6.0, 6.0, 25)
+    wide = widened(law, 1.5)
+    assert (np.abs(wide.potential(d)) >= np.abs(law.potential(d)))[d != 0].all() != isinstance(law, Gaussian)
+    assert wide.stiffness_n_per_mm <= law.stiffness_n_per_mm
+
+
+@pytest.mark.parametrize("law", [Sigmoid(), Confinement()])
+def test_without_a_phase_a_wall_is_that_of_the_worst_phase(model, shell_points, law):
+    found = worst_phase_forces(Evaluator(model, law), IN_MODEL, shell_points)
+    each = RADII - np.linalg.norm(shell_points[:, None] - CENTERS, axis=2)
+    worst = each.max(axis=1) if isinstance(law, Sigmoid) else each.min(axis=1)
+    np.testing.assert_allclose(found.distance_mm, worst, atol=0.05)
+    strength = law.cap_n * np.abs(law.potential(worst))
+    np.testing.assert_allclose(np.linalg.norm(found.force_n, axis=1), strength, atol=0.02)
+    for phase in np.linspace(0.0, 1.0, 9):
+        known = np.linalg.norm(Evaluator(model, law).force(shell_points, phase).force_n, axis=1)
+        assert (np.linalg.norm(found.force_n, axis=1) >= known - 0.02).all()
+
+
+def test_without_a_phase_guidance_gives_nothing_and_the_outside_of_the_volume_is_said(model, shell_points):
+    assert not worst_phase_forces(Evaluator(model, Gaussian()), IN_MODEL, shell_points).force_n.any()
+    away = worst_phase_forces(Evaluator(model, Sigmoid()), IN_MODEL, [[500.0, 0, 0], [np.nan, 0, 0]])
+    assert not away.force_n.any()
+    assert away.status.tolist() == [Status.OUT_OF_VOLUME, Status.FAULT]
