@@ -58,7 +58,7 @@ class MarginOptions:
 
 
 def next_margin_mm(now_mm: float, wanted_mm: float, dt_s: float, law: Law, step_n: float) -> float:
-    """One update of a margin on its way to the wanted one, so that the wall's own motion obeys the slew rules.
+    """One update of a margin on its way to the wanted one; the wall's own motion obeys the slew rules.
 
     It moves by no more than 10 mm/s, no faster than changes the force by 6 N/s (the rate of a registration
     update), and in one update by no more than changes the force by `step_n`.
