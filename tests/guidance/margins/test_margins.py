@@ -121,3 +121,10 @@ def test_without_a_phase_guidance_gives_nothing_and_the_outside_of_the_volume_is
     away = worst_phase_forces(Evaluator(model, Sigmoid()), IN_MODEL, [[500.0, 0, 0], [np.nan, 0, 0]])
     assert not away.force_n.any()
     assert away.status.tolist() == [Status.OUT_OF_VOLUME, Status.FAULT]
+
+
+def test_a_widened_law_is_what_the_servo_makes_of_a_margin():
+    """The laws by which tests/guidance/servo/test_tick.py holds the servo's own widening."""
+    assert widened(Sigmoid(1.0, 0.4), 1.5) == Sigmoid(1.0, 0.4, -1.5)
+    assert widened(Confinement(1.0, 0.4, 9.0), 1.0) == Confinement(1.0, 0.4, 8.0)
+    assert widened(Gaussian(6.0, 1.0, 0.3), 0.5) == Gaussian(6.5, 1.0, 0.3)
