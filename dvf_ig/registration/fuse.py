@@ -65,7 +65,7 @@ def fuse(
         boundary = fit_boundary(data.visible_boundary, chart.base, data.center_mm)
     pose, covariance, noise = chart.base, np.full((6, 6), np.nan), np.full((6, 6), np.nan)
     if covered.masks.any():
-        blocks = _blocks(data, refined, boundary, chart)
+        blocks = _blocks(data, refined, boundary, options, chart)
         landmarks, slope = _landmarks(data, chart)
         curvature = blocks.curvature + landmarks
         if _definite(curvature):
@@ -88,12 +88,13 @@ def _blocks(
     data: RegistrationData,
     refined: Refined,
     boundary: BoundaryFit | None,
+    options: RegistrationOptions,
     chart: PoseChart,
 ) -> Blocks:
     seen = data.visible_boundary
     return blocks_at(
         BlockedLc2(refined.inside, block_mm=BLOCK_MM),
-        refined.inside.information,
+        refined.inside.information / options.times_seen,
         None
         if seen is None or boundary is None
         else boundary_blocks(seen, boundary, chart.base, data.center_mm, block_mm=BLOCK_MM),
