@@ -3,8 +3,8 @@
 The MR of such a pair is the real image, untouched. Tissue between its slices is drawn by shape-based
 interpolation (Raya and Udupa 1990) of nested grey-level sets, not of grey levels. Tissue classes are
 quantiles of grey level; a random table, monotone in nothing, says how each sounds, differently in each of
-three regions whose borders no MR shows. Two neighbouring classes sound the same: MR shows a border that ultrasound
-does not. Vessels, spots and a reflecting sheet are in the ultrasound alone.
+three regions whose borders no MR shows. Two neighbouring classes sound the same: MR shows a border that
+ultrasound does not. Vessels, spots and a reflecting sheet are in the ultrasound alone.
 """
 
 import numpy as np
