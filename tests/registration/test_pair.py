@@ -109,7 +109,10 @@ def test_a_mirrored_model_is_the_model_at_mirrored_places() -> None:
 
 @lru_cache
 def brain() -> OrganPair:
-    return organ_pair(1002)
+    """With labels on a coarser grid than studies have: quick."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("data_synth.organ_pair.brain.VOXEL_MM", 1.6)
+        return organ_pair(1002)
 
 
 def test_a_simulated_pair_is_like_a_real_one() -> None:
@@ -193,6 +196,7 @@ def evidence(**changed: Any) -> PairEvidence:
         "elsewhere": np.array([0.2, 0.15]),
         "jackknife_mm": 0.5,
         "halves_mm": 0.8,
+        "z_score": 10.0,
         "mirrored_share": 0.9,
     }
     return PairEvidence(**(usual | changed))

@@ -116,6 +116,7 @@ def _run(
         "next_best_share": evidence.next_best_share,
         "jackknife_mm": evidence.jackknife_mm,
         "halves_mm": evidence.halves_mm,
+        "z_score": evidence.z_score,
         "mirrored_share": evidence.mirrored_share,
         "seconds": result.seconds,
         "cpu_seconds": process_time() - cpu_s,
