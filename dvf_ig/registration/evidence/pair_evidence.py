@@ -16,8 +16,8 @@ USUAL_SHARE = 0.65
 USUAL_Z = 6.5
 """The same number of standard deviations above poses 15 mm away. Good brains (FLAIR, T1) have 11 or more,
 wrong poses and other patients' brains 4.3 or less: their middle is 7.0; good poses of real cines 6.9 or more,
-wrong ones 6.1 or less: 6.5. Each family's middle parts the other one's poses. Height speaks against a pose, never for it: a wrong one
-can stand high where another explains as much."""
+wrong ones 6.1 or less: 6.5. Each family's middle parts the other one's poses. Height speaks against a pose,
+never for it: a wrong one can stand high where another explains as much."""
 PARTS_WEIGHT, STARTS_WEIGHT, SHARE_WEIGHT, Z_WEIGHT = 3.5, 0.7, 6.0, 8.0
 """Of their log-odds. Chosen on brains 1001, 1006, 1013, 1015, 1018, 1020 and real cines 002 and 003: with the
 first three alone, fitted on brains, a pose of cine 002 that is 5.4 mm off and that half of the starts reach
