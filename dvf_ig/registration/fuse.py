@@ -10,7 +10,6 @@ from dvf_ig.registration.boundary.blocks import boundary_blocks
 from dvf_ig.registration.boundary.fit import BoundaryFit, fit_boundary
 from dvf_ig.registration.deformation.blocks import (
     BLOCK_MM,
-    LC2_INFORMATION,
     OFFSET_SIGMA_MM,
     Blocks,
     blocks_at,
@@ -74,7 +73,7 @@ def fuse(
             known[6, 6] = 1.0 / OFFSET_SIGMA_MM**2
             fit = joint_fit(blocks.costs, known, known_slope, data.center_mm)
             pose = chart.pose(fit.step_mm)
-            noise = covariance_from_mm(_noise(blocks, landmarks))
+            noise = covariance_from_mm(np.asarray(np.linalg.inv(curvature)))
             spread = covariance_mm2(blocks, fit)
             if data.placement is not None:
                 spread = spread + placement_covariance_mm2(
@@ -99,13 +98,6 @@ def _blocks(
         if seen is None or boundary is None
         else boundary_blocks(seen, boundary, chart.base, data.center_mm, block_mm=BLOCK_MM),
         chart,
-    )
-
-
-def _noise(blocks: Blocks, landmarks: FloatArray) -> FloatArray:
-    """(6, 6) of independent observations of a heart of the same shape, counted as `Lc2.information` does."""
-    return np.asarray(
-        np.linalg.inv(blocks.costs.curvature[:, POSE, POSE].sum(axis=0) / LC2_INFORMATION + landmarks)
     )
 
 
