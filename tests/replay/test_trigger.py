@@ -13,7 +13,7 @@ from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay import Replay, run_replay
 from dvf_ig.replay.preconditions import require_heart_beats, tick_times
 
-DELAY_S, STOPS_S = 0.03, 12.5
+DELAY_S, STOPS_S = 0.03, 13.4
 
 
 def with_trigger(scenario: Scenario, until_s: float = np.inf) -> Scenario:

@@ -39,7 +39,7 @@ def test_an_update_of_one_coordinate_is_the_scalar_kalman_filter() -> None:
 
 
 def test_beats_are_measured_where_a_heart_of_another_shape_matches() -> None:
-    """Images match at TRUTH; the pose of the heart lies 2 mm from there, for its seen part has moved so far."""
+    """Images match at TRUTH; the heart lies 2 mm from there, for the part that is seen has moved so far."""
     shape_step = PoseChart(TRUTH, CENTER_MM).pose(np.array([0, 0, 0, 0, 2.0, 0]))
     covariance = np.eye(6)
     moved = PoseEstimate.from_registration(shape_step, covariance, covariance, CENTER_MM, TRUTH)
