@@ -28,6 +28,9 @@ from .warp import TABLE_MM, PlacedWarp
 RR_S = 0.86
 """RR interval of the standard heart's pre-operative acquisition (about 70 per minute)."""
 
+_AT_REST = ("reference", "resting_motion")
+"""Of an anatomy, what no mismatch changes."""
+
 TURN_DEG, VARIED_TURN_DEG = 8.0, 14.0
 """Largest turn in the thorax about each axis, of the standard and of other hearts."""
 
@@ -166,10 +169,13 @@ class PhantomAnatomy:
         return self.ed_vertices_mm if self.warp is None else self.warp.inverse(self.ed_vertices_mm)
 
     def with_mismatch(self, mismatch_mm: float, seed: int) -> "PhantomAnatomy":
-        """The same heart under another mismatch, drawn as `phantom_anatomy` does; they share the rest."""
+        """The same heart under another mismatch, drawn as `phantom_anatomy` does.
+
+        They share what was worked out of the heart at rest.
+        """
         field = random_mismatch(self.box_mm, mismatch_mm, np.random.default_rng(_seed_sequences(seed)[2]))
         other = replace(self, mismatch=field, seeds=replace(self.seeds, mismatch=seed))
-        vars(other).update(reference=self.reference, resting_motion=self.resting_motion)
+        vars(other).update({name: own for name, own in vars(self).items() if name in _AT_REST})
         return other
 
     def placed(self, points: FloatArray) -> FloatArray:

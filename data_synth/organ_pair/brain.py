@@ -4,14 +4,13 @@ Sulci are where a smooth random function crosses zero, down to a depth that vari
 or ultrasound alone shows (lesions of white matter, clots, a cyst's septa) has labels of its own.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from data_synth.seeds import child_rng
-from dvf_ig.core import AnyArray, FloatArray, Grid, read_only_arrays
+from dvf_ig.core import AnyArray, FloatArray, Grid
 
 from .fields import smooth_field
+from .organ import Acoustics, OrganLabels
 
 (
     OUTSIDE, WHITE, CORTEX, VENTRICLE, SULCUS, TUMOUR, RIM,
@@ -23,21 +22,11 @@ HALF_EXTENT_MM = 64.0
 SEMI_AXES_MM = np.array([62.0, 76.0, 54.0])
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class OrganLabels:
-    """Labels around what ultrasound sees.
-
-    Attributes:
-        grid: frame "moving".
-        labels: (nx, ny, nz) uint8, tissue numbers.
-        entry_mm: (3,) where the probe touches the organ; inward: (3,) unit, where it looks.
-    """
-
-    grid: Grid
-    labels: AnyArray
-    entry_mm: FloatArray
-    inward: FloatArray
+ECHO_DB = (-6, -14, -17, -36, 3, -5, -1, -12, -12, 6, -20, 4, -14, 4)
+"""Sulci, falx, plexus and tumour are bright."""
+IMPEDANCE = (1.60, 1.60, 1.585, 1.52, 1.63, 1.615, 1.63, 1.59, 1.595, 1.68, 1.56, 1.63, 1.60, 1.64)
+LOSS_DB_PER_MM = (0.02, 0.07, 0.06, 0.005, 0.12, 0.09, 0.11, 0.06, 0.07, 0.35, 0.02, 0.12, 0.07, 0.20)
+ACOUSTICS = Acoustics(ECHO_DB, IMPEDANCE, LOSS_DB_PER_MM)
 
 
 def brain_labels(seed: int) -> OrganLabels:
@@ -61,7 +50,7 @@ def brain_labels(seed: int) -> OrganLabels:
     _vessels(labels, p, depth_mm, rng, entry_mm - center_mm)
     _private(labels, grid, depth_mm, rng)
     labels[depth_mm < 0.0] = OUTSIDE
-    return OrganLabels(grid, labels, entry_mm, -outward)
+    return OrganLabels(grid, labels, ACOUSTICS, entry_mm, -outward)
 
 
 def _cortex(grid: Grid, depth_mm: FloatArray, rng: np.random.Generator) -> AnyArray:

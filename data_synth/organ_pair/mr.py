@@ -7,8 +7,9 @@ from scipy.spatial.transform import Rotation
 from data_synth.seeds import child_rng
 from dvf_ig.core import FloatArray, Grid, Volume
 
-from .brain import HALF_EXTENT_MM, OrganLabels
+from .brain import HALF_EXTENT_MM
 from .fields import sampled, smooth_field
+from .organ import OrganLabels
 
 CONTRASTS = ("t1", "flair", "t2")
 LEVELS = {

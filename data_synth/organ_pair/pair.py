@@ -1,6 +1,6 @@
 """A pair of organ images with its truth: the pose, and landmarks that a smooth shift has moved a little."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -9,9 +9,11 @@ from data_synth.seeds import child_rng
 from dvf_ig.core import FloatArray, Rigid, Volume, read_only_arrays
 
 from .brain import brain_labels
+from .cine import heart_labels
 from .fields import sampled, smooth_field
 from .mr import mr_images
-from .ultrasound import organ_ultrasound, scan_style
+from .organ import OrganLabels
+from .ultrasound import ScanStyle, organ_ultrasound, scan_style
 
 LANDMARKS = 24
 
@@ -41,20 +43,37 @@ class OrganPair:
 
 
 def organ_pair(seed: int) -> OrganPair:
-    """Ultrasound and MR of one organ; anatomy, contrasts, scanner, shift and speckle vary with the seed."""
+    """Ultrasound and MR of one brain; anatomy, contrasts, scanner, shift and speckle vary with the seed."""
     organ = brain_labels(seed)
+    return _pair(organ, mr_images(organ, seed), scan_style(seed), seed)
+
+
+def cine_pair(mr: Volume, seed: int) -> OrganPair:
+    """Real MR of a heart at one time of its cycle, as it is, and simulated ultrasound (see `cine`).
+
+    Args:
+        mr: frame "moving"; slices along the last axis.
+        seed: of how tissue sounds, the scanner, the view, the shift and the speckle.
+    """
+    rng = child_rng(seed, "organ stack")
+    # what is insonified lies within a stack of 60 mm
+    style = replace(scan_style(seed), depth_mm=rng.uniform(55, 72), sweep_deg=rng.uniform(15, 21))
+    return _pair(heart_labels(mr, style.depth_mm, seed), {"cine": mr}, style, seed)
+
+
+def _pair(organ: OrganLabels, moving: dict[str, Volume], style: ScanStyle, seed: int) -> OrganPair:
     rng = child_rng(seed, "organ pose")
     pose = Rigid.from_rotation_vector(rng.normal(0, 0.4, 3), rng.normal(0, 30.0, 3), "moving", "fixed")
     size_mm, length_mm = rng.uniform(0.5, 2.0), rng.uniform(60.0, 140.0)
     shift_mm = np.stack([smooth_field(organ.grid, length_mm, rng) for _ in range(3)], axis=-1)
     shift_mm *= size_mm / np.sqrt(3.0)
-    fixed = organ_ultrasound(organ, shift_mm, pose, scan_style(seed), seed)
+    fixed = organ_ultrasound(organ, shift_mm, pose, style, seed)
     fixed_mm = _landmarks(fixed, rng)
     moving_mm = pose.apply_array(fixed_mm)
     moving_mm = moving_mm + np.stack(
         [sampled(shift_mm[..., k], organ.grid, moving_mm) for k in range(3)], axis=-1
     )
-    return OrganPair(fixed, mr_images(organ, seed), _nearest_rigid(fixed_mm, moving_mm), fixed_mm, moving_mm)
+    return OrganPair(fixed, moving, _nearest_rigid(fixed_mm, moving_mm), fixed_mm, moving_mm)
 
 
 def _landmarks(fixed: Volume, rng: np.random.Generator) -> FloatArray:

@@ -13,16 +13,11 @@ from scipy import ndimage
 from data_synth.seeds import child_rng
 from dvf_ig.core import AnyArray, FloatArray, Grid, Rigid, Volume
 
-from .brain import OrganLabels
 from .fields import sampled, smooth_field
+from .organ import OrganLabels
 
-ECHO_DB = (-6, -14, -17, -36, 3, -5, -1, -12, -12, 6, -20, 4, -14, 4)
-"""Typical scattered level by tissue (order of `brain`): sulci, falx, plexus and tumour are bright. Every pair
-varies them, and shows only a share of the differences."""
-IMPEDANCE = (1.60, 1.60, 1.585, 1.52, 1.63, 1.615, 1.63, 1.59, 1.595, 1.68, 1.56, 1.63, 1.60, 1.64)
 LINE_MM, FRAME_MM = 0.5, 0.7
 """Distance of lines and of frames in the middle of the depth."""
-LOSS_DB_PER_MM = (0.02, 0.07, 0.06, 0.005, 0.12, 0.09, 0.11, 0.06, 0.07, 0.35, 0.02, 0.12, 0.07, 0.20)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +101,8 @@ def _probe(organ: OrganLabels, style: ScanStyle, seed: int) -> Rigid:
     z = organ.inward + 0.12 * rng.normal(size=3)
     z /= np.linalg.norm(z)
     x = np.cross(rng.normal(size=3), z)
+    if organ.across is not None:
+        x = organ.across - (organ.across @ z) * z
     x /= np.linalg.norm(x)
     return Rigid("moving", "probe", np.column_stack([x, np.cross(z, x), z]), organ.entry_mm - 1.5 * z)
 
@@ -131,12 +128,13 @@ def _places(swept: tuple[FloatArray, FloatArray, FloatArray], style: ScanStyle) 
 
 def _images(organ: OrganLabels, xyz_mm: FloatArray, style: ScanStyle, rng: np.random.Generator) -> AnyArray:
     """(lines, frames, depths) grey levels, 1 to 255."""
-    echo_db = np.array(ECHO_DB) + rng.normal(0, 2.5, len(ECHO_DB)).clip(-5, 5)
+    sound = organ.acoustics
+    echo_db = np.array(sound.echo_db) + rng.normal(0, 2.5, len(sound.echo_db)).clip(-5, 5)
     echo_db = echo_db[1] + style.contrast * (echo_db - echo_db[1])
     textured = echo_db[organ.labels] + style.texture_db * smooth_field(organ.grid, style.texture_mm, rng)
     level_db = sampled(textured.astype(np.float32), organ.grid, xyz_mm)
-    loss = sampled(np.array(LOSS_DB_PER_MM, dtype=np.float32)[organ.labels], organ.grid, xyz_mm)
-    impedance = np.log(np.array(IMPEDANCE) * (1 + rng.normal(0, 0.006, len(IMPEDANCE))))
+    loss = sampled(np.array(sound.loss_db_per_mm, dtype=np.float32)[organ.labels], organ.grid, xyz_mm)
+    impedance = np.log(np.array(sound.impedance) * (1 + rng.normal(0, 0.006, len(sound.impedance))))
     stiff = sampled(impedance[organ.labels].astype(np.float32), organ.grid, xyz_mm)
     border = np.abs(np.gradient(stiff, axis=-1)) * 120.0 * style.border_gain
     lost_db = 2 * np.cumsum(loss * style.step_mm, axis=-1) + 60.0 * np.cumsum(

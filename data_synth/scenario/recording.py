@@ -66,9 +66,14 @@ class ImagedHeart:
 
 
 def imaged_heart(spec: ScenarioSpec) -> ImagedHeart:
-    """The heart of `phantom_scenario` with its 4-D MR; the MR's noise comes from `spec.seeds.anatomy`."""
+    """The heart of `phantom_scenario` with its 4-D MR."""
     anatomy = scenario_heart(spec)
-    return ImagedHeart(spec, anatomy, cine_preop(anatomy, child_rng(spec.seeds.anatomy, "preop")))
+    return ImagedHeart(spec, anatomy, _imaged(anatomy, spec))
+
+
+def _imaged(anatomy: PhantomAnatomy, spec: ScenarioSpec) -> Preop:
+    """Its noise comes from the seed of the anatomy, so that all recordings of a heart have the same."""
+    return cine_preop(anatomy, child_rng(spec.seeds.anatomy, "preop"))
 
 
 def phantom_scenario(
@@ -83,8 +88,7 @@ def phantom_scenario(
     Raises:
         InvalidInputError: `imaged` is another heart.
     """
-    imaged = imaged or imaged_heart(spec)
-    anatomy = imaged.of(spec)
+    anatomy = scenario_heart(spec) if imaged is None else imaged.of(spec)
     beats = beat_series(spec.options.rhythm, -3.0, spec.seconds + 3.0, child_rng(spec.seed, "rhythm"))
     ecg = synthetic_ecg(beats, spec.seconds, spec.options.ecg, child_rng(spec.seed, "ecg"))
     world = make_world(spec, anatomy, beats.r_peaks_s)
@@ -94,7 +98,8 @@ def phantom_scenario(
     )
     heart = "four-chamber phantom" if spec.heart.kind == "standard" else f"{anatomy.kind} heart"
     name = f"{heart}, {spec.motion}, {spec.preset}, seed {spec.seed}"
-    return _assembled(name, world, imaged.preop, ecg, sweep, with_start=True, progress=progress)
+    preop = _imaged(anatomy, spec) if imaged is None else imaged.preop
+    return _assembled(name, world, preop, ecg, sweep, with_start=True, progress=progress)
 
 
 def _heart_of(spec: ScenarioSpec) -> tuple[object, ...]:

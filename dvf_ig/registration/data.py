@@ -23,6 +23,7 @@ class RegistrationOptions:
         spread_mm: how far a displaced copy is from the start at the heart's radius.
         patch_mm: edge of an LC2 patch.
         density_width_mm: width over which patches share weight, see `density_weights`; None: they do not.
+        times_seen: how many slices show the same place: 3 of a volume cut along three axes.
         bound_mm: how far a pose may move from the start over the heart.
         candidates: most poses that are refined on fine slices.
         min_overlap: least share of the slices inside the model's volume.
@@ -35,6 +36,7 @@ class RegistrationOptions:
     spread_mm: float = 9.0
     patch_mm: float = 13.0
     density_width_mm: float | None = None
+    times_seen: int = 1
     bound_mm: float = 30.0
     candidates: int = 3
     min_overlap: float = 0.35

@@ -10,7 +10,6 @@ from dvf_ig.registration.boundary.blocks import boundary_blocks
 from dvf_ig.registration.boundary.fit import BoundaryFit, fit_boundary
 from dvf_ig.registration.deformation.blocks import (
     BLOCK_MM,
-    LC2_INFORMATION,
     OFFSET_SIGMA_MM,
     Blocks,
     blocks_at,
@@ -65,7 +64,7 @@ def fuse(
         boundary = fit_boundary(data.visible_boundary, chart.base, data.center_mm)
     pose, covariance, noise = chart.base, np.full((6, 6), np.nan), np.full((6, 6), np.nan)
     if covered.masks.any():
-        blocks = _blocks(data, refined, boundary, chart)
+        blocks = _blocks(data, refined, boundary, options, chart)
         landmarks, slope = _landmarks(data, chart)
         curvature = blocks.curvature + landmarks
         if _definite(curvature):
@@ -74,7 +73,7 @@ def fuse(
             known[6, 6] = 1.0 / OFFSET_SIGMA_MM**2
             fit = joint_fit(blocks.costs, known, known_slope, data.center_mm)
             pose = chart.pose(fit.step_mm)
-            noise = covariance_from_mm(_noise(blocks, landmarks))
+            noise = covariance_from_mm(np.asarray(np.linalg.inv(curvature)))
             spread = covariance_mm2(blocks, fit)
             if data.placement is not None:
                 spread = spread + placement_covariance_mm2(
@@ -88,23 +87,17 @@ def _blocks(
     data: RegistrationData,
     refined: Refined,
     boundary: BoundaryFit | None,
+    options: RegistrationOptions,
     chart: PoseChart,
 ) -> Blocks:
     seen = data.visible_boundary
     return blocks_at(
         BlockedLc2(refined.inside, block_mm=BLOCK_MM),
-        refined.inside.information,
+        refined.inside.information / options.times_seen,
         None
         if seen is None or boundary is None
         else boundary_blocks(seen, boundary, chart.base, data.center_mm, block_mm=BLOCK_MM),
         chart,
-    )
-
-
-def _noise(blocks: Blocks, landmarks: FloatArray) -> FloatArray:
-    """(6, 6) of independent observations of a heart of the same shape, counted as `Lc2.information` does."""
-    return np.asarray(
-        np.linalg.inv(blocks.costs.curvature[:, POSE, POSE].sum(axis=0) / LC2_INFORMATION + landmarks)
     )
 
 

@@ -87,7 +87,7 @@ def register_pair(
         covariance=checks.covariance,
         noise_covariance=checks.covariance,
         center_mm=place.center_mm,
-        evidence=Evidence(checks.z_score, pair.halves_mm, None, pair=pair),
+        evidence=Evidence(pair.z_score, pair.halves_mm, None, pair=pair),
         similarity=found.similarity,
         start_similarity=start_similarity,
         overlap=overlap,

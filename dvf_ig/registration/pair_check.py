@@ -25,7 +25,7 @@ LEAST_PATCHES = 12
 """A part with fewer says nothing."""
 MIRRORED = OptimiserOptions(steps=12, cap_mm=5.0, tolerance_mm=0.3)
 MIRRORED_STARTS, MIRRORED_MM = 4, 8.0
-WRONG_POSES, WRONG_MM = 16, 15.0
+WRONG_POSES, WRONG_MM = 40, 15.0
 FLOOR_MM = 0.2
 """Standard deviation of a pose that no image of such voxels can stay below."""
 
@@ -38,12 +38,10 @@ class PairChecks:
     Attributes:
         evidence: for or against the pose.
         covariance: (6, 6) rad², mm², by the jack-knife.
-        z_score: standard deviations by which LC2 stands above poses WRONG_MM away.
     """
 
     evidence: PairEvidence
     covariance: FloatArray
-    z_score: float
 
 
 def octants(centers_mm: FloatArray, axes: FloatArray) -> IntArray:
@@ -111,10 +109,10 @@ def gather_pair_evidence(
         elsewhere=found.elsewhere,
         jackknife_mm=jackknife_mm(poses, place),
         halves_mm=halves_mm,
+        z_score=float((found.similarity - wrong.mean()) / max(float(wrong.std()), 1e-12)),
         mirrored_share=mirrored_share(coarse, found.pose, place, rng=rng),
     )
-    z_score = float((found.similarity - wrong.mean()) / max(float(wrong.std()), 1e-12))
-    return PairChecks(evidence, jackknife_covariance(poses, found.pose, place), z_score)
+    return PairChecks(evidence, jackknife_covariance(poses, found.pose, place))
 
 
 def mirrored_share(coarse: VolumeLc2, pose: Rigid, place: Place, *, rng: np.random.Generator) -> float:

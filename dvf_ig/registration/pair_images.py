@@ -12,6 +12,7 @@ from dvf_ig.core import (
     BoolArray,
     FloatArray,
     Grid,
+    IntArray,
     InvalidInputError,
     Rigid,
     Volume,
@@ -28,6 +29,8 @@ LEAST_SHARE = 0.25
 """Share of a block's voxels that must be non-zero."""
 VOXELS_PER_PITCH = 1.25
 """Voxels of the anatomy a pitch of the ultrasound."""
+POOLED_SHARE = 0.75
+"""Voxels of the anatomy are averaged in whole blocks up to this share of a pitch before they are smoothed."""
 SMOOTHING = 0.66
 """Standard deviation of the anatomy's smoothing in pitches."""
 
@@ -173,14 +176,30 @@ def _resampled(image: Volume, grid: Grid, sigma_mm: float) -> NDArray[np.float32
         )
     if part.min() == part.max():
         raise InvalidInputError("the moving image has one value around the ultrasound; needed anatomy")
-    smooth = ndimage.gaussian_filter(part, sigma_mm / image.grid.spacing_mm, mode="nearest", truncate=3.0)
+    step = np.clip(np.floor(POOLED_SHARE * grid.spacing_mm / image.grid.spacing_mm), 1, part.shape).astype(
+        int
+    )
+    part = _pooled(part, step)
+    sigma = np.sqrt(np.square(sigma_mm / image.grid.spacing_mm) - (np.square(step) - 1) / 12.0) / step
+    smooth = ndimage.gaussian_filter(part, sigma, mode="nearest", truncate=3.0)
     index_from_mm = np.linalg.inv(image.grid.axes_mm)
     offset = index_from_mm @ (grid.origin_mm - image.grid.origin_mm) - low
+    matrix = index_from_mm @ grid.axes_mm / step[:, None]
+    offset = (offset - (step - 1) / 2.0) / step
     return np.asarray(
-        ndimage.affine_transform(
-            smooth, index_from_mm @ grid.axes_mm, offset, output_shape=grid.shape, order=1, mode="nearest"
-        )
+        ndimage.affine_transform(smooth, matrix, offset, output_shape=grid.shape, order=1, mode="nearest")
     )
+
+
+def _pooled(values: NDArray[np.float32], step: IntArray) -> NDArray[np.float32]:
+    """Means of whole blocks of `step` voxels."""
+    for axis, size in enumerate(step):
+        if size > 1:
+            values = np.moveaxis(values, axis, 0)
+            count = len(values) // int(size)
+            blocks = values[: count * int(size)].reshape(count, int(size), *values.shape[1:])
+            values = np.moveaxis(blocks.mean(axis=1), 0, axis)
+    return values
 
 
 def share_inside(anatomies: Sequence[Volume], fan: FanVolume, pose: Rigid) -> float:

@@ -34,7 +34,8 @@ class RegistrationResult:
         moved_mm: mean distance over the heart between start and result.
         evaluations: of LC2's normal equations; seconds: by the caller's clock; slices: effort.
         options: what it was searched with, and the limits that its evidence was held against.
-        covariance_scale: by which both covariances were multiplied, see `evidence.assessment`.
+        covariance_scale: by which the covariance was multiplied, see `evidence.assessment`.
+        matched: where the images match best, were the heart's shape that of the model; None: at the pose.
     """
 
     target_from_source: Rigid
@@ -57,6 +58,7 @@ class RegistrationResult:
     slices: int
     options: RegistrationOptions
     covariance_scale: float = 1.0
+    matched: Rigid | None = None
 
     def refused(self, stop: Stop) -> "RegistrationResult":
         """The same pose, refused by what lies outside of the images, as touched landmarks."""

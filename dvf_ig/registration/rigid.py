@@ -87,7 +87,7 @@ def register_rigid(
             tre_bound_mm=assessment.tre_bound_mm,
             covariance=fused.covariance * assessment.covariance_scale,
             covariance_scale=assessment.covariance_scale,
-            noise_covariance=fused.noise_covariance * assessment.covariance_scale,
+            noise_covariance=fused.noise_covariance,
             center_mm=data.center_mm,
             evidence=evidence,
             statistics=statistics,
@@ -101,4 +101,5 @@ def register_rigid(
             seconds=clock() - began,
             slices=len(data.fine.slices),
             options=opts,
+            matched=refined.best.pose,
         )

@@ -29,7 +29,13 @@ BOUNDARY_PITCH_MM, BOUNDARY_PLANES = 2.0, 8
 CUBE_TOLERANCE = 1e-3
 """Relative difference of voxel edges up to which voxels count as cubes of one size."""
 SEARCH = RegistrationOptions(
-    starts=8, spread_mm=12.0, candidates=2, bound_mm=120.0, limits=VOLUME_LIMITS, kind="volumes"
+    starts=8,
+    spread_mm=12.0,
+    candidates=2,
+    times_seen=3,
+    bound_mm=120.0,
+    limits=VOLUME_LIMITS,
+    kind="volumes",
 )
 
 

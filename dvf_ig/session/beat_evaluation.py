@@ -11,7 +11,15 @@ from typing import Protocol
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
-from dvf_ig.registration import BeatMeasurement, FrameRejection, Lc2, SliceSet, SliceThreads, measure_beat
+from dvf_ig.registration import (
+    BeatMeasurement,
+    FrameRejection,
+    Lc2,
+    PoseEstimate,
+    SliceSet,
+    SliceThreads,
+    measure_beat,
+)
 
 from .frame_registration import DENSITY_WIDTH_MM
 from .gated_frames import UltrasoundRecording, gate_recording, slices_of, ultrasound_mask
@@ -99,6 +107,19 @@ class BeatSlices:
             seconds=self.seconds + self.clock() - began,
             view_mm=self.view_mm,
         )
+
+
+def evaluation_of(
+    beat: "ComparableBeat", tested: PoseEstimate, center_mm: FloatArray, *, in_use: bool
+) -> BeatEvaluation | None:
+    """Compare a beat with an estimate: where its images should match, told of its pose."""
+    found = beat.evaluate_beat(tested.matched_pose, center_mm, in_use=in_use)
+    return None if found is None else as_of(found, tested)
+
+
+def as_of(evaluation: BeatEvaluation, tested: PoseEstimate) -> BeatEvaluation:
+    """An evaluation at the matched pose of an estimate, as one of its pose."""
+    return replace(evaluation, measurement=evaluation.measurement.of(tested))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

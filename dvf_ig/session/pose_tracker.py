@@ -17,7 +17,14 @@ from dvf_ig.cardiac import RPeak
 from dvf_ig.core import PoseMotion, Rigid, Stop
 from dvf_ig.registration import PoseEstimate
 
-from .beat_evaluation import BEAT_COMPUTE_S, BeatEvaluation, ComparableBeat, ComparedBeat
+from .beat_evaluation import (
+    BEAT_COMPUTE_S,
+    BeatEvaluation,
+    ComparableBeat,
+    ComparedBeat,
+    as_of,
+    evaluation_of,
+)
 from .confirmation import Confirmation
 from .events import Landmark
 from .executor import Job
@@ -214,7 +221,11 @@ class PoseTracker:
         middle_s = float(frames.event_s[frames.used].mean())
         beats = sum(middle_s < p.t_s < now_s for p in self._peaks)
         found = PoseEstimate.from_registration(
-            result.target_from_source, result.covariance, result.noise_covariance, result.center_mm
+            result.target_from_source,
+            result.covariance,
+            result.noise_covariance,
+            result.center_mm,
+            result.matched,
         )
         before = self.monitor
         self.monitor, refused = before.after_registration(found, beats)
@@ -250,7 +261,7 @@ class PoseTracker:
     def _step_beat(self, beat: _Beat, now_s: float) -> None:
         if beat.job is None:
             beat.tested = self.monitor.under_test
-            pose = None if beat.tested is None else beat.tested.pose
+            pose = None if beat.tested is None else beat.tested.matched_pose
             beat.job = self._source.beat(beat.peaks, now_s, pose, in_use=self.monitor.in_use is not None)
             beat.next_s = max(now_s, beat.peaks[-1].detected_at_s + BEAT_COMPUTE_S)
         elif now_s >= beat.peaks[-1].detected_at_s + LATEST_BEAT_S:
@@ -288,7 +299,9 @@ class PoseTracker:
             return
         in_use = before.in_use is not None
         if not evaluated:
-            evaluation = beat.evaluate_beat(tested.pose, before.center_mm, in_use=in_use)
+            evaluation = evaluation_of(beat, tested, before.center_mm, in_use=in_use)
+        elif evaluation is not None:
+            evaluation = as_of(evaluation, tested)
         if evaluation is None:
             return
         evaluation = replace(evaluation, in_use=in_use)

@@ -95,6 +95,18 @@ def test_several_images_become_channels_in_their_place() -> None:
     assert share_inside([Volume(first, ramp(first))], fan, HERE) == 1.0
 
 
+def test_a_fine_image_is_averaged_to_the_same_channels() -> None:
+    """Blocks of voxels are averaged before smoothing: no shift, and hardly another blur."""
+    image = ball()
+    fan = fan_volume(image, usable_voxels(image, None), 4.0)
+    made = []
+    for count, spacing in ((36, 1.6), (144, 0.4)):
+        grid = oblique("moving", (count,) * 3, (spacing,) * 3)
+        away = np.linalg.norm(grid.centers_mm() - MIDDLE - 3.0, axis=-1)
+        made.append(channels_around([Volume(grid, np.exp(-np.square(away / 9.0)))], fan, HERE, 4.0).values)
+    np.testing.assert_allclose(made[0], made[1], atol=0.2)
+
+
 def test_a_mirrored_model_is_the_model_at_mirrored_places() -> None:
     grid = oblique("moving", (24, 20, 16), (1.0, 1.5, 2.0))
     values = np.stack([ramp(grid), ramp(grid) ** 2], axis=-1).astype(np.float32)
@@ -109,7 +121,10 @@ def test_a_mirrored_model_is_the_model_at_mirrored_places() -> None:
 
 @lru_cache
 def brain() -> OrganPair:
-    return organ_pair(1002)
+    """With labels on a coarser grid than studies have: quick."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("data_synth.organ_pair.brain.VOXEL_MM", 1.6)
+        return organ_pair(1002)
 
 
 def test_a_simulated_pair_is_like_a_real_one() -> None:
@@ -193,6 +208,7 @@ def evidence(**changed: Any) -> PairEvidence:
         "elsewhere": np.array([0.2, 0.15]),
         "jackknife_mm": 0.5,
         "halves_mm": 0.8,
+        "z_score": 10.0,
         "mirrored_share": 0.9,
     }
     return PairEvidence(**(usual | changed))
@@ -226,3 +242,10 @@ def test_parts_that_agree_leave_a_covariance_that_is_never_open() -> None:
     assert jackknife_mm(moved, place) == pytest.approx(np.sqrt(5 / 6 * 6))
     assert jackknife_mm([], place) == np.inf
     assert np.isfinite(jackknife_covariance([], HERE, place)).all()
+
+
+def test_height_above_wrong_poses_speaks_against_a_pose_and_never_for_it() -> None:
+    assert evidence(z_score=40.0).doubt == evidence(z_score=10.0).doubt
+    low = evidence(z_score=4.0)
+    assert low.stop is Stop.AMBIGUOUS
+    assert "4.0 standard deviations above wrong poses" in low.sentence

@@ -13,10 +13,15 @@ USUAL_STARTS = 0.1
 """The same share of agreeing starts: with 31, three."""
 USUAL_SHARE = 0.65
 """The same share of LC2, above chance, that the next best pose has."""
-PARTS_WEIGHT, STARTS_WEIGHT, SHARE_WEIGHT = 3.5, 1.5, 5.0
-"""Of their log-odds. On 113 runs of tuning pairs 1001–1018, six of them with a fifth to a half of the usual
-contrast, all 54 errors below 2 mm are accepted and all 57 above 3 mm refused; each of the three alone orders
-them with an AUC of 0.98 to 1.00, the sum with 1.00."""
+USUAL_Z = 6.5
+"""The same number of standard deviations above poses 15 mm away. Good brains (FLAIR, T1) have 11 or more,
+wrong poses and other patients' brains 4.3 or less: their middle is 7.0; good poses of real cines 6.9 or more,
+wrong ones 6.1 or less: 6.5. Each family's middle parts the other one's poses. Height speaks against a pose,
+never for it: a wrong one can stand high where another explains as much."""
+PARTS_WEIGHT, STARTS_WEIGHT, SHARE_WEIGHT, Z_WEIGHT = 3.5, 0.7, 6.0, 8.0
+"""Of their log-odds. Chosen on brains 1001, 1006, 1013, 1015, 1018, 1020 and real cines 002 and 003: with the
+first three alone, fitted on brains, a pose of cine 002 that is 5.4 mm off and that half of the starts reach
+was accepted."""
 
 
 @read_only_arrays
@@ -31,6 +36,7 @@ class PairEvidence:
         jackknife_mm: RMS error over the fan that the spread of poses, each with one part of the ultrasound
             left out, predicts.
         halves_mm: mean distance over the fan between the optima of two interleaved halves.
+        z_score: standard deviations by which LC2 stands above poses 15 mm away.
         mirrored_share: LC2 of the best mirrored anatomy over that of the anatomy; for information.
     """
 
@@ -40,6 +46,7 @@ class PairEvidence:
     elsewhere: FloatArray
     jackknife_mm: float
     halves_mm: float
+    z_score: float
     mirrored_share: float
 
     @property
@@ -56,12 +63,13 @@ class PairEvidence:
         return math.sqrt(0.5 * (self.jackknife_mm**2 + self.halves_mm**2))
 
     @property
-    def doubts(self) -> tuple[float, float, float]:
-        """Log-odds against the pose from parts, starts and the next best pose."""
+    def doubts(self) -> tuple[float, float, float, float]:
+        """Log-odds against the pose from parts, starts, the next best pose and poses far away."""
         return (
             PARTS_WEIGHT * math.log(max(self.parts_mm, 0.05) / USUAL_MM),
             -STARTS_WEIGHT * math.log(self.agreeing_starts / USUAL_STARTS),
             SHARE_WEIGHT * (self.next_best_share - USUAL_SHARE),
+            max(-Z_WEIGHT * math.log(max(self.z_score, 0.5) / USUAL_Z), 0.0),
         )
 
     @property
@@ -79,8 +87,8 @@ class PairEvidence:
         """Whether the pose may be used, and what speaks most against it."""
         if self.doubt <= 0.0:
             return Stop.CONVERGED
-        parts, starts, share = self.doubts
-        return Stop.DISAGREEMENT if parts >= max(starts, share) else Stop.AMBIGUOUS
+        parts, *others = self.doubts
+        return Stop.DISAGREEMENT if parts >= max(others) else Stop.AMBIGUOUS
 
     @property
     def sentence(self) -> str:
@@ -92,6 +100,7 @@ class PairEvidence:
             )
         return (
             f"{100 * self.agreeing_starts:.0f} % of the starts end at this pose, and another explains "
-            f"{100 * self.next_best_share:.0f} % as much; give a nearer start (--start) or another MR "
-            "contrast as well, and check that both images are of this patient"
+            f"{100 * self.next_best_share:.0f} % as much; the similarity stands {self.z_score:.1f} standard "
+            f"deviations above wrong poses, usual are {USUAL_Z:g} or more; give a nearer start (--start) or "
+            "another MR contrast as well, and check that both images are of this patient"
         )

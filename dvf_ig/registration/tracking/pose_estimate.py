@@ -67,19 +67,37 @@ class PoseEstimate:
         covariance_mm2: P, against the beats to come.
         center_mm: (3,) centre of the heart box, target frame.
         shared_mm2: S, of the error that all beats have in common.
+        shape_step: the pose is shape_step ∘ that at which images match best, which a change of the heart's
+            shape has pulled aside (`registration.deformation`); None where they are the same.
     """
 
     pose: Rigid
     covariance_mm2: FloatArray
     center_mm: FloatArray
     shared_mm2: FloatArray
+    shape_step: Rigid | None = None
 
     @classmethod
     def from_registration(
-        cls, pose: Rigid, covariance: FloatArray, noise_covariance: FloatArray, center_mm: FloatArray
+        cls,
+        pose: Rigid,
+        covariance: FloatArray,
+        noise_covariance: FloatArray,
+        center_mm: FloatArray,
+        matched: Rigid | None = None,
     ) -> "PoseEstimate":
-        """From a registration's covariances in rad², mm²: beats improve the noise alone."""
-        return cls(pose, covariance_to_mm(noise_covariance), center_mm, covariance_to_mm(covariance))
+        """From a registration's covariances in rad², mm²: beats improve the noise alone.
+
+        Args:
+            matched: where its images match best; None: at the pose.
+        """
+        step = None if matched is None else pose @ matched.inverse()
+        return cls(pose, covariance_to_mm(noise_covariance), center_mm, covariance_to_mm(covariance), step)
+
+    @property
+    def matched_pose(self) -> Rigid:
+        """Where images of a heart at this pose match best."""
+        return self.pose if self.shape_step is None else self.shape_step.inverse() @ self.pose
 
     @property
     def total_mm2(self) -> FloatArray:
@@ -124,7 +142,7 @@ class PoseEstimate:
             registered.shared_mm2 + beats * PROCESS_NOISE_MM**2 * np.eye(6),
             chart.coordinates(registered.pose),
         )
-        return replace(self, pose=chart.pose(offset), shared_mm2=shared)
+        return replace(self, pose=chart.pose(offset), shared_mm2=shared, shape_step=registered.shape_step)
 
     def sigma_mm(self) -> float:
         """Standard deviation per coordinate by `total_mm2`, RMS over the six."""
@@ -159,6 +177,11 @@ class BeatMeasurement:
     moved_mm: float
     overlap: float
     evaluations: int
+
+    def of(self, estimate: PoseEstimate) -> "BeatMeasurement":
+        """A measurement at the estimate's `matched_pose`, as one of its pose."""
+        step = estimate.shape_step
+        return self if step is None else replace(self, pose=estimate.pose, best=step @ self.best)
 
     @property
     def informative(self) -> bool:

@@ -21,7 +21,6 @@ from scipy.optimize import minimize, nnls
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError
 from dvf_ig.registration.evidence.assessment import FEATURES, SUCCESS_MM, logarithms
-from dvf_ig.study.registration.summary import FAILURE_MM
 from dvf_ig.study.trials import Line
 
 FOLDS = 5
@@ -199,16 +198,16 @@ def conformal_quantile(residual: FloatArray, hearts: IntArray, weight: FloatArra
 def _squared_errors(
     lines: Sequence[Line], predicted: FloatArray, counts: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(n,) χ² by the covariance before it was scaled, NaN of lost poses, and (n,) excess.
+    """(n,) χ² by the covariance before it was scaled, NaN where it does not count, and (n,) excess.
 
     Trials with drawn errors do not count: a covariance speaks of what it knows.
     """
-    squared = np.array(
-        [line["chi2"] * line["covariance_scale"] if line["chi2"] is not None else np.nan for line in lines]
-    )
-    lost = ~counts | np.array([line["tre_mm"] > FAILURE_MM for line in lines])
+    squared = np.full(len(lines), np.nan)
+    for k in np.flatnonzero(counts).tolist():
+        if lines[k]["chi2"] is not None:
+            squared[k] = lines[k]["chi2"] * lines[k]["covariance_scale"]
     own = np.array([logarithms(line["features"])[FEATURES.index("predicted_mm")] for line in lines])
-    return np.where(lost, np.nan, squared), predicted - own
+    return squared, predicted - own
 
 
 def fit_spread(squared: FloatArray, excess: FloatArray, weight: FloatArray) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from data_synth import ScenarioSpec, child_rng, phantom_scenario
 from dvf_ig.core import FloatArray, mean_displacement_mm
 from dvf_ig.registration import ShiftDetector
 from dvf_ig.session import RegistrationMonitor
+from dvf_ig.session.beat_evaluation import evaluation_of
 from dvf_ig.study.hearts.registered import MOTION, VARIED
 from dvf_ig.study.trials import Line, Settings
 
@@ -134,5 +135,5 @@ def followed_drift(recording: WatchedRecording, mm_per_s: FloatArray) -> Line | 
 def _after(monitor: RegistrationMonitor, beat: DisplacedBeat) -> RegistrationMonitor:
     if monitor.in_use is None:
         return monitor
-    found = beat.evaluate_beat(monitor.in_use.pose, monitor.center_mm, in_use=True)
+    found = evaluation_of(beat, monitor.in_use, monitor.center_mm, in_use=True)
     return monitor if found is None else monitor.after_beat(found)

@@ -22,7 +22,7 @@ from data_synth import (
 from data_synth.heart.anatomy import PhantomAnatomy
 from data_synth.heart.tissue import Tissue
 from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Rigid, Scenario, Signal
+from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Preop, Rigid, Scenario, Signal
 
 
 def arrays(made: Scenario) -> list[FloatArray]:
@@ -234,3 +234,19 @@ def test_a_cines_scenario_has_what_the_laboratory_has(monkeypatch: pytest.Monkey
     assert given[0][1] != given[1][1]
     for a, b in zip(arrays(first), arrays(other), strict=True):
         assert np.array_equal(a, b, equal_nan=True)
+
+
+def test_recordings_of_an_imaged_heart_differ_by_their_mismatch_alone() -> None:
+    spec = ScenarioSpec(seed=5, mismatch_mm=1.0)
+    imaged = scenario_module.ImagedHeart(spec, scenario_module.scenario_heart(spec), Preop("phantom"))
+    same = ScenarioSpec(seed=5, mismatch_mm=1.0, preset="poor-image")
+    other = ScenarioSpec(seed=6, heart=HeartSpec(anatomy_seed=5, motion_seed=5), mismatch_mm=3.0)
+    here = imaged.anatomy.ed_vertices_mm
+    np.testing.assert_array_equal(imaged.of(same).mismatch.at(here), imaged.anatomy.mismatch.at(here))
+    drawn = imaged.of(other)
+    np.testing.assert_array_equal(drawn.ed_vertices_mm, here)
+    np.testing.assert_array_equal(
+        drawn.mismatch.at(here), scenario_module.scenario_heart(other).mismatch.at(here)
+    )
+    with pytest.raises(InvalidInputError, match="another heart"):
+        imaged.of(ScenarioSpec(seed=6))

@@ -38,6 +38,21 @@ def test_an_update_of_one_coordinate_is_the_scalar_kalman_filter() -> None:
     )
 
 
+def test_beats_are_measured_where_a_heart_of_another_shape_matches() -> None:
+    """Images match at TRUTH; the heart lies 2 mm from there, for the part that is seen has moved so far."""
+    shape_step = PoseChart(TRUTH, CENTER_MM).pose(np.array([0, 0, 0, 0, 2.0, 0]))
+    covariance = np.eye(6)
+    moved = PoseEstimate.from_registration(shape_step, covariance, covariance, CENTER_MM, TRUTH)
+    np.testing.assert_allclose(moved.matched_pose.matrix, TRUTH.matrix, atol=1e-9)
+    found = measure_beat(beat(TRUTH, 3), moved.matched_pose, CENTER_MM).of(moved)
+    assert found.pose is moved.pose
+    assert mean_displacement_mm(found.best, moved.pose, CENTER_MM) < 0.5
+    updated = moved.update(found.offset_information_mm, found.information)
+    assert mean_displacement_mm(updated.pose, moved.pose, CENTER_MM) < 0.5
+    plain = estimate(TRUTH, 0.6)
+    assert plain.matched_pose is plain.pose
+
+
 def test_a_registration_that_shares_frames_with_the_beats_leaves_the_tracked_pose_as_certain_as_it_was() -> (
     None
 ):

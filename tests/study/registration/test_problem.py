@@ -36,10 +36,10 @@ def toy_pair(spec: Any) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize("number", [0, 5])
-def test_the_same_image_is_found_to_a_twentieth_of_a_millimetre(
+def test_the_same_image_is_found_to_a_tenth_of_a_millimetre(
     number: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Same image on the toy heart: what the way through tracker, planes and search costs."""
+    """Same image on the toy heart: what the way through tracker, planes, search and blocks costs."""
     monkeypatch.setattr(problems, "image_pair", toy_pair)
     for cached in (trials._problem, problems._preoperative):
         cached.cache_clear()
@@ -47,8 +47,8 @@ def test_the_same_image_is_found_to_a_twentieth_of_a_millimetre(
     for cached in (trials._problem, problems._preoperative):
         cached.cache_clear()
     assert line["start_mm"] > 2.0
-    assert line["tre_mm"] < 0.05
-    assert line["rotation_deg"] < 0.05
+    assert line["tre_mm"] < 0.1
+    assert line["rotation_deg"] < 0.1
 
 
 @pytest.mark.parametrize("es_fraction", [0.3, 0.36, 0.42])
