@@ -24,6 +24,7 @@ from dvf_ig.cardiac import retiming_curve
 from dvf_ig.core import FloatArray, InvalidInputError, PhaseState
 from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, RearmAnswer, Status, Supervisor, hazard_of
 from dvf_ig.guidance.fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, RATE, TICK_OUTPUT
+from dvf_ig.guidance.phase_loss import FixturesOverTime
 from dvf_ig.kernels.place import MODEL_PHASE, PLACE_SIZE, TURN_RATE, place_tick
 from dvf_ig.registration import SliceThreads
 
@@ -89,8 +90,9 @@ class Session:
         self._pose = PoseTracker(source, monitor, setup.start, self.history, setup.calibrations.lag_s)
         self._clock = HeartClock(setup.beat_source)
         self._tool = ToolTracker(setup.calibrations.tip)
-        self._fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
-        self._supervisor = Supervisor(setup.device)
+        fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
+        self._fixtures = FixturesOverTime(fixtures)
+        self._supervisor = Supervisor(setup.device, walls=fixtures.walls)
         self._actions: list[Landmark | Rearm] = []
         self._place = np.empty(PLACE_SIZE)
         self._model_from_tracker = self._place[:TURN_RATE].reshape(3, 4)
@@ -244,10 +246,12 @@ class Session:
     def _evaluate(self, now_s: float, tool: ToolReading) -> tuple[Status, FloatArray]:
         """Fill the place with pose and phase; the fixtures' output there, read-only."""
         status, out = place_tick(self._packed, now_s, self._place), np.empty(TICK_OUTPUT)
-        if status == Status.OK and tool.hazard:
-            status = Status.STALE_TOOL
-        pose = self._model_from_tracker if status == Status.OK else _UNPOSED
+        posed = status in (Status.OK, Status.NO_PHASE)
+        if posed and tool.hazard:
+            status, posed = Status.STALE_TOOL, False
+        pose = self._model_from_tracker if posed else _UNPOSED
         self._point[:] = tool.tip_tracker_mm
-        found = self._fixtures.tick(pose, self._point, self._place.item(MODEL_PHASE), int(status), out)
+        phase = self._place.item(MODEL_PHASE)
+        found = self._fixtures.tick(now_s, pose, self._point, phase, int(status), out)
         out.setflags(write=False)
         return Status(found), out

@@ -14,6 +14,7 @@ from dvf_ig.guidance.margins import (
     widened,
     worst_phase_forces,
 )
+from dvf_ig.kernels.worst_phase import SMOOTHING_MM
 
 IN_MODEL = Rigid.identity("mr", "mr")
 LAWS = [Sigmoid(), Confinement(), Gaussian()]
@@ -103,24 +104,57 @@ def test_a_widened_law_pushes_earlier_or_pulls_less(law):
     assert wide.stiffness_n_per_mm <= law.stiffness_n_per_mm
 
 
+@pytest.mark.parametrize("blend", ["force", "distance", "periodic"])
 @pytest.mark.parametrize("law", [Sigmoid(), Confinement()])
-def test_without_a_phase_a_wall_is_that_of_the_worst_phase(model, shell_points, law):
-    found = worst_phase_forces(Evaluator(model, law), IN_MODEL, shell_points)
+def test_without_a_phase_a_wall_is_that_of_the_worst_phase(model, shell_points, law, blend):
+    """The ball's phases: max over them, and no more than τ log N beyond; stronger than at any phase."""
+    evaluator = Evaluator(model, law, blend=blend)
+    no_phase = np.full(len(shell_points), int(Status.NO_PHASE))
+    found = evaluator.force_through(IN_MODEL, shell_points, np.nan, no_phase)
     each = RADII - np.linalg.norm(shell_points[:, None] - CENTERS, axis=2)
-    worst = each.max(axis=1) if isinstance(law, Sigmoid) else each.min(axis=1)
-    np.testing.assert_allclose(found.distance_mm, worst, atol=0.05)
-    strength = law.cap_n * np.abs(law.potential(worst))
-    np.testing.assert_allclose(np.linalg.norm(found.force_n, axis=1), strength, atol=0.02)
-    for phase in np.linspace(0.0, 1.0, 9):
-        known = np.linalg.norm(Evaluator(model, law).force(shell_points, phase).force_n, axis=1)
-        assert (np.linalg.norm(found.force_n, axis=1) >= known - 0.02).all()
+    outward = 1.0 if isinstance(law, Sigmoid) else -1.0
+    beyond = outward * found.distance_mm - (outward * each).max(axis=1)
+    assert beyond.min() > -0.05
+    assert beyond.max() < SMOOTHING_MM * np.log(len(RADII)) + 0.05
+    size = np.linalg.norm(found.force_n, axis=1)
+    for phase in model.timing.fractions:
+        known = np.linalg.norm(evaluator.force(shell_points, phase).force_n, axis=1)
+        assert (size >= known - 0.01).all()
+    assert (found.status == Status.NO_PHASE).all()
+    assert not found.rate_mm_per_cycle.any()
 
 
-def test_without_a_phase_guidance_gives_nothing_and_the_outside_of_the_volume_is_said(model, shell_points):
-    assert not worst_phase_forces(Evaluator(model, Gaussian()), IN_MODEL, shell_points).force_n.any()
-    away = worst_phase_forces(Evaluator(model, Sigmoid()), IN_MODEL, [[500.0, 0, 0], [np.nan, 0, 0]])
-    assert not away.force_n.any()
-    assert away.status.tolist() == [Status.OUT_OF_VOLUME, Status.FAULT]
+@pytest.mark.parametrize("blend", ["force", "periodic"])
+@pytest.mark.parametrize("law", LAWS)
+def test_the_kernel_s_worst_phase_is_the_readable_one(model, shell_points, law, blend):
+    """A periodic spline passes through the phases that it is made of."""
+    query = Rigid.from_rotation_vector([0.2, -0.1, 0.4], [3.0, -2.0, 1.0], "mr", "tracker")
+    points = query.inverse().apply_array(shell_points)
+    odd = np.vstack([points, [[500.0, 0.0, 0.0], [np.nan, 0.0, 0.0]]])
+    no_phase = np.full(len(odd), int(Status.NO_PHASE))
+    found = Evaluator(model, law, blend=blend).force_through(query, odd, np.nan, no_phase)
+    expected = worst_phase_forces(Evaluator(model, law), query, points)
+    n = len(points)
+    np.testing.assert_allclose(found.force_n[:n], expected.force_n, atol=1e-5)
+    np.testing.assert_allclose(found.distance_mm[:n], expected.distance_mm, atol=1e-4)
+    np.testing.assert_allclose(found.gradient[:n], expected.gradient, atol=1e-4)
+    np.testing.assert_array_equal(found.status[:n], expected.status)
+    assert not found.force_n[n:].any()
+    if not isinstance(law, Gaussian):
+        assert found.status[n:].tolist() == [Status.OUT_OF_VOLUME, Status.FAULT]
+    else:
+        assert not found.force_n.any()
+
+
+def test_the_force_of_the_worst_phase_turns_without_a_jump(model):
+    """Where another phase becomes the worst, over 0.01 mm."""
+    line = np.linspace([-25.0, 14.0, 3.0], [25.0, 14.0, 3.0], 5001)
+    evaluator = Evaluator(model, Sigmoid())
+    found = evaluator.force_through(IN_MODEL, line, np.nan, np.full(len(line), int(Status.NO_PHASE)))
+    inside = found.status == Status.NO_PHASE
+    steps = np.linalg.norm(np.diff(found.force_n[inside], axis=0), axis=1)
+    assert np.linalg.norm(found.force_n, axis=1).max() > 0.3
+    assert steps.max() < 0.01
 
 
 def test_a_widened_law_is_what_the_servo_makes_of_a_margin():
