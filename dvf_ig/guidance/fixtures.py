@@ -7,12 +7,13 @@ import numpy as np
 
 from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError, Rigid, require_same_frame
 from dvf_ig.kernels.dynamic import force_tick
-from dvf_ig.kernels.fixture_field import POSE, TIMES
+from dvf_ig.kernels.fixture_field import DEPTH, LAW, POSE, TIMES
 
 from .device import COMMON_DEVICE, DeviceLimits
 from .evaluator import Evaluator, ForceSamples, checked_query
 from .fixture import FORBIDDEN_SURFACE, FixtureOptions, FixtureSet
 from .joint_force import check_joint_stiffness, composed_force
+from .margins.margin import widened
 from .status import Status
 from .targets import PathFixture
 
@@ -33,12 +34,17 @@ class SurfaceTick:
     Owns the kernel's arguments: each thread needs its own.
     """
 
-    __slots__ = ("_coefficients", "_packed", "_pose")
+    __slots__ = ("_coefficients", "_law", "_packed", "_pose")
 
     def __init__(self, evaluator: Evaluator) -> None:
-        frame = evaluator.model.frame
+        frame, self._law = evaluator.model.frame, evaluator.law
         self._coefficients, self._packed = evaluator.kernel_arguments(Rigid.identity(frame, frame))
         self._pose = self._packed[POSE:TIMES].reshape(3, 4)
+
+    def widen(self, margin_mm: float) -> None:
+        """The law with this margin from now on (`dvf_ig.guidance.margins.widened`)."""
+        parameters = widened(self._law, margin_mm).parameters
+        self._packed[LAW + 1], self._packed[DEPTH] = parameters[1], parameters[4]
 
     def __call__(
         self,
@@ -127,6 +133,16 @@ class Fixtures:
             out[:, RATE].copy(),
             conflict=out[:, CONFLICT] != 0.0,
         )
+
+    def widen(self, margin_mm: FloatArray) -> None:
+        """Margins (k,) of the fixtures in `tick` from now on; a path keeps its law.
+
+        Raises:
+            InvalidInputError: a margin that is negative or not finite.
+        """
+        for tick, margin in zip(self._ticks, margin_mm.tolist(), strict=True):
+            if isinstance(tick, SurfaceTick):
+                tick.widen(margin)
 
     def tick(
         self,

@@ -61,6 +61,10 @@ class FixturesOverTime:
         self._last_s = math.inf
         self._other = np.empty(TICK_OUTPUT)
 
+    def widen(self, margin_mm: FloatArray) -> None:
+        """As `Fixtures.widen`."""
+        self._fixtures.widen(margin_mm)
+
     def tick(
         self,
         t_s: float,

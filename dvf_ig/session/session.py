@@ -33,6 +33,7 @@ from .executor import Executor, InCaller
 from .frame_buffer import FrameBuffer
 from .heart_clock import HeartClock
 from .history import SessionHistory
+from .margins import MarginTracker
 from .pose_tracker import PoseTracker
 from .registration_monitor import RegistrationMonitor
 from .setup import SessionSetup
@@ -92,6 +93,8 @@ class Session:
         self._tool = ToolTracker(setup.calibrations.tip)
         fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
         self._fixtures = FixturesOverTime(fixtures)
+        self._margins = MarginTracker(setup.fixtures, setup.device)
+        self._fixtures.widen(self._margins.margin_mm)
         self._supervisor = Supervisor(setup.device, walls=fixtures.walls)
         self._actions: list[Landmark | Rearm] = []
         self._place = np.empty(PLACE_SIZE)
@@ -153,11 +156,17 @@ class Session:
         wanted_n = out[FORCE]
         supervised = self._supervisor.step(now_s, wanted_n, hazards)
         confirmation = self._pose.confirmation
+        age_s = inf if confirmation is None else now_s - confirmation.confirmed_s
+        margin_mm = self._margins.margin_mm
+        if self._margins.due(now_s):
+            tip_mm, rate = tool.tip_tracker_mm, out.item(RATE)
+            self._margins.update(now_s, status, self._transform, tip_mm, out[GRADIENT], rate, age_s)
+            self._fixtures.widen(self._margins.margin_mm)
         return GuidanceState(
             now_s=now_s,
             transform=self._transform,
             estimate=self._pose.monitor.estimate,
-            pose_age_s=inf if confirmation is None else now_s - confirmation.confirmed_s,
+            pose_age_s=age_s,
             tre_bound_mm=nan if confirmation is None else confirmation.bound_mm(now_s),
             doubt=self._pose.monitor.doubt,
             registration=self.history.attempts[-1] if self.history.attempts else None,
@@ -170,6 +179,7 @@ class Session:
             gradient=out[GRADIENT],
             rate_mm_per_cycle=out.item(RATE),
             conflict=out.item(CONFLICT) != 0.0,
+            margin_mm=margin_mm,
             supervised=supervised,
             rearmed=self._rearmed,
         )

@@ -38,6 +38,7 @@ class GuidanceState:
         gradient: (3,) of that distance, frame "tracker".
         rate_mm_per_cycle: its change with the model's phase; zero at NO_PHASE, NaN of a path.
         conflict: fixtures oppose each other.
+        margin_mm: (k,) by which each fixture is widened; what a servo is told (`ServoInputs.margin_mm`).
         supervised: the force to send, and the supervisor's state with what it found.
         rearmed: answer to the operator's last re-arm; None before any.
     """
@@ -58,6 +59,7 @@ class GuidanceState:
     gradient: FloatArray
     rate_mm_per_cycle: float
     conflict: bool
+    margin_mm: FloatArray
     supervised: SupervisedForce
     rearmed: RearmAnswer | None
 

@@ -57,6 +57,9 @@ class MarginOptions:
         return min(NormalDist().inv_cdf(self.quantile) * sigma_mm, self.largest_mm)
 
 
+NO_MARGIN = MarginOptions()
+
+
 def next_margin_mm(now_mm: float, wanted_mm: float, dt_s: float, law: Law, step_n: float) -> float:
     """One update of a margin on its way to the wanted one; the wall's own motion obeys the slew rules.
 
