@@ -167,7 +167,7 @@ def read_session_fixtures(
         return fixtures, config.retiming or retiming
     with reading(Path(named_by), "a session's configuration"):
         of_session = FixturesConfig(
-            fixtures=config.fixtures or FixturesConfig().fixtures,
+            fixtures=FixturesConfig().fixtures if config.fixtures is None else config.fixtures,
             cap_n=config.cap_n,
             margin="off" if margin is None else margin,
         )

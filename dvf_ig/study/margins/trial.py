@@ -5,7 +5,7 @@ are compared with the simulator's truth. σ is what the session itself states. S
 different sources, as with a patient.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,12 @@ SAMPLED_EVERY = 5
 """The session is asked every 0.1 s for its state, and its wall is compared at every fifth answer."""
 PLACES = 40
 """Places of the true surface, drawn anew at each time."""
+
+
+def trial_numbers(hearts: Sequence[int], settings: Settings) -> list[int]:
+    """Numbers of the trials of these hearts; those of one heart follow one another."""
+    presets = len(settings["presets"])
+    return [heart * presets + place for heart in hearts for place in range(presets)]
 
 
 def margin_trial(settings: Settings, number: int) -> Line:
@@ -118,7 +124,9 @@ def _surface_at(truth: ScenarioTruth, phase: float) -> FloatArray:
     return np.asarray((1.0 - alpha) * vertices[first] + alpha * vertices[second])
 
 
-def _tip_errors(scenario: Scenario, truth: ScenarioTruth, tip_mm: FloatArray) -> Any:
+def _tip_errors(
+    scenario: Scenario, truth: ScenarioTruth, tip_mm: FloatArray
+) -> Callable[[float], FloatArray]:
     """The error (3,) of the tracked tip at a time, tracker frame: what calibration and tracker made of it."""
     tool = tool_of(scenario)
     tracked = np.flatnonzero(tool.valid)
