@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+from dvf_ig.kernels.boundary import UNKNOWNS
 from dvf_ig.registration.boundary.blocks import boundary_blocks
 from dvf_ig.registration.boundary.fit import BoundaryFit, fit_boundary
 from dvf_ig.registration.deformation.blocks import (
@@ -14,7 +15,7 @@ from dvf_ig.registration.deformation.blocks import (
     Blocks,
     blocks_at,
 )
-from dvf_ig.registration.deformation.joint_fit import POSE, UNKNOWNS, joint_fit
+from dvf_ig.registration.deformation.joint_fit import POSE, joint_fit
 from dvf_ig.registration.evidence.covariance import covariance_mm2, placement_covariance_mm2
 from dvf_ig.registration.lc2.blocks import BlockedLc2
 from dvf_ig.registration.lc2.lc2 import Lc2
