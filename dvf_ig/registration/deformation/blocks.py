@@ -86,8 +86,8 @@ def _expansion(lc2: BlockedLc2, chart: PoseChart) -> tuple[BlockGradients, Float
     here = lc2.gradients(chart.base, chart.center_mm)
     change = np.empty((len(here.gradient), 6, 6))
     for k, step in enumerate(STEP_MM * np.eye(6)):
-        there = lc2.gradients(chart.pose(step), chart.center_mm)
-        change[:, k] = (there.gradient - here.gradient) / STEP_MM
+        up, down = (lc2.gradients(chart.pose(sign * step), chart.center_mm).gradient for sign in (1, -1))
+        change[:, k] = (up - down) / (2.0 * STEP_MM)
     return here, change
 
 
