@@ -35,9 +35,9 @@ def deformation_factor(places_mm: FloatArray, center_mm: FloatArray) -> FloatArr
     rigid = rigid_motion(places_mm, center_mm).reshape(-1, 6)
     of_fit = np.einsum("abi,bc,dci->ad", fit, _alike(nodes, nodes), fit, optimize=True)
     with_fit = np.einsum("pb,abi->pia", _alike(places_mm, nodes), fit, optimize=True).reshape(-1, 6)
-    covariance: FloatArray = np.kron(_alike(places_mm, places_mm), np.eye(3))
+    covariance = np.kron(_alike(places_mm, places_mm), np.eye(3))
     covariance += rigid @ of_fit @ rigid.T - with_fit @ rigid.T - rigid @ with_fit.T
-    factor = np.sqrt(RMS_MM**2 / 3.0) * _cholesky(covariance)
+    factor = np.sqrt(RMS_MM**2 / 3.0) * _cholesky(np.asarray(covariance, dtype=np.float64))
     return np.asarray(factor.reshape(len(places_mm), 3, -1))
 
 
