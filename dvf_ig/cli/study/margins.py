@@ -52,14 +52,15 @@ def margins(
 
         presets = [preset_name(one) for one in preset or ("calm", "poor-image")]
         checked = ScenarioSpec(preset=presets[0], seconds=seconds)
-        settings = {"presets": list(dict.fromkeys(presets)), "seconds": checked.seconds}
+        presets = list(dict.fromkeys(presets))
+        settings = {"presets": presets, "seconds": checked.seconds}
         with output_folder(out), progress("recordings") as report:
             lines = run_trials(
                 Study("margins", settings, margin_trial),
                 trial_numbers(heart_list(name.value).first_world[:count], settings),
                 out,
                 workers=cores_or(workers),
-                group_size=len(settings["presets"]),
+                group_size=len(presets),
                 scheduler=scheduler,
                 progress=report,
             )
