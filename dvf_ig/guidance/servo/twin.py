@@ -120,7 +120,9 @@ class ReadableTick:
         """The fixtures' force, the same with relative damping, the surface's velocity, the status."""
         nothing = np.zeros(3)
         each = self._each(xyz, t_s, inputs, status)
-        found = Status(max(int(one.status[0]) for one in each))
+        statuses = [Status(int(one.status[0])) for one in each]
+        refused = [one for one in statuses if one not in (Status.OK, Status.NO_PHASE)]
+        found = refused[0] if refused else max(statuses)
         place = inputs.transform.at(xyz[None], t_s)
         self._loss.step(dt_s, found, float(place.model_phase[0]))
         if found != Status.OK and (found != Status.NO_PHASE or self._wall is None):

@@ -113,7 +113,7 @@ def cross_to_walls(
             of_model = periodic if int(packed[i, BLEND]) == BLEND_PERIODIC else linear
             worst = worst_phase_force(of_model, packed[i], place)
             if worst[0] != code.OK:
-                composed[:] = 0.0
+                composed[:] = loss[:] = 0.0
                 first[:] = math.nan
                 return worst[0]
             forces[i, 0], forces[i, 1], forces[i, 2] = worst[1]

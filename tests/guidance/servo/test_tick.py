@@ -121,6 +121,25 @@ def test_a_lost_phase_leaves_walls_and_the_kernel_s_tick_stays_the_readable_one(
         assert np.isnan(record.distance_mm[held]).all()
 
 
+def test_leaving_the_box_while_the_phase_is_lost_is_that_of_the_readable_tick(ball, moving, path_mm):
+    """At 0.45 s, within the crossing, and at 0.65 s, for 5 ms each; the force fades and comes back."""
+    fixtures, path = Fixtures(ball, THREE), path_mm.copy()
+    for begin in (450, 650):
+        path[begin : begin + 5] += 500.0
+    servo = SimulatedServo(fixtures, RecordedDevice(path, RATE_HZ), limits=LIMITS, options=OPTIONS)
+    twin, tick, found = ReadableTick(fixtures, LIMITS, OPTIONS, 0.0), 0, Hazard.NONE
+    for inputs, count in losing_phase(moving, 1000):
+        record = servo.run(inputs, count)
+        for k in range(count):
+            expected = twin.step(float(record.t_s[k]), path[tick], inputs)
+            np.testing.assert_allclose(record.sent_n[k], expected.force_n, atol=1e-9)
+            assert (record.state[k], record.hazards[k]) == (expected.state, expected.hazards)
+            found |= expected.hazards
+            tick += 1
+    assert found & Hazard.OUT_OF_VOLUME
+    assert found & Hazard.NO_PHASE
+
+
 def test_the_device_gets_the_force_in_its_own_frame(moving, three, path_mm):
     device = RecordedDevice(path_mm, RATE_HZ)
     record = SimulatedServo(three, device).run(
