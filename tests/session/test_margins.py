@@ -13,7 +13,7 @@ from dvf_ig.guidance.margins import MarginOptions
 from dvf_ig.guidance.servo import ServoInputs
 from dvf_ig.session import GuidanceState, Session
 from dvf_ig.session.confirmation import AGEING_MM_PER_S
-from dvf_ig.session.margins import TIP_SIGMA_MM, TOOL_SIGMA_MM
+from dvf_ig.session.margins import SHAPE_SIGMA_MM, TIP_SIGMA_MM, TOOL_SIGMA_MM
 
 pytestmark = pytest.mark.usefixtures("known_ultrasound")
 WALL_AND_GUIDE = (FixtureOptions(Sigmoid()), FixtureOptions(Gaussian(6.0, cap_n=0.3)))
@@ -37,7 +37,7 @@ def test_an_adaptive_margin_is_the_quantile_of_all_that_the_session_states() -> 
     margins = np.array([s.margin_mm for s in states])
     for state in states[100:]:
         ageing = AGEING_MM_PER_S * state.pose_age_s
-        others = TIP_SIGMA_MM**2 + TOOL_SIGMA_MM**2 + ageing**2
+        others = SHAPE_SIGMA_MM**2 + TIP_SIGMA_MM**2 + TOOL_SIGMA_MM**2 + ageing**2
         size = float(np.linalg.norm(state.gradient))
         wanted = NormalDist().inv_cdf(0.9) * np.sqrt(state.distance_sigma_mm**2 + others * size**2)
         np.testing.assert_allclose(state.margin_mm, wanted, atol=0.05)

@@ -17,7 +17,7 @@ from scipy.stats import spearmanr
 
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.guidance.margins.margin import LARGEST_MARGIN_MM
-from dvf_ig.session.margins import TIP_SIGMA_MM, TOOL_SIGMA_MM
+from dvf_ig.session.margins import SHAPE_SIGMA_MM, TIP_SIGMA_MM, TOOL_SIGMA_MM
 from dvf_ig.study.hearts.summary import LEAST_HEARTS, RESAMPLES, Estimate, bootstrap
 from dvf_ig.study.trials import Line
 
@@ -108,7 +108,7 @@ def total_sigma_mm(line: Line) -> FloatArray:
     """(n,) σ of the distance in a recording, as the session takes it for its margin, with |∇d| = 1."""
     parts = [np.array(line[f"{name}_mm"]) for name in ("registration", "phase", "ageing")]
     known = sum(np.square(part) for part in parts)
-    return np.asarray(np.sqrt(known + TIP_SIGMA_MM**2 + TOOL_SIGMA_MM**2))
+    return np.asarray(np.sqrt(known + SHAPE_SIGMA_MM**2 + TIP_SIGMA_MM**2 + TOOL_SIGMA_MM**2))
 
 
 def summarise_margins(lines: Sequence[Line]) -> MarginSummary:
