@@ -47,7 +47,7 @@ class Fulcrum:
         return inside / (self.length_mm - inside)
 
     def tip_per_hand(self, tip_mm: FloatArray) -> FloatArray:
-        """(3, 3) J: velocity of the tip = J · velocity of the hand; force at the hand = Jᵀ · force at the tip."""
+        """(3, 3) J: velocity of the tip = J · that of the hand; force at the hand = Jᵀ · that at the tip."""
         u = self.point_mm - tip_mm
         u = u / np.linalg.norm(u)
         along = np.outer(u, u)

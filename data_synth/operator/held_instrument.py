@@ -1,12 +1,11 @@
 """A hand on a haptic device that holds an instrument: what a servo drives, and what an operator moves."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from data_synth.kernels import held_instrument as kernel
-from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
-from dvf_ig.core.arrays import frozen_floats
+from dvf_ig.core import FloatArray, InvalidInputError
 
 from .fulcrum import Fulcrum
 
@@ -44,24 +43,6 @@ class HandDynamics:
     stiffness_n_per_m: float = 100.0
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class HandCommand:
-    """What the hand is told to do.
-
-    Attributes:
-        place_mm: (3,) intended place, where its spring pulls to.
-        push_n: (3,) further muscle force.
-    """
-
-    place_mm: FloatArray
-    push_n: FloatArray = field(default_factory=lambda: np.zeros(3))
-
-    def __post_init__(self) -> None:
-        for name in ("place_mm", "push_n"):
-            object.__setattr__(self, name, frozen_floats(getattr(self, name), f"hand's {name}", (3,)))
-
-
 class HeldInstrument:
     """Hand, device and instrument as one mass, moved in the servo's own time.
 
@@ -88,7 +69,9 @@ class HeldInstrument:
     ) -> None:
         longest_s = 1e-3 * (kernel.QUEUE_LENGTH - 2)
         if not 0.0 <= stylus.delay_s <= longest_s:
-            raise InvalidInputError(f"the device's delay is {stylus.delay_s:g} s; needed 0 to {longest_s:g} s")
+            raise InvalidInputError(
+                f"the device's delay is {stylus.delay_s:g} s; needed 0 to {longest_s:g} s"
+            )
         self.name = "simulated hand on a simulated device"
         self.latency_s = stylus.delay_s if stated_latency_s is None else stated_latency_s
         self.fulcrum = fulcrum
@@ -110,7 +93,7 @@ class HeldInstrument:
         if fulcrum is not None:
             numbers[kernel.LENGTH_MM] = fulcrum.length_mm
             numbers[kernel.FULCRUM_MM : kernel.QUEUED] = fulcrum.point_mm
-        self.command(HandCommand(self.hand_mm))
+        self.command(self.hand_mm, np.zeros(3))
 
     @property
     def _numbers(self) -> FloatArray:
@@ -136,11 +119,16 @@ class HeldInstrument:
         """(3,) force of the device on the hand that acts now."""
         return self._numbers[kernel.FELT_N : kernel.LAST_S].copy()
 
-    def command(self, command: HandCommand) -> None:
-        """What the hand does from now on."""
+    def command(self, place_mm: FloatArray, push_n: FloatArray) -> None:
+        """What the hand does from now on.
+
+        Args:
+            place_mm: (3,) intended place, where its spring pulls to.
+            push_n: (3,) further muscle force.
+        """
         numbers = self._numbers
-        numbers[kernel.PLACE_MM : kernel.PUSH_N] = command.place_mm
-        numbers[kernel.PUSH_N : kernel.LENGTH_MM] = command.push_n
+        numbers[kernel.PLACE_MM : kernel.PUSH_N] = place_mm
+        numbers[kernel.PUSH_N : kernel.LENGTH_MM] = push_n
 
     def close(self) -> None:
         """Nothing is held open."""

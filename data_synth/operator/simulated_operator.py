@@ -10,10 +10,10 @@ that is felt, e is the mean of what is seen and what the force says, each weight
 damping, and its inertia in previewed motion, are known to the operator and add to what the muscles do.
 """
 
+import math
 from collections import deque
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_synth.seeds import child_rng
 from data_synth.signals.smooth_noise import smooth_noise
@@ -21,10 +21,10 @@ from dvf_ig.core import FloatArray
 
 from .felt_force import LearntForce
 from .hand import TREMOR_RMS_MM, tremor
-from .held_instrument import MM_PER_M, HandCommand, HeldInstrument
+from .held_instrument import MM_PER_M, HeldInstrument
 from .operator_spec import OperatorSpec
 
-RATE_HZ = 200
+RATE_HZ = 100
 """Steps a second of what the operator does."""
 LONGEST_S = 240.0
 """No task lasts longer."""
@@ -68,8 +68,8 @@ class SimulatedOperator:
         self._place = instrument.hand_mm
         self._preview_mm_s = np.zeros(3)
         self._step = 0
-        self.seen_error_mm = 0.0
-        """Of the last step: the distance between aim and tip as it appears."""
+        self.believed_error_mm = 0.0
+        """Of the last step: the distance between aim and tip by all that is seen and felt."""
 
     def step(self, aim_mm: FloatArray, preview_mm_s: FloatArray) -> None:
         """See, feel, decide; the hand does it until the next step, 1/RATE_HZ later.
@@ -83,16 +83,16 @@ class SimulatedOperator:
         hand_per_tip = self._believed(tip)
         self._seen.append(aim_mm - tip)
         self._felt.append(hand_per_tip.T @ instrument.felt_n)
-        seen = self._seen[0] + self._seen_error[k]
-        self.seen_error_mm = float(np.linalg.norm(seen))
-        wanted = spec.crossover_rad_s * self._with_felt(seen, self._felt[0], k)
+        believed = self._with_felt(self._seen[0] + self._seen_error[k], self._felt[0], k)
+        self.believed_error_mm = float(np.linalg.norm(believed))
+        wanted = spec.crossover_rad_s * believed
         ahead = hand_per_tip @ preview_mm_s
         velocity = ahead + hand_per_tip @ wanted
         self._place = self._place + velocity / RATE_HZ
         push = spec.hand.damping_n_s_per_m * velocity
         push += instrument.mass_kg * (ahead - self._preview_mm_s) * RATE_HZ
         self._preview_mm_s = ahead
-        instrument.command(HandCommand(self._place, push / MM_PER_M + self._tremor_n[k]))
+        instrument.command(self._place, push / MM_PER_M + self._tremor_n[k])
         self._step += 1
 
     def _with_felt(self, seen: FloatArray, force_n: FloatArray, k: int) -> FloatArray:
@@ -116,9 +116,10 @@ class SimulatedOperator:
         u = fulcrum.point_mm - tip_mm
         u = u / np.linalg.norm(u)
         along = np.outer(u, u)
-        sideways = (along - np.eye(3)) / (spec.lever_gain * fulcrum.lever(tip_mm))
-        turn = Rotation.from_rotvec(spec.misaligned_rad * u).as_matrix()
-        return np.asarray(turn @ (along + sideways))
+        x, y, z = u.tolist()
+        across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        turned = math.cos(spec.misaligned_rad) * (np.eye(3) - along) + math.sin(spec.misaligned_rad) * across
+        return np.asarray(along - turned / (spec.lever_gain * fulcrum.lever(tip_mm)))
 
     def _tremor_force(self, t_s: FloatArray, seed: int) -> FloatArray:
         """(n, 3) N that moves the free hand by its tremor."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -75,9 +76,7 @@ class Trace:
     withheld_s: float
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class Aim:
+class Aim(NamedTuple):
     """Where the tip should be now.
 
     Attributes:
@@ -110,7 +109,11 @@ def run_task(loop: Loop, task: Task, longest_s: float) -> Trace:
         condition.lag_s,
     )
     instrument = HeldInstrument(
-        loop.start_mm, spec.hand, stylus, fulcrum=loop.fulcrum, stated_latency_s=0.0
+        loop.start_mm,
+        spec.hand,
+        stylus,
+        fulcrum=loop.fulcrum,
+        stated_latency_s=condition.lag_s if condition.lag_known else 0.0,
     )
     learnt = learnt_force(loop.law, loop.target_depth_mm) if condition.haptic else None
     operator = SimulatedOperator(spec, loop.seed, instrument, loop.sight, learnt)
@@ -155,9 +158,7 @@ def learnt_force(law: Law, target_depth_mm: float) -> LearntForce:
     return LearntForce(law.cap_n * share, inside_mm + law.depth_mm - target_depth_mm)
 
 
-def _servo(
-    loop: Loop, instrument: HapticDevice, longest_s: float
-) -> tuple[SimulatedServo, ServoInputs]:
+def _servo(loop: Loop, instrument: HapticDevice, longest_s: float) -> tuple[SimulatedServo, ServoInputs]:
     model = loop.heart.fixture_model(loop.condition)
     fixtures = Fixtures(model, FixtureSet((FixtureOptions(loop.law, "force"),)), device=LIMITS)
     servo = SimulatedServo(fixtures, instrument, limits=LIMITS, options=ServoOptions())

@@ -1,6 +1,5 @@
 """Depth-controlled cutting: along a line of the epicardium, so deep and no deeper (Ren 2008, Table I)."""
 
-
 from functools import cache
 
 import numpy as np
@@ -25,7 +24,7 @@ PERFORATION_MM = 1.0
 LENGTH_MM = 40.0
 SPEED_MM_S = 4.0
 SLOWING_MM = 2.0
-"""The operator moves at half speed where tip and aim appear so far apart."""
+"""The operator moves at half speed where tip and aim are so far apart by what is seen and felt."""
 ABOVE_MM = 8.0
 """The tip starts so far above the surface."""
 APPROACH_S = 3.0
@@ -56,7 +55,7 @@ class CuttingTask:
             return Aim(place - down[0] * self._above, planned, beat, APPROACH)
         if self._along >= line.length_mm:
             return Aim(place, np.zeros(3), beat, -1.0)
-        speed = SPEED_MM_S / (1.0 + (operator.seen_error_mm / SLOWING_MM) ** 2)
+        speed = SPEED_MM_S / (1.0 + (operator.believed_error_mm / SLOWING_MM) ** 2)
         planned = speed * line.tangent(self._along)
         self._along += speed / RATE_HZ
         return Aim(place, planned, beat, CUT)
@@ -105,5 +104,3 @@ def cutting_measures(trace: Trace) -> dict[str, float]:
         "largest_force_n": float(trace.force_n.max()),
         "withheld_s": trace.withheld_s,
     }
-
-

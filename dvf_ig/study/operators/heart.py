@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 
+from data_synth.heart.motion import MotionPreset
 from data_synth.operator.contact import MovingSurface
 from data_synth.seeds import child_rng
 from dvf_ig.core import DvfModel, FloatArray, Rigid
@@ -16,7 +17,7 @@ from .conditions import Condition
 
 HEART_SEED, OTHER_HEART_SEED = 1001, 1002
 """Of the list TUNING (`dvf_ig.study.hearts.lists`)."""
-MOTION = "paper5mm"
+MOTION: MotionPreset = "paper5mm"
 CYCLE_S = 0.6
 """20 volumes T_d = 0.03 s apart, as in the paper."""
 STILL_S = 1e9

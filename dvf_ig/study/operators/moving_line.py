@@ -31,7 +31,7 @@ class MovingLine:
 
     @property
     def length_mm(self) -> float:
-        return STEP_MM * (self.places_mm.shape[1] - 1)
+        return STEP_MM * float(self.places_mm.shape[1] - 1)
 
     def at(self, along_mm: float, phase: float) -> FloatArray:
         """(3,) place."""
