@@ -63,8 +63,8 @@ class SimulatedOperator:
         self._seen_error = spec.sideways_noise_mm * error + more_mm * np.outer(error @ sight, sight)
         self._felt_error = felt(t_s)[:, 0]
         self._tremor_n = self._tremor_force(t_s, seed)
-        self._seen = deque[FloatArray](maxlen=1 + round(spec.visual_delay_s * RATE_HZ))
-        self._felt = deque[FloatArray](maxlen=1 + round(spec.haptic_delay_s * RATE_HZ))
+        self._seen = _nothing_yet(spec.visual_delay_s)
+        self._felt = _nothing_yet(spec.haptic_delay_s)
         self._place = instrument.hand_mm
         self._preview_mm_s = np.zeros(3)
         self._step = 0
@@ -130,3 +130,9 @@ class SimulatedOperator:
         a = np.gradient(v, t_s, axis=0)
         mass, damping = instrument.mass_kg, hand.damping_n_s_per_m
         return np.asarray((mass * a + damping * v + hand.stiffness_n_per_m * x) / MM_PER_M)
+
+
+def _nothing_yet(delay_s: float) -> deque[FloatArray]:
+    """Of one delay, oldest first; nothing has arrived."""
+    length = 1 + round(delay_s * RATE_HZ)
+    return deque([np.zeros(3)] * length, maxlen=length)

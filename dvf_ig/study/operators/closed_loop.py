@@ -40,7 +40,6 @@ class Loop:
         sight: (3,) unit line of sight.
         target_depth_mm: where the task wants the tip, positive inside.
         fulcrum: of the instrument, if any.
-        mean: operator about whom this one is drawn.
     """
 
     heart: OperatingHeart
@@ -51,7 +50,6 @@ class Loop:
     sight: FloatArray
     target_depth_mm: float
     fulcrum: Fulcrum | None = None
-    mean: OperatorSpec = OperatorSpec()  # noqa: RUF009  frozen
 
 
 @read_only_arrays
@@ -139,7 +137,7 @@ def run_task(loop: Loop, task: Task, longest_s: float) -> Trace:
 
 def operator_of(loop: Loop) -> OperatorSpec:
     """The operator under the trial's condition."""
-    condition, drawn = loop.condition, drawn_operator(loop.seed, loop.mean)
+    condition, drawn = loop.condition, drawn_operator(loop.seed, OperatorSpec())
     return replace(drawn, depth_noise_mm=drawn.depth_noise_mm * condition.noise, attends=condition.attends)
 
 

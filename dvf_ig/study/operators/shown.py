@@ -26,7 +26,7 @@ PANELS = {
     "dissection": (("errors", "touches of the forbidden organ"), ("violation_mm", "deepest touch, mm")),
     "tracking": (("mean_mm", "mean distance to the surface, mm"), ("max_mm", "largest distance, mm")),
 }
-DEPTH_LIMITS_MM = {"cutting": (2.5, 8.0), "dissection": (-6.0, 4.0), "tracking": (-3.0, 6.5)}
+DEPTH_LIMITS_MM = {"cutting": (2.5, 8.0), "dissection": (-6.0, 4.0), "tracking": (-2.5, 5.0)}
 FORBIDDEN_MM = {"cutting": DEPTH_MM, "dissection": 0.0}
 ORDINATES = {
     "cutting": "depth below the true epicardium, mm",
@@ -75,6 +75,10 @@ def _triple(estimate: object) -> tuple[float, float, float]:
     return float(value), float(value if low is None else low), float(value if high is None else high)
 
 
+def _signed(value: float | None) -> str:
+    return "–" if value is None else f"{value:+.2f}".replace("-", "−")
+
+
 def _groups(task: str) -> dict[str, list[Condition]]:
     """Conditions by what comes before their kind."""
     groups: dict[str, list[Condition]] = {}
@@ -88,9 +92,7 @@ def _panel(task: str, measure: str, label: str, done: Sequence[Line]) -> Panel:
     compared = []
     for group, of in _groups(task).items():
         change = difference(measure, of[1].name, of[0].name, lines).mean
-        said = f"{group}\n{change.value:+.2f}" + (
-            "" if change.low is None else f" ({change.low:+.2f} to {change.high:+.2f})"
-        )
+        said = f"{group}\n{_signed(change.value)}\n({_signed(change.low)} to {_signed(change.high)})"
         compared.append(Compared(said, np.array([[line[c.name][measure] for line in lines] for c in of])))
     paper = (
         ((PAPER_AUTOMATIC_MM, "Ren 2008, automatic"), (PAPER_MANUAL_MM, "Ren 2008, manual"))
