@@ -103,8 +103,9 @@ def _table(
     rows += [("",), ("paired difference to visual only", "mean", "relative", "d_z", "better")]
     rows += [_difference(d) for d in found.differences]
     if found.ablations:
-        rows += [("",), ("ablations, beating heart", *shown)]
-        rows += [_row(row, shown) for row in found.ablations]
+        more = (*shown, "withheld_s")
+        rows += [("",), ("ablations, beating heart", *more)]
+        rows += [_row(row, more) for row in found.ablations]
     return rows
 
 

@@ -138,7 +138,14 @@ def run_task(loop: Loop, task: Task, longest_s: float) -> Trace:
 def operator_of(loop: Loop) -> OperatorSpec:
     """The operator under the trial's condition."""
     condition, drawn = loop.condition, drawn_operator(loop.seed, OperatorSpec())
-    return replace(drawn, depth_noise_mm=drawn.depth_noise_mm * condition.noise, attends=condition.attends)
+    return replace(
+        drawn,
+        depth_noise_mm=drawn.depth_noise_mm * condition.noise,
+        attends=condition.attends,
+        anticipated_share=drawn.anticipated_share * condition.foresight,
+        force_noise_n=drawn.force_noise_n * condition.force_noise,
+        weber=drawn.weber * condition.force_noise,
+    )
 
 
 def learnt_force(law: Law, target_depth_mm: float) -> LearntForce:

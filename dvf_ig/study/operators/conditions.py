@@ -18,6 +18,8 @@ class Condition:
         beating: the heart beats; else it stands still at end-diastole.
         noise: factor on the operator's errors of depth.
         attends: the operator takes felt force for what it says of depth.
+        foresight: factor on the share of the beat that the operator foresees.
+        force_noise: factor on the errors of felt force, and on the least force that is felt.
         registration_mm: error of the registration, a shift in a direction drawn by the operator's seed.
         phase_error: of the fixture's phase, in cycles.
         lag_s: from a force to its effect; lag_known: the servo is told of it.
@@ -29,6 +31,8 @@ class Condition:
     beating: bool = True
     noise: float = 1.0
     attends: bool = True
+    foresight: float = 1.0
+    force_noise: float = 1.0
     registration_mm: float = 0.0
     phase_error: float = 0.0
     lag_s: float = 0.0
@@ -69,6 +73,9 @@ ABLATIONS = (
     *_three("", _REFERENCE),
     Condition("doubled depth noise, visual only", haptic=False, noise=2.0),
     replace(_REFERENCE, name="doubled depth noise", noise=2.0),
+    replace(_REFERENCE, name="force felt 3 times as badly", force_noise=3.0),
+    Condition("beat not foreseen, visual only", haptic=False, foresight=0.0),
+    replace(_REFERENCE, name="beat not foreseen", foresight=0.0),
     *(replace(_REFERENCE, name=f"registration error {mm} mm", registration_mm=float(mm)) for mm in (1, 2, 3)),
     *(
         replace(_REFERENCE, name=f"phase error {percent} %", phase_error=percent / 100)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dvf_ig.report.study.operators import Compared, Curve, Interval, OperatorsFigure, Panel
+from dvf_ig.study.hearts.summary import Estimate
 from dvf_ig.study.trials import Line
 
 from .conditions import ABLATIONS, HAPTICS, NO_HAPTICS, TASKS, UNATTENDED, Condition
@@ -26,7 +27,8 @@ PANELS = {
     "dissection": (("errors", "touches of the forbidden organ"), ("violation_mm", "deepest touch, mm")),
     "tracking": (("mean_mm", "mean distance to the surface, mm"), ("max_mm", "largest distance, mm")),
 }
-DEPTH_LIMITS_MM = {"cutting": (2.5, 8.0), "dissection": (-6.0, 4.0), "tracking": (-2.5, 5.0)}
+DEPTH_LIMITS_MM = {"cutting": (2.5, 8.0), "dissection": (-6.0, 4.0)}
+"""Of tracking: what the curves need."""
 FORBIDDEN_MM = {"cutting": DEPTH_MM, "dissection": 0.0}
 ORDINATES = {
     "cutting": "depth below the true epicardium, mm",
@@ -51,28 +53,36 @@ def operators_shown(
         notes: assumptions, printed below.
     """
     task, done = summary.task, [line for line in lines if "refused" not in line]
+    courses = _courses(task, int(done[0]["seed"]))
+    drawn = np.concatenate([curve.depth_mm for _, curves in courses for curve in curves])
     ablated = {row.condition: row.measures["depth_error_mm"] for row in summary.ablations}
     return OperatorsFigure(
         title=f"{len(done)} simulated operators: {TITLES[task]}",
         note=" ".join([*notes[:1], BELOW, *notes[-1:]]),
-        courses=_courses(task, int(done[0]["seed"])),
+        courses=courses,
         ordinate=ORDINATES[task],
-        depth_limits_mm=DEPTH_LIMITS_MM[task],
+        depth_limits_mm=DEPTH_LIMITS_MM.get(task, (float(drawn.min()) - 0.3, float(drawn.max()) + 0.3)),
         forbidden_mm=FORBIDDEN_MM.get(task),
         kinds=KINDS,
         panels=[_panel(task, measure, label, done) for measure, label in PANELS[task]],
         ablations=[
-            Interval(c.name, *(float(np.nan_to_num(v)) for v in _triple(ablated[c.name])))
-            for c in ABLATIONS
-            if ablated
+            Interval(_with_withheld(c.name, done), *_triple(ablated[c.name])) for c in ABLATIONS if ablated
         ],
         ablation_label="beating heart, mean depth error, mm (95 % interval)",
     )
 
 
-def _triple(estimate: object) -> tuple[float, float, float]:
-    value, low, high = (getattr(estimate, name) for name in ("value", "low", "high"))
-    return float(value), float(value if low is None else low), float(value if high is None else high)
+def _with_withheld(name: str, done: Sequence[Line]) -> str:
+    """The condition, and of how many operators the supervisor withheld the force."""
+    count = sum(line["ablations"][name]["withheld_s"] > 0.0 for line in done)
+    return f"{name} (withheld: {count} of {len(done)})" if count else name
+
+
+def _triple(estimate: Estimate) -> tuple[float, float, float]:
+    """Value and interval; without one, the value alone."""
+    value = 0.0 if estimate.value is None else estimate.value
+    low, high = estimate.low, estimate.high
+    return value, value if low is None else low, value if high is None else high
 
 
 def _signed(value: float | None) -> str:
