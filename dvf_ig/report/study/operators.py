@@ -158,7 +158,16 @@ def _draw_panel(axis: Axes, panel: Panel) -> None:
         jitter = rng.uniform(-0.10, 0.10, operators)
         axis.plot(x[:, None] + jitter, compared.values, color=FAINT, lw=0.6, zorder=1)
         for i, color in zip(range(count), COLORS, strict=False):
-            axis.plot(x[i] + jitter, compared.values[i], "o", ms=3.5, color=color, alpha=0.55, zorder=2)
+            axis.plot(
+                x[i] + jitter,
+                compared.values[i],
+                "o",
+                ms=3.5,
+                color=color,
+                alpha=0.55,
+                zorder=2,
+                clip_on=False,
+            )
             axis.plot(x[i] + 0.28, compared.values[i].mean(), "_", ms=16, mew=2.5, color=color, zorder=3)
         middles.append(float(x.mean()))
         begin += count + 0.8

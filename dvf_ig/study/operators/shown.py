@@ -32,7 +32,7 @@ DEPTH_LIMITS_MM = {"cutting": (2.5, 8.0), "dissection": (-6.0, 4.0)}
 FORBIDDEN_MM = {"cutting": DEPTH_MM, "dissection": 0.0}
 ORDINATES = {
     "cutting": "depth below the true epicardium, mm",
-    "dissection": "depth below the organ's true surface, mm",
+    "dissection": "depth below the true organ, mm",
     "tracking": "along the inward normal, mm\n(thick: true surface)",
 }
 BELOW = (
