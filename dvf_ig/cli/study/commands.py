@@ -10,6 +10,7 @@ from .distance import distance_maps
 from .gating import gating
 from .hearts import hearts
 from .margins import margins
+from .operators import operators
 from .options import TrialsCommand
 from .pairs import pairs
 from .passivity import passivity
@@ -37,3 +38,4 @@ add_registration_commands(app)
 app.command("calibration", cls=TrialsCommand)(calibration)
 app.command("pairs")(pairs)
 app.command("passivity")(passivity)
+app.command("operators")(operators)
