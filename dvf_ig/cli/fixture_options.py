@@ -1,6 +1,7 @@
 """Options that describe virtual fixtures, shared by the commands that evaluate them."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -81,6 +82,38 @@ RetimingOption = Annotated[
         show_default="two-segment",
     ),
 ]
+
+
+def _margin(text: str) -> str | float:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+MarginOption = Annotated[
+    # typer takes one type; the parser gives a name or a number
+    str | None,
+    typer.Option(
+        "--margin",
+        parser=_margin,
+        metavar="[off|fixed|adaptive|MM]",
+        help="Widen forbidden regions and soften guidance: fixed by 2 mm or by MM, adaptive by the 95 % "
+        "quantile of the distance's uncertainty. In place of what a file says.",
+        show_default="off",
+    ),
+]
+
+
+def with_margin(fixtures: "FixtureSet", asked: str | float | None) -> "FixtureSet":
+    """The fixtures with the margin that the user asked for, if so.
+
+    Raises:
+        InvalidInputError: no such margin, or a width out of range.
+    """
+    from dvf_ig.io.fixtures import margin_options
+
+    return fixtures if asked is None else replace(fixtures, margin=margin_options(asked))
 
 
 def chosen_fixtures(

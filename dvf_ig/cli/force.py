@@ -17,7 +17,9 @@ from .fixture_options import (
     GammaOption,
     InsideOption,
     LawOption,
+    MarginOption,
     chosen_fixtures,
+    with_margin,
 )
 from .shell import JsonFlag, command, emit, warn
 
@@ -65,6 +67,11 @@ def force(
         float | None,
         typer.Option("--device-damping", help="Its physical damping in N·s/m; checks passivity at 1 kHz."),
     ] = None,
+    margin: MarginOption = None,
+    sigma_mm: Annotated[
+        float | None,
+        typer.Option("--sigma-mm", help="Of --margin adaptive: standard deviation of the distance, in mm."),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Evaluate dynamic fixtures; a point outside the model's box gets no force and status OUT_OF_VOLUME."""
@@ -86,10 +93,30 @@ def force(
                     "--free-zone-mm goes with --law guidance and chooses its --delta and --m"
                 )
             options = _with_free_zone(options, free_zone_mm, detection_threshold_n, limits)
+        options, margin_mm = _with_margin(with_margin(options, margin), sigma_mm)
         xyz_mm = read_points(points, model.frame).xyz_mm
         here = Rigid.identity(model.frame, model.frame)
         samples = Fixtures(model, options, device=limits).evaluate(here, xyz_mm, phase)
-        _print(samples, xyz_mm, as_json)
+        _print(samples, xyz_mm, margin_mm, as_json)
+
+
+def _with_margin(options: "FixtureSet", sigma_mm: float | None) -> "tuple[FixtureSet, float]":
+    """The fixtures with laws widened by their margin, and that margin in mm; a path keeps its law."""
+    from dvf_ig.guidance.margins import widened
+
+    adaptive = options.margin.mode == "adaptive"
+    if adaptive != (sigma_mm is not None):
+        raise typer.BadParameter(
+            "--margin adaptive needs --sigma-mm here: no session says how far the distance may be off"
+            if adaptive
+            else "--sigma-mm goes with --margin adaptive"
+        )
+    margin_mm = options.margin.wanted_mm(math.nan if sigma_mm is None else sigma_mm)
+    laws = [
+        one if one.path is not None else dataclasses.replace(one, law=widened(one.law, margin_mm))
+        for one in options.fixtures
+    ]
+    return dataclasses.replace(options, fixtures=tuple(laws)), margin_mm
 
 
 def _with_free_zone(
@@ -105,7 +132,7 @@ def _with_free_zone(
     return FixtureSet((dataclasses.replace(one, law=law),))
 
 
-def _print(samples: "ForceSamples", xyz_mm: "FloatArray", as_json: bool) -> None:
+def _print(samples: "ForceSamples", xyz_mm: "FloatArray", margin_mm: float, as_json: bool) -> None:
     from dvf_ig.guidance import Status
 
     names = [Status(code).name for code in samples.status.tolist()]
@@ -114,6 +141,7 @@ def _print(samples: "ForceSamples", xyz_mm: "FloatArray", as_json: bool) -> None
         "distance_mm": [d if math.isfinite(d) else None for d in samples.distance_mm.tolist()],
         "status": names,
         "frame": samples.frame,
+        "margin_mm": margin_mm,
     }
     rows = [("x y z (mm)", "force x y z (N)         distance (mm)  status")]
     for point, push, distance, name in zip(xyz_mm, samples.force_n, samples.distance_mm, names, strict=True):

@@ -15,10 +15,12 @@ from .fixture_options import (
     GammaOption,
     InsideOption,
     LawOption,
+    MarginOption,
     RetimingOption,
     chosen_fixtures,
     chosen_retiming,
     refuse_options,
+    with_margin,
 )
 from .patient_model import patient_model
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, warn, wrote
@@ -51,6 +53,7 @@ def replay(
     blend: BlendOption = None,
     fixtures: FixturesFileOption = None,
     retiming: RetimingOption = None,
+    margin: MarginOption = None,
     as_json: JsonFlag = False,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,
@@ -93,7 +96,7 @@ def replay(
                 done = run_replay(
                     recorded,
                     model=built,
-                    fixtures=options,
+                    fixtures=with_margin(options, margin),
                     retiming=mode,
                     seed=seed,
                     progress=report,

@@ -36,6 +36,7 @@ from .hazards import Response as Response
 from .hazards import hazard_of as hazard_of
 from .hazards import hazards_that_latch as hazards_that_latch
 from .hazards import hazards_with as hazards_with
+from .hazards import withholding as withholding
 from .joint_force import force_at_distance as force_at_distance
 from .laws import Confinement as Confinement
 from .laws import Gaussian as Gaussian

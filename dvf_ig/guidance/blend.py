@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from dvf_ig.core import FloatArray
-from dvf_ig.kernels.dynamic import BLEND_DISTANCE, BLEND_FORCE, BLEND_PERIODIC
+from dvf_ig.kernels.fixture_field import BLEND_DISTANCE, BLEND_FORCE, BLEND_PERIODIC
 from dvf_ig.kernels.laws import DIRECTION_LOST, DIRECTION_SURE
 
 from .laws import Law

@@ -17,7 +17,8 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.arrays import check_shape
 from dvf_ig.core.frames import check_frame, require_same_frame
-from dvf_ig.kernels.dynamic import force_batch, packed_fixture
+from dvf_ig.kernels.dynamic import force_batch
+from dvf_ig.kernels.fixture_field import packed_fixture
 
 from .blend import BLEND_CODES, Blend
 from .device import COMMON_DEVICE, DeviceLimits
@@ -33,7 +34,8 @@ class ForceSamples:
 
     Attributes:
         frame: frame of the vectors.
-        force_n: (n, 3) N; zero unless the status is OK.
+        force_n: (n, 3) N; zero unless the status is OK, or NO_PHASE of a wall: then that of its worst phase,
+            to which all else belongs.
         distance_mm: (n,) signed distance, positive inside, blended between phases; NaN unless OK.
         gradient: (n, 3) gradient of the distance, pointing into the organ; NaN unless OK.
         status: (n,) `Status` values.
@@ -145,7 +147,8 @@ class Evaluator:
             model_from_query: rigid map of the query frame into the model's.
             xyz_mm: (n, 3) points in the query frame.
             model_phase: as in `force`.
-            status: (n,) `Status` of the input; entries that are not OK get no force. None: all OK.
+            status: (n,) `Status` of the input; entries that are not OK get no force, except that a forbidden
+                region has that of its worst phase at NO_PHASE. None: all OK.
         Raises:
             FrameMismatchError: the model is in another frame than the map's target.
             InvalidInputError: shapes that do not fit.

@@ -7,6 +7,7 @@ from dvf_ig.core import InvalidInputError
 
 from .blend import BLEND_CODES, Blend
 from .laws import Confinement, Gaussian, Law, Sigmoid
+from .margins.margin import NO_MARGIN, MarginOptions
 from .targets import PathTarget
 
 
@@ -58,12 +59,14 @@ class FixtureSet:
     Attributes:
         fixtures: one or several; unless given, the forbidden region of Ren 2008.
         cap_n: largest force of all together, N; None: the largest cap among them.
+        margin: by which a session widens them; a path keeps its law.
     Raises:
         InvalidInputError: no fixture, or a cap that is not positive.
     """
 
     fixtures: tuple[FixtureOptions, ...] = (FixtureOptions(),)
     cap_n: float | None = None
+    margin: MarginOptions = NO_MARGIN
 
     def __post_init__(self) -> None:
         if not self.fixtures:

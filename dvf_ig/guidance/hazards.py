@@ -44,6 +44,7 @@ class Response(Enum):
     WARN = "the force is given in full, with a warning"
     SLOW = "the force changes by at most 6 N/s"
     FADE = "the force fades within 250 ms"
+    WALLS = "guidance fades within 250 ms, walls become those of the worst phase; without a wall all fades"
     FAST_FADE = "the force fades within 20 ms"
     NO_FORCE = "the force is zero at once"
 
@@ -93,7 +94,7 @@ HAZARD_RULES: Mapping[Hazard, HazardRule] = MappingProxyType(
             Response.WARN, Latch.NEVER, "a source's clock runs away from the local one; the local one is used"
         ),
         Hazard.NO_PHASE: HazardRule(
-            Response.FADE, Latch.NEVER, "the cardiac phase is not locked: the ECG is off or irregular"
+            Response.WALLS, Latch.NEVER, "the cardiac phase is not locked: the ECG is off or irregular"
         ),
         Hazard.NO_POSE: HazardRule(Response.FADE, Latch.NEVER, "the patient is not registered"),
         Hazard.POSE_UNCONFIRMED: HazardRule(
@@ -132,8 +133,12 @@ HAZARD_RULES: Mapping[Hazard, HazardRule] = MappingProxyType(
 )
 """Where docs/theory/safety.md is silent:
 
-- The supervisor sees one composed force, so a hazard that asks for guidance alone to fade (latency, phase)
-  fades all of it.
+- The supervisor sees one composed force, so a latency that asks for guidance alone to fade fades all of it.
+- NO_PHASE withholds nothing where there is a forbidden region: what composes the force crosses within 250 ms
+  from all fixtures at the last known phase to the forbidden regions at their worst phase, and back when the
+  phase is locked again (`dvf_ig.guidance.phase_loss`). Without a forbidden region nothing would be left of
+  the force, and it fades. The pose still ages: beats without a phase confirm nothing, and after 5 s at most
+  POSE_UNCONFIRMED fades the walls, too.
 - Pose and phase never latch: what ends them is evidence of its own (a registration that passes its checks,
   beats that confirm it, a locked rhythm), and the force comes back at 6 N/s. Loss of the tool latches after
   1 s because nothing but the tracker says that it is the same tool, unchanged, that has come back.
@@ -173,5 +178,16 @@ _OF_STATUS = {
     Status.FAULT: Hazard.NOT_FINITE,
 }
 
-WITHHOLDING = hazards_with(Response.FADE) | hazards_with(Response.FAST_FADE) | hazards_with(Response.NO_FORCE)
-"""While any of these is active no force is given."""
+
+def withholding(walls: bool) -> Hazard:
+    """Hazards during any of which no force is given.
+
+    Args:
+        walls: a forbidden region is among the fixtures; it stays where the phase is lost.
+    """
+    always = hazards_with(Response.FADE) | hazards_with(Response.FAST_FADE) | hazards_with(Response.NO_FORCE)
+    return always if walls else always | hazards_with(Response.WALLS)
+
+
+WITHHOLDING = withholding(walls=False)
+"""Hazards during any of which no force is given where there is no forbidden region."""

@@ -141,7 +141,10 @@ class PoseAndPhase:
         *,
         tracker_from_device: Any = None,
     ) -> ForceSamples:
-        """Forces at the tool tip at some times; none where tool, pose or phase may not be used.
+        """Forces at the tool tip at some times; none where tool or pose may not be used.
+
+        Where the phase may not be used the status is NO_PHASE: guidance has no force, and a forbidden region
+        that of its worst phase, with its distance and gradient, a rate of zero and σ_d by the pose alone.
 
         Args:
             evaluator: fixture in the target frame of the registration.

@@ -10,7 +10,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 
 from .device import COMMON_DEVICE, DeviceLimits
-from .hazards import WITHHOLDING, Hazard, Latch, Response, hazards_that_latch, hazards_with
+from .hazards import Hazard, Latch, Response, hazards_that_latch, hazards_with, withholding
 
 FADE_S = 0.250
 """A hand of 100 N/m that lets go of 0.6 N within this time moves 6 mm, 7 with overshoot."""
@@ -93,9 +93,13 @@ class Supervisor:
 
     Args:
         device: its stiffness gives the slew limit.
+        walls: a forbidden region is among the fixtures: NO_PHASE then withholds nothing; what composes the
+            wanted force replaces guidance by walls of the worst phase (`dvf_ig.guidance.phase_loss`).
     """
 
-    def __init__(self, device: DeviceLimits = COMMON_DEVICE) -> None:
+    def __init__(self, device: DeviceLimits = COMMON_DEVICE, *, walls: bool = False) -> None:
+        self._withholding = withholding(walls)
+        self._fading = int(self._withholding)
         self._slew_n_per_s = device.stiffness_n_per_m * SLEW_SPEED_M_S
         self._t_s: float | None = None
         self._sent = (0.0, 0.0, 0.0)
@@ -128,7 +132,7 @@ class Supervisor:
         self._hazards = hazards
         bits = int(hazards)
         self._note_latching(t_s, bits)
-        if bits & _FADING and self._state is not SupervisorState.LATCHED:
+        if bits & self._fading and self._state is not SupervisorState.LATCHED:
             fade_s = FAST_FADE_S if bits & _FAST else FADE_S
             self._fade(t_s, 0.0 if bits & _AT_ONCE else fade_s)
         scale, clamped = 0.0, False
@@ -163,7 +167,7 @@ class Supervisor:
             return RearmAnswer.NOT_LATCHED
         if age_s > REARM_AGE_S:
             return RearmAnswer.NO_RECENT_STEP
-        if int(self._hazards) & _FADING:
+        if int(self._hazards) & self._fading:
             return RearmAnswer.HAZARD_ACTIVE
         if self._wanted_n >= REARM_BELOW_N:
             return RearmAnswer.FORCE_WANTED
@@ -201,8 +205,8 @@ class Supervisor:
             self._fade_start_s = t_s
             self._fade_end_s = t_s + duration_s if any(self._sent) else t_s
             self._state = SupervisorState.FADE
-        if int(self._hazards) & _FADING & ~int(self._cause):
-            self._cause |= self._hazards & WITHHOLDING
+        if int(self._hazards) & self._fading & ~int(self._cause):
+            self._cause |= self._hazards & self._withholding
 
     def _release(self, t_s: float, bits: int) -> float:
         """The fade's share of the force at its beginning; after its end, where to go from here."""
@@ -216,7 +220,7 @@ class Supervisor:
         if self._latch_due:
             self._state = SupervisorState.LATCHED
             self._clamps_s.clear()
-        elif not bits & _FADING:
+        elif not bits & self._fading:
             self._begin_rise(t_s)
         return 0.0
 
@@ -256,7 +260,6 @@ class Supervisor:
 
 
 # plain integers: an IntFlag's operators cost as much as the rest of a step
-_FADING = int(WITHHOLDING)
 _FAST = int(hazards_with(Response.FAST_FADE))
 _AT_ONCE = int(hazards_with(Response.NO_FORCE))
 _SLOW = int(hazards_with(Response.SLOW))

@@ -17,7 +17,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.arrays import frozen_floats
 from dvf_ig.core.frames import check_frame
-from dvf_ig.kernels.dynamic import WITHOUT_RATE
+from dvf_ig.kernels.fixture_field import WITHOUT_RATE
 from dvf_ig.kernels.laws import GAUSSIAN, direction_certainty, signed_potential
 
 from .device import COMMON_DEVICE, DeviceLimits

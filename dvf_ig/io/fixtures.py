@@ -2,16 +2,18 @@
 
 cap_n: 0.6                  # of all together, N; unless given, the largest of them
 retiming: two-segment       # or uniform
+margin: adaptive            # or off, fixed (2 mm), or a number of mm
 fixtures:                   # the first is the primary one
   - {law: forbidden, name: epicardium, gamma: 1.0, depth_mm: 2.0}
   - {law: path, delta: 4.0, path: incision.mrk.json}
 """
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, TypeAdapter, field_validator
+from pydantic import BeforeValidator, Field, TypeAdapter, field_validator
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 
@@ -22,10 +24,25 @@ from .yaml_config import Section, read_yaml, validated
 
 if TYPE_CHECKING:
     from dvf_ig.guidance import FixtureOptions, FixtureSet, PathTarget
+    from dvf_ig.guidance.margins import MarginOptions
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 BlendName = Literal["force", "distance", "periodic"]
 RetimingName = Literal["uniform", "two-segment"]
+MARGINS = ("off", "fixed", "adaptive")
+
+
+def _margin_choice(given: Any) -> Any:
+    """YAML reads a bare `off` as false."""
+    if given is False:
+        return "off"
+    if given in MARGINS or (type(given) in (int, float) and math.isfinite(given)):
+        return given
+    raise ValueError(f"needed {', '.join(MARGINS)}, or a number of mm")
+
+
+MarginChoice = Annotated[str | float, BeforeValidator(_margin_choice)]
+"""A mode, or the width in mm of a fixed margin."""
 Row = tuple[Number, Number, Number]
 
 
@@ -128,11 +145,12 @@ LAWS: dict[str, type[ForbiddenConfig | GuidanceConfig | PathConfig]] = {
 
 
 class FixturesConfig(Section):
-    """The fixtures of an intervention, their joint cap, and the law of retiming."""
+    """The fixtures of an intervention, their joint cap and margin, and the law of retiming."""
 
     fixtures: tuple[FixtureConfig, ...] = (ForbiddenConfig(),)
     cap_n: Number | None = None
     retiming: RetimingName | None = None
+    margin: MarginChoice = "off"
 
     def fixture_set(self, folder: Path, frame: str = "mr") -> "FixtureSet":
         """The fixtures as values.
@@ -151,7 +169,20 @@ class FixturesConfig(Section):
                 options.append(one.options(folder, frame))
             except InvalidInputError as exc:
                 raise InvalidInputError(f"fixtures.{n}: {exc}") from exc
-        return FixtureSet(tuple(options), self.cap_n)
+        return FixtureSet(tuple(options), self.cap_n, margin_options(self.margin))
+
+
+def margin_options(choice: str | float) -> "MarginOptions":
+    """A margin from its mode, or from its width in mm.
+
+    Raises:
+        InvalidInputError: another mode, or a width out of range.
+    """
+    from dvf_ig.guidance.margins import MarginOptions
+
+    if isinstance(choice, str):
+        return MarginOptions(choice)  # type: ignore[arg-type]
+    return MarginOptions("fixed", fixed_mm=float(choice))
 
 
 def fixture_options(values: Mapping[str, Any]) -> "FixtureOptions":

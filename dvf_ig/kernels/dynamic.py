@@ -13,80 +13,30 @@ from dvf_ig.core import FloatArray, IntArray
 
 from . import status as code
 from .compiled import inlined, kernel
-from .lanes import Float64x4, fma, multiply, pack, scale, unpack
-from .laws import direction_certainty, signed_potential
+from .fixture_field import (
+    BLEND,
+    BLEND_DISTANCE,
+    BLEND_PERIODIC,
+    DEPTH,
+    PER_KNOT,
+    POSE,
+    POWERS,
+    TIMES,
+    WITHOUT_RATE,
+    Output,
+    cells_of,
+    field_of_phase,
+    force_per_gradient,
+    force_per_gradient_of_field,
+    knot_coordinates,
+    no_output,
+    output_of,
+)
+from .lanes import Float64x4, fma, pack, scale, unpack
 from .phase import cubic_in_phase, phase_bracket
-from .spline import Cell, cell_value_gradient, find_cell, inside_box
+from .spline import find_cell
 from .vectors import Vector
-
-BLEND_FORCE = 0
-BLEND_DISTANCE = 1
-BLEND_PERIODIC = 2
-
-# Offsets in a packed fixture.
-ORIGIN = 0
-PER_KNOT = 3
-BLEND = 4
-LAW = 5
-DEPTH = 9
-POSE = 10
-TIMES = 22
-POWERS = 16
-"""Numbers for each phase that follow the phase times, with the periodic blend."""
-
-WITHOUT_RATE = 7
-"""Numbers in the output of a tick: force 3, distance, gradient 3; the distance rate may follow."""
-
-Output = tuple[int, Vector, float, Vector, float]
-"""Status, force (N), distance (mm), gradient, distance rate (mm a cycle)."""
-
-
-def packed_fixture(
-    origin_mm: FloatArray,
-    knot_mm: float,
-    fractions: FloatArray,
-    powers: FloatArray,
-    law: FloatArray,
-    blend: int,
-    model_from_query: FloatArray,
-) -> FloatArray:
-    """Everything but the coefficients in one array: each array argument lengthens a call from Python.
-
-    Args:
-        origin_mm: (3,); knot_mm: knot pitch.
-        fractions: (n,) phase times as fractions of the cycle.
-        powers: (n, 4, 4) phase weights of BLEND_PERIODIC (`cubic_in_phase`); (0, 4, 4) otherwise.
-        law: (5,) kind, scale, exponent, cap in N, guarded depth in mm (dvf_ig.guidance laws).
-        blend: BLEND_FORCE, BLEND_DISTANCE or BLEND_PERIODIC.
-        model_from_query: (3, 4) rigid map of query points into the model's frame.
-    """
-    head = [origin_mm, [1.0 / knot_mm, float(blend)], law, model_from_query.ravel()]
-    return np.concatenate([*head, fractions, powers.ravel()])
-
-
-@inlined
-def _no_output(status: int) -> Output:
-    """Zero force, everything else NaN."""
-    undefined = (math.nan, math.nan, math.nan)
-    return status, (0.0, 0.0, 0.0), math.nan, undefined, math.nan
-
-
-@inlined
-def _force_per_gradient(f: FloatArray, s_mm: float, norm: float) -> float:
-    """Force per unit of gradient: −cap·f(s)·certainty/|∇d|; zero where the direction is lost."""
-    certainty = direction_certainty(norm)
-    if certainty == 0.0:
-        return 0.0
-    potential = signed_potential(int(f[LAW]), f[LAW + 1], f[LAW + 2], s_mm)
-    ratio: float = -f[LAW + 3] * potential * certainty / norm
-    return ratio
-
-
-@inlined
-def _force_per_gradient_of_field(f: FloatArray, field: Float64x4) -> float:
-    """`_force_per_gradient` at a distance and gradient of one phase."""
-    d, gx, gy, gz = unpack(field)
-    return _force_per_gradient(f, d - f[DEPTH], math.sqrt(gx * gx + gy * gy + gz * gz))
+from .worst_phase import wall_without_phase
 
 
 @inlined
@@ -94,43 +44,7 @@ def _force_per_gradient_of_blend(f: FloatArray, field: Float64x4) -> float:
     """`_force_per_gradient` on a blended field; d/|∇d| because a blend of distances is no distance."""
     d, gx, gy, gz = unpack(field)
     norm = math.sqrt(gx * gx + gy * gy + gz * gz)
-    return _force_per_gradient(f, d / norm - f[DEPTH], norm) if norm > 0.0 else 0.0
-
-
-@inlined
-def _field(coefficients: NDArray[np.float32], phase: int, cell: Cell, per_knot: float) -> Float64x4:
-    """(distance, gradient) of one phase, gradient per mm."""
-    return multiply(
-        pack(1.0, per_knot, per_knot, per_knot), cell_value_gradient(coefficients, np.uintp(phase), cell)
-    )
-
-
-@inlined
-def _cells(coefficients: NDArray[np.float32]) -> tuple[int, int, int]:
-    return coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3
-
-
-@inlined
-def _knot_coordinates(
-    coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float
-) -> tuple[int, float, float, float]:
-    """Status and knot coordinates of a point."""
-    u = (q[0] - f[ORIGIN]) * f[PER_KNOT]
-    v = (q[1] - f[ORIGIN + 1]) * f[PER_KNOT]
-    w = (q[2] - f[ORIGIN + 2]) * f[PER_KNOT]
-    if not math.isfinite(u + v + w + phi):
-        return code.FAULT, u, v, w
-    return code.OK if inside_box(u, v, w, _cells(coefficients)) else code.OUT_OF_VOLUME, u, v, w
-
-
-@inlined
-def _output(force: Float64x4, field: Float64x4, rate: float) -> Output:
-    """Output of the rows (0, force) and (distance, gradient), and the distance rate."""
-    _, fx, fy, fz = unpack(force)
-    d, gx, gy, gz = unpack(field)
-    if not math.isfinite(fx + fy + fz):
-        return _no_output(code.FAULT)
-    return code.OK, (fx, fy, fz), d, (gx, gy, gz), rate
+    return force_per_gradient(f, d / norm - f[DEPTH], norm) if norm > 0.0 else 0.0
 
 
 @kernel
@@ -139,24 +53,24 @@ def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, ph
 
     Not inlined: it would take registers from its callers (docs/decisions/0006).
     """
-    status, u, v, w = _knot_coordinates(coefficients, f, q, phi)
+    status, u, v, w = knot_coordinates(coefficients, f, q, phi)
     if status != code.OK:
-        return _no_output(status)
-    cell = find_cell(u, v, w, _cells(coefficients))
+        return no_output(status)
+    cell = find_cell(u, v, w, cells_of(coefficients))
     count, per_knot = len(coefficients), f[PER_KNOT]
     first, second, alpha, width = phase_bracket(f, TIMES, count, phi)
     weights, slopes = cubic_in_phase(f, TIMES + count + POWERS * first, alpha)
     before = first - 1 if first > 0 else count - 1
     after = second + 1 if second + 1 < count else 0
-    a = _field(coefficients, before, cell, per_knot)
-    b = _field(coefficients, first, cell, per_knot)
+    a = field_of_phase(coefficients, before, cell, per_knot)
+    b = field_of_phase(coefficients, first, cell, per_knot)
     mixed = fma(scale(weights[0], a), weights[1], b)
     sloped = fma(scale(slopes[0], a), slopes[1], b)
-    a = _field(coefficients, second, cell, per_knot)
-    b = _field(coefficients, after, cell, per_knot)
+    a = field_of_phase(coefficients, second, cell, per_knot)
+    b = field_of_phase(coefficients, after, cell, per_knot)
     mixed = fma(fma(mixed, weights[2], a), weights[3], b)
     sloped = fma(fma(sloped, slopes[2], a), slopes[3], b)
-    return _output(scale(_force_per_gradient_of_blend(f, mixed), mixed), mixed, unpack(sloped)[0] / width)
+    return output_of(scale(_force_per_gradient_of_blend(f, mixed), mixed), mixed, unpack(sloped)[0] / width)
 
 
 @inlined
@@ -164,10 +78,10 @@ def _two_fields(
     coefficients: NDArray[np.float32], f: FloatArray, knot: Vector, phi: float
 ) -> tuple[Float64x4, Float64x4, Float64x4, float, float]:
     """Fields of the phases around `phi`, their blend, the second's weight, the distance rate."""
-    cell = find_cell(knot[0], knot[1], knot[2], _cells(coefficients))
+    cell = find_cell(knot[0], knot[1], knot[2], cells_of(coefficients))
     first, second, alpha, width = phase_bracket(f, TIMES, len(coefficients), phi)
-    a = _field(coefficients, first, cell, f[PER_KNOT])
-    b = _field(coefficients, second, cell, f[PER_KNOT])
+    a = field_of_phase(coefficients, first, cell, f[PER_KNOT])
+    b = field_of_phase(coefficients, second, cell, f[PER_KNOT])
     mixed = fma(scale(1.0 - alpha, a), alpha, b)
     return a, b, mixed, alpha, (unpack(b)[0] - unpack(a)[0]) / width
 
@@ -178,8 +92,8 @@ def _blended_force(f: FloatArray, a: Float64x4, b: Float64x4, mixed: Float64x4, 
     if int(f[BLEND]) == BLEND_DISTANCE:
         return scale(_force_per_gradient_of_blend(f, mixed), mixed)
     return fma(
-        scale((1.0 - alpha) * _force_per_gradient_of_field(f, a), a),
-        alpha * _force_per_gradient_of_field(f, b),
+        scale((1.0 - alpha) * force_per_gradient_of_field(f, a), a),
+        alpha * force_per_gradient_of_field(f, b),
         b,
     )
 
@@ -189,11 +103,11 @@ def _force_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: 
     """Force at one point of the model's frame; linear in phase, unless the blend is periodic."""
     if int(f[BLEND]) == BLEND_PERIODIC:
         return _periodic_at(coefficients, f, q, phi)
-    status, u, v, w = _knot_coordinates(coefficients, f, q, phi)
+    status, u, v, w = knot_coordinates(coefficients, f, q, phi)
     if status != code.OK:
-        return _no_output(status)
+        return no_output(status)
     a, b, mixed, alpha, rate = _two_fields(coefficients, f, (u, v, w), phi)
-    return _output(_blended_force(f, a, b, mixed, alpha), mixed, rate)
+    return output_of(_blended_force(f, a, b, mixed, alpha), mixed, rate)
 
 
 @inlined
@@ -219,19 +133,19 @@ def forces_on_surface(
     nothing = pack(0.0, 0.0, 0.0, 0.0)
     a, b, mixed, alpha, rate = nothing, nothing, nothing, 0.0, 0.0
     if len(linear) > 0:
-        status, u, v, w = _knot_coordinates(linear, packed[0], q, phi)
+        status, u, v, w = knot_coordinates(linear, packed[0], q, phi)
         if status != code.OK:
-            return _no_output(status)
+            return no_output(status)
         a, b, mixed, alpha, rate = _two_fields(linear, packed[0], (u, v, w), phi)
-    first = _no_output(code.FAULT)
+    first = no_output(code.FAULT)
     for i in range(len(packed)):
         f = packed[i]
         if int(f[BLEND]) == BLEND_PERIODIC:
             found = _periodic_at(periodic, f, q, phi)
         else:
-            found = _output(_blended_force(f, a, b, mixed, alpha), mixed, rate)
+            found = output_of(_blended_force(f, a, b, mixed, alpha), mixed, rate)
         if found[0] != code.OK:
-            return _no_output(found[0])
+            return no_output(found[0])
         forces[i, 0], forces[i, 1], forces[i, 2] = found[1]
         if i == 0:
             first = found
@@ -273,16 +187,20 @@ def force_tick(
         packed: the rest of the fixture (`packed_fixture`).
         xyz_mm: (3,) point in the query frame.
         phi: model phase.
-        input_status: status of the inputs; anything but OK is returned with zero force.
+        input_status: status of the inputs; anything but OK is returned with zero force, except that
+            NO_PHASE gives a wall the force of its worst phase (`dvf_ig.kernels.worst_phase`).
         out: (7,) force in N, distance in mm, gradient of distance, vectors in the query frame; (8,) for
             the distance rate as well, in mm a cycle.
     Returns:
-        status code; unless OK the force is zero and the rest NaN.
+        status code; unless OK, or NO_PHASE of a wall, the force is zero and the rest NaN.
     """
-    status, force, d, gradient, rate = _no_output(input_status)
+    status, force, d, gradient, rate = no_output(input_status)
     if status == code.OK:
         q = _transformed(packed, xyz_mm[0], xyz_mm[1], xyz_mm[2])
         status, force, d, gradient, rate = _force_at(coefficients, packed, q, phi)
+    elif status == code.NO_PHASE:
+        q = _transformed(packed, xyz_mm[0], xyz_mm[1], xyz_mm[2])
+        status, force, d, gradient, rate = wall_without_phase(coefficients, packed, q)
     out[0], out[1], out[2] = _rotated_back(packed, force)
     out[3] = d
     out[4], out[5], out[6] = _rotated_back(packed, gradient)
@@ -303,9 +221,9 @@ def force_batch(
     rate_mm_per_cycle: FloatArray,
     status: IntArray,
 ) -> None:
-    """`force_tick` for (k, 3) points and (k,) phases; entries whose `status` comes in not OK get no force."""
+    """`force_tick` for (k, 3) points and (k,) phases; `status` comes in as its `input_status`."""
     for n in range(len(xyz_mm)):
-        found, force, d, g, rate = _no_output(status[n])
+        found, force, d, g, rate = no_output(status[n])
         if found == code.OK:
             q = _transformed(packed, xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
             found, force, d, g, rate = _force_at(coefficients, packed, q, phi[n])
@@ -314,3 +232,28 @@ def force_batch(
         distance_mm[n] = d
         gradient[n, 0], gradient[n, 1], gradient[n, 2] = _rotated_back(packed, g)
         rate_mm_per_cycle[n] = rate
+    _walls_without_phase(
+        coefficients, packed, xyz_mm, force_n, distance_mm, gradient, rate_mm_per_cycle, status
+    )
+
+
+@kernel
+def _walls_without_phase(
+    coefficients: NDArray[np.float32],
+    packed: FloatArray,
+    xyz_mm: FloatArray,
+    force_n: FloatArray,
+    distance_mm: FloatArray,
+    gradient: FloatArray,
+    rate_mm_per_cycle: FloatArray,
+    status: IntArray,
+) -> None:
+    """The entries of `force_batch` at NO_PHASE, apart: a call would slow the others' loop by 5 %."""
+    for n in range(len(xyz_mm)):
+        if status[n] == code.NO_PHASE:
+            q = _transformed(packed, xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
+            status[n], force, d, g, rate = wall_without_phase(coefficients, packed, q)
+            force_n[n, 0], force_n[n, 1], force_n[n, 2] = _rotated_back(packed, force)
+            distance_mm[n] = d
+            gradient[n, 0], gradient[n, 1], gradient[n, 2] = _rotated_back(packed, g)
+            rate_mm_per_cycle[n] = rate

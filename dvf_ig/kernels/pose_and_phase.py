@@ -12,9 +12,11 @@ from dvf_ig.core import HEART_RADIUS_MM, FloatArray, IntArray
 
 from . import status as code
 from .compiled import inlined, kernel
-from .dynamic import POSE, WITHOUT_RATE, force_tick
+from .dynamic import force_tick
+from .fixture_field import POSE, WITHOUT_RATE
 from .place import COVARIANCE, COVARIANCE_CENTER, Columns, Phase, phase_at, pose_at, set_pose, status_at
 from .vectors import Vector, cross, dot, vector_at
+from .worst_phase import is_wall
 
 DISTANCE_RATE = 8
 """In the output of a guided tick: ∂d/∂t where the tool is, mm/s; then σ_d in mm."""
@@ -89,20 +91,25 @@ def guided_tick(
         packed: `dvf_ig.kernels.place.packed_pose_and_phase`.
         t_s: time of the tool's pose.
         xyz_mm: (3,) tool tip, tracker frame.
-        input_status: status of the tool's pose; anything but OK is returned with zero force.
+        input_status: status of the tool's pose; anything but OK is returned with zero force, except that a
+            wall has the force of its worst phase at NO_PHASE, whoever finds it.
         out: (7,) or (8,) as in `force_tick`; (10,) for ∂d/∂t at the tool's fixed place in mm/s, and the
             standard deviation of the distance in mm, as well.
     Returns:
-        status code; unless OK the force is zero and the rest NaN.
+        status code; unless OK, or NO_PHASE of a wall, the force is zero and the rest NaN.
     """
-    status, phase = input_status, (math.nan, math.nan, math.nan)
-    if status == code.OK:
-        status = status_at(packed, t_s, xyz_mm[0] + xyz_mm[1] + xyz_mm[2])
-    if status != code.OK:
+    status = input_status
+    if status == code.OK or status == code.NO_PHASE:
+        found = status_at(packed, t_s, xyz_mm[0] + xyz_mm[1] + xyz_mm[2])
+        status = status if found == code.OK else found
+    phase = (math.nan, math.nan, math.nan)
+    if status != code.OK and not (status == code.NO_PHASE and is_wall(fixture)):
         if len(out) > DISTANCE_SIGMA:
             out[DISTANCE_RATE] = out[DISTANCE_SIGMA] = math.nan
         return force_tick(coefficients, fixture, xyz_mm, phase[0], status, out)
-    pose, phase = pose_at(packed, t_s), phase_at(packed, t_s)
+    pose, phase = pose_at(packed, t_s), (0.0, 0.0, 0.0)
+    if status == code.OK:
+        phase = phase_at(packed, t_s)
     set_pose(fixture, POSE, pose)
     status = force_tick(coefficients, fixture, xyz_mm, phase[0], status, out)
     if len(out) > DISTANCE_SIGMA:

@@ -11,7 +11,7 @@ from jsonschema.exceptions import best_match
 
 from dvf_ig.cardiac import frame_period_s
 from dvf_ig.core import FloatArray, InvalidInputError, ScenarioTruth, summarise_errors
-from dvf_ig.guidance import Status, force_at_distance, summarise_supervision
+from dvf_ig.guidance import Confinement, Gaussian, Status, force_at_distance, summarise_supervision
 from dvf_ig.registration import (
     PairEvidence,
     RegistrationResult,
@@ -23,7 +23,16 @@ from dvf_ig.session import Attempt
 from .engine import Replay
 from .pose_summary import summarise_poses
 from .preconditions import RATE_HZ
-from .score import CONTACT_MM, far_corner_error_mm, pose_errors_mm, score_force, score_hazard, score_phase
+from .score import (
+    CONTACT_MM,
+    NEAR_WALL_MM,
+    far_corner_error_mm,
+    pose_errors_mm,
+    score_force,
+    score_hazard,
+    score_phase,
+    score_violation,
+)
 from .ticks import Ticks
 
 SCHEMA = "dvf_ig.replay/1"
@@ -69,6 +78,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
         "fixtures": [one.described() for one in replay.setup.fixtures.fixtures],
         "fixtures_cap_n": replay.setup.fixtures.joint_cap_n,
         "retiming": replay.setup.retiming,
+        "margin": margin_of(replay),
         "estimates": _estimates(replay),
         **_pose_updates(replay),
         "supervisor": asdict(summarise_supervision(ticks.t_s, ticks.supervisor, force)),
@@ -287,6 +297,30 @@ def _hazard(ticks: Ticks, truth: ScenarioTruth) -> dict[str, float]:
     error_mm = pose_errors_mm(poses, ticks.t_s, truth).mean(axis=1)
     score = score_hazard(ticks.force_n, error_mm, 1.0 / RATE_HZ)
     return {"hazard_s": score.total_s, "hazard_longest_s": score.longest_s}
+
+
+def margin_of(replay: Replay) -> dict[str, Any]:
+    """Width of the primary fixture's margin over valid ticks, and how deep its wall stands in the organ.
+
+    The violation depth is that by which a forbidden region, widened, stands inside the true one at the tool
+    (`score_violation`); None without a truth, or of guidance.
+    """
+    ticks, fixtures = replay.ticks, replay.setup.fixtures
+    width = ticks.margin_mm[ticks.valid]
+    out: dict[str, Any] = {
+        "mode": fixtures.margin.mode,
+        "median_mm": float(np.median(width)) if len(width) else None,
+        "p95_mm": float(np.percentile(width, 95)) if len(width) else None,
+        "violation_mm": None,
+    }
+    law = fixtures.fixtures[0].law
+    if replay.scenario.truth is not None and not isinstance(law, Gaussian):
+        outward = -1.0 if isinstance(law, Confinement) else 1.0
+        true_mm = outward * true_contact(replay)[0]
+        seen = ticks.valid & (np.abs(true_mm - law.depth_mm) <= NEAR_WALL_MM)
+        believed_mm = outward * ticks.distance_mm[seen] + ticks.margin_mm[seen]
+        out["violation_mm"] = score_violation(true_mm[seen], believed_mm)
+    return out
 
 
 def true_phases(replay: Replay) -> tuple[FloatArray, FloatArray]:

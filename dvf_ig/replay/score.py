@@ -14,6 +14,8 @@ from dvf_ig.core import (
     SurfaceSeries,
 )
 
+NEAR_WALL_MM = 5.0
+"""Violation depth is judged where the tool is so near to the true wall: an error of the distance is local."""
 CONTACT_MM = 0.0
 """The tool is in contact where its tip truly is at or inside the true surface."""
 
@@ -154,3 +156,16 @@ def score_hazard(force_n: FloatArray, pose_error_mm: FloatArray, tick_s: float) 
     edges = np.flatnonzero(np.diff(hazard, prepend=False, append=False))
     lengths = edges[1::2] - edges[::2]
     return HazardScore(float(hazard.sum() * tick_s), float(lengths.max(initial=0) * tick_s))
+
+
+def score_violation(true_mm: FloatArray, believed_mm: FloatArray) -> dict[str, float] | None:
+    """How deep a wall stands inside the organ: the true depth at which its force reaches half of its cap.
+
+    Args:
+        true_mm: (n,) signed distance to the true surface where the tool is, positive where it is forbidden.
+        believed_mm: (n,) the distance that the fixture takes there, its margin included.
+    """
+    if len(true_mm) == 0:
+        return None
+    depth = np.maximum(true_mm - believed_mm, 0.0)
+    return {"p95": float(np.percentile(depth, 95)), "max": float(depth.max())}

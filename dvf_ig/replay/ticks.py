@@ -21,7 +21,9 @@ class Ticks:
         pose_age_s: (n,) time since a beat confirmed the pose; infinite before the first.
         tip_tracker_mm: (n, 3) predicted tip; NaN where the tool is not known.
         force_n: (n, 3) sent by the supervisor; wanted_n: of the fixtures.
-        distance_mm: (n,) signed distance of the primary fixture; NaN unless the status is OK.
+        distance_mm: (n,) signed distance of the primary fixture, at NO_PHASE of the first wall at its worst
+            phase; else NaN.
+        margin_mm: (n,) by which the primary fixture is widened.
         status: (n,) `Status` of the fixtures.
         supervisor: (n,) `SupervisorState`; hazards: (n,) bits of `Hazard`.
     """
@@ -34,6 +36,7 @@ class Ticks:
     force_n: FloatArray
     wanted_n: FloatArray
     distance_mm: FloatArray
+    margin_mm: FloatArray
     status: IntArray
     supervisor: IntArray
     hazards: IntArray
@@ -65,6 +68,7 @@ class TickRecorder:
         self._t_s = t_s
         self._tip, self._force, self._wanted = np.full((n, 3), np.nan), np.zeros((n, 3)), np.zeros((n, 3))
         self._model_phase, self._distance, self._age = np.empty(n), np.empty(n), np.empty(n)
+        self._margin = np.zeros(n)
         self._codes = np.empty((n, 3), dtype=np.int64)
         self._transforms: list[tuple[int, PoseAndPhase]] = []
 
@@ -76,7 +80,7 @@ class TickRecorder:
             self._tip[i] = state.tool.tip_tracker_mm
         self._force[i], self._wanted[i] = state.force_n, state.wanted_n
         self._model_phase[i], self._distance[i] = state.model_phase, state.distance_mm
-        self._age[i] = state.pose_age_s
+        self._age[i], self._margin[i] = state.pose_age_s, state.margin_mm[0]
         self._codes[i] = state.status, state.supervisor, state.supervised.hazards
 
     def finish(self) -> Ticks:
@@ -99,6 +103,7 @@ class TickRecorder:
             force_n=self._force,
             wanted_n=self._wanted,
             distance_mm=self._distance,
+            margin_mm=self._margin,
             status=self._codes[:, 0],
             supervisor=self._codes[:, 1],
             hazards=self._codes[:, 2],

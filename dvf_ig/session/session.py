@@ -24,6 +24,7 @@ from dvf_ig.cardiac import retiming_curve
 from dvf_ig.core import FloatArray, InvalidInputError, PhaseState
 from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, RearmAnswer, Status, Supervisor, hazard_of
 from dvf_ig.guidance.fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, RATE, TICK_OUTPUT
+from dvf_ig.guidance.phase_loss import FixturesOverTime
 from dvf_ig.kernels.place import MODEL_PHASE, PLACE_SIZE, TURN_RATE, place_tick
 from dvf_ig.registration import SliceThreads
 
@@ -32,6 +33,7 @@ from .executor import Executor, InCaller
 from .frame_buffer import FrameBuffer
 from .heart_clock import HeartClock
 from .history import SessionHistory
+from .margins import MarginTracker
 from .pose_tracker import PoseTracker
 from .registration_monitor import RegistrationMonitor
 from .setup import SessionSetup
@@ -89,8 +91,11 @@ class Session:
         self._pose = PoseTracker(source, monitor, setup.start, self.history, setup.calibrations.lag_s)
         self._clock = HeartClock(setup.beat_source)
         self._tool = ToolTracker(setup.calibrations.tip)
-        self._fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
-        self._supervisor = Supervisor(setup.device)
+        fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
+        self._fixtures = FixturesOverTime(fixtures)
+        self._margins = MarginTracker(setup.fixtures, setup.device)
+        self._fixtures.widen(self._margins.margin_mm)
+        self._supervisor = Supervisor(setup.device, walls=fixtures.walls)
         self._actions: list[Landmark | Rearm] = []
         self._place = np.empty(PLACE_SIZE)
         self._model_from_tracker = self._place[:TURN_RATE].reshape(3, 4)
@@ -151,11 +156,17 @@ class Session:
         wanted_n = out[FORCE]
         supervised = self._supervisor.step(now_s, wanted_n, hazards)
         confirmation = self._pose.confirmation
+        age_s = inf if confirmation is None else now_s - confirmation.confirmed_s
+        margin_mm = self._margins.margin_mm
+        if self._margins.due(now_s):
+            tip_mm, rate = tool.tip_tracker_mm, out.item(RATE)
+            self._margins.update(now_s, status, self._transform, tip_mm, out[GRADIENT], rate, age_s)
+            self._fixtures.widen(self._margins.margin_mm)
         return GuidanceState(
             now_s=now_s,
             transform=self._transform,
             estimate=self._pose.monitor.estimate,
-            pose_age_s=inf if confirmation is None else now_s - confirmation.confirmed_s,
+            pose_age_s=age_s,
             tre_bound_mm=nan if confirmation is None else confirmation.bound_mm(now_s),
             doubt=self._pose.monitor.doubt,
             registration=self.history.attempts[-1] if self.history.attempts else None,
@@ -168,6 +179,7 @@ class Session:
             gradient=out[GRADIENT],
             rate_mm_per_cycle=out.item(RATE),
             conflict=out.item(CONFLICT) != 0.0,
+            margin_mm=margin_mm,
             supervised=supervised,
             rearmed=self._rearmed,
         )
@@ -244,10 +256,12 @@ class Session:
     def _evaluate(self, now_s: float, tool: ToolReading) -> tuple[Status, FloatArray]:
         """Fill the place with pose and phase; the fixtures' output there, read-only."""
         status, out = place_tick(self._packed, now_s, self._place), np.empty(TICK_OUTPUT)
-        if status == Status.OK and tool.hazard:
-            status = Status.STALE_TOOL
-        pose = self._model_from_tracker if status == Status.OK else _UNPOSED
+        posed = status in (Status.OK, Status.NO_PHASE)
+        if posed and tool.hazard:
+            status, posed = Status.STALE_TOOL, False
+        pose = self._model_from_tracker if posed else _UNPOSED
         self._point[:] = tool.tip_tracker_mm
-        found = self._fixtures.tick(pose, self._point, self._place.item(MODEL_PHASE), int(status), out)
+        phase = self._place.item(MODEL_PHASE)
+        found = self._fixtures.tick(now_s, pose, self._point, phase, int(status), out)
         out.setflags(write=False)
         return Status(found), out

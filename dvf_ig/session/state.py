@@ -30,12 +30,15 @@ class GuidanceState:
         model_phase: place in the model's cycle; NaN where the phase is not locked.
         tool: the tool's tip, or why it is not known.
         calibrations: that are in use.
-        status: of the fixtures; anything but OK goes with no wanted force.
+        status: of the fixtures; anything but OK goes with no wanted force, but for the worst-phase walls of
+            NO_PHASE.
         wanted_n: (3,) force of the fixtures, frame "tracker".
-        distance_mm: signed distance of the primary fixture, positive inside; NaN unless OK.
-        gradient: (3,) of that distance, frame "tracker"; NaN unless OK.
-        rate_mm_per_cycle: its change with the model's phase; NaN unless OK, and of a path.
+        distance_mm: signed distance of the primary fixture, positive inside; at NO_PHASE of the first wall at
+            its worst phase; else NaN unless OK.
+        gradient: (3,) of that distance, frame "tracker".
+        rate_mm_per_cycle: its change with the model's phase; zero at NO_PHASE, NaN of a path.
         conflict: fixtures oppose each other.
+        margin_mm: (k,) by which each fixture is widened; what a servo is told (`ServoInputs.margin_mm`).
         supervised: the force to send, and the supervisor's state with what it found.
         rearmed: answer to the operator's last re-arm; None before any.
     """
@@ -56,6 +59,7 @@ class GuidanceState:
     gradient: FloatArray
     rate_mm_per_cycle: float
     conflict: bool
+    margin_mm: FloatArray
     supervised: SupervisedForce
     rearmed: RearmAnswer | None
 

@@ -45,6 +45,17 @@ def test_inside_confines(run):
     np.testing.assert_allclose(outward(run("--gamma", 2.0, "--inside")), logistic - 0.6, atol=0.006)
 
 
+def test_a_margin_begins_a_wall_earlier(run):
+    for options in (("--margin", 1.5), ("--margin", "adaptive", "--sigma-mm", 1.5 / 1.6448536)):
+        result = run(*options)
+        np.testing.assert_allclose(outward(result), outward(run("--depth-mm", -1.5)), atol=1e-7)
+        assert json.loads(result.stdout)["margin_mm"] == pytest.approx(1.5)
+    np.testing.assert_allclose(outward(run("--margin", "fixed")), outward(run("--depth-mm", -2.0)))
+    np.testing.assert_array_equal(outward(run("--margin", "off")), outward(run()))
+    assert "needs --sigma-mm" in plain(run("--margin", "adaptive").stderr)
+    assert run("--margin", "wide").exit_code == 3
+
+
 def test_a_free_zone_is_felt_at_its_border_only(run):
     result = run("--law", "guidance", "--free-zone-mm", 2.0, "--felt-below-n", 0.05)
     np.testing.assert_allclose(outward(result), [-0.05, 0.0, 0.05], atol=0.005)

@@ -9,6 +9,8 @@ PAGE = (Path(__file__).resolve().parents[2] / "dvf_ig/docs/theory/safety.md").re
 FORCE = {
     Response.WARN: "given in full, with a warning",
     Response.SLOW: f"at most {supervisor.SLOW_SLEW_N_PER_S:g} N/s",
+    Response.WALLS: f"guidance fades in {supervisor.FADE_S * 1000:g} ms, walls become those of the worst "
+    "phase; without a wall all fades",
     Response.FADE: f"fades in {supervisor.FADE_S * 1000:g} ms",
     Response.FAST_FADE: f"fades in {supervisor.FAST_FADE_S * 1000:g} ms",
     Response.NO_FORCE: "zero at once",

@@ -19,7 +19,8 @@ from dvf_ig.core import (
     RetimingCurve,
     Rigid,
 )
-from dvf_ig.guidance import Evaluator, PoseAndPhase, Sigmoid, Status
+from dvf_ig.guidance import Evaluator, Gaussian, PoseAndPhase, Sigmoid, Status
+from dvf_ig.guidance.margins import worst_phase_forces
 from dvf_ig.registration import PoseChart
 
 vectors = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
@@ -93,9 +94,10 @@ def test_kernel_is_its_readable_twin(ball, shell_points, blend):
     np.testing.assert_allclose(samples.distance_mm[ok], twin.distance_mm[ok], atol=1e-11)
     expected = places.distance_sigma_mm(twin.gradient, twin.rate_mm_per_cycle)
     np.testing.assert_allclose(samples.sigma_mm[ok], expected[ok], rtol=1e-10)
-    assert not samples.force_n[~ok].any()
-    assert np.isnan(samples.sigma_mm[~ok]).all()
-    assert np.isnan(samples.distance_mm[~ok]).all()
+    none = ~ok & (samples.status != Status.NO_PHASE)
+    assert not samples.force_n[none].any()
+    assert np.isnan(samples.sigma_mm[none]).all()
+    assert np.isnan(samples.distance_mm[none]).all()
 
 
 def test_the_bound_tick_is_the_batch(ball, shell_points):
@@ -111,7 +113,8 @@ def test_the_bound_tick_is_the_batch(ball, shell_points):
         np.testing.assert_array_equal(out[3], batch.distance_mm[k])
         np.testing.assert_array_equal(out[4:7], batch.gradient[k])
         np.testing.assert_array_equal(out[7], batch.rate_mm_per_cycle[k])
-        np.testing.assert_allclose(out[8], rate[k], atol=1e-10)
+        if batch.status[k] != Status.NO_PHASE:
+            np.testing.assert_allclose(out[8], rate[k], atol=1e-10)
         np.testing.assert_array_equal(out[9], batch.sigma_mm[k])
 
 
@@ -212,11 +215,21 @@ def test_a_withheld_pose_gives_no_force_from_its_moment_on(ball, shell_points):
         ({"phase": PhaseForecast.unknown(), "pose": None}, Status.NO_POSE),
     ],
 )
-def test_without_pose_or_phase_there_is_no_force(ball, shell_points, change, status):
+def test_without_pose_there_is_no_force_and_without_phase_walls_alone(ball, shell_points, change, status):
     transform, tip = replace(MOVING, **change), tips(shell_points[:3])
     places, forces = transform.at(tip, 9.8), transform.evaluate(Evaluator(ball, Sigmoid()), tip, 9.8)
     assert places.status.tolist() == forces.status.tolist() == [status] * 3
-    assert not forces.force_n.any()
+    guidance = transform.evaluate(Evaluator(ball, Gaussian()), tip, 9.8)
+    assert not guidance.force_n.any()
+    if status is Status.NO_POSE:
+        assert not forces.force_n.any()
+    else:
+        walls = worst_phase_forces(Evaluator(ball, Sigmoid()), MOTION.at(9.8), tip)
+        np.testing.assert_allclose(forces.force_n, walls.force_n, atol=1e-6)
+        np.testing.assert_allclose(forces.distance_mm, walls.distance_mm, atol=1e-5)
+        by_pose = np.einsum("nij,nj->ni", places.covariance_mm2, walls.gradient @ MOTION.at(9.8).rotation.T)
+        variance = np.einsum("ni,ni->n", by_pose, walls.gradient @ MOTION.at(9.8).rotation.T)
+        np.testing.assert_allclose(forces.sigma_mm, np.sqrt(variance), rtol=1e-3)
     assert np.isfinite(places.xyz_mm).all() == (transform.pose is not None)
     assert transform.at_one(tip[0], 9.8).status is status
 
@@ -250,7 +263,7 @@ def test_the_bound_tick_leaves_what_it_was_not_given(ball):
         assert (buffer[used:] == -1.0).all()
 
 
-@pytest.mark.parametrize("refusal", [s for s in Status if s is not Status.OK])
+@pytest.mark.parametrize("refusal", [s for s in Status if s not in (Status.OK, Status.NO_PHASE)])
 def test_the_bound_tick_passes_a_refusal_on(ball, refusal):
     out = np.ones(10)
     tick = MOVING.bind(Evaluator(ball, Sigmoid()))

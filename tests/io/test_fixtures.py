@@ -19,6 +19,7 @@ from dvf_ig.guidance import (
     Sigmoid,
     compose,
 )
+from dvf_ig.guidance.margins import MarginOptions
 from dvf_ig.io import read_fixtures, write_landmarks
 from dvf_ig.io.fixtures import FixturesConfig, ForbiddenConfig, GuidanceConfig, PathConfig, fixture_options
 from dvf_ig.io.json_file import read_json, write_json
@@ -194,3 +195,22 @@ def test_an_absent_file_is_named(tmp_path: Path) -> None:
 def test_a_number_out_of_range_is_refused() -> None:
     with pytest.raises(InvalidInputError, match="exponent m is 0"):
         fixture_options({"law": "guidance", "m": 0.0})
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("off", MarginOptions()),
+        ("adaptive", MarginOptions("adaptive")),
+        ("fixed", MarginOptions("fixed")),
+        ("1.5", MarginOptions("fixed", fixed_mm=1.5)),
+    ],
+)
+def test_a_margin_is_a_mode_or_a_width(tmp_path: Path, text: str, expected: MarginOptions) -> None:
+    """YAML's bare `off` is false."""
+    found, _ = read_fixtures(written(tmp_path, f"margin: {text}\nfixtures: [{{law: forbidden}}]\n"))
+    assert found.margin == expected
+    with pytest.raises(UnreadableFileError, match="margin: needed off, fixed, adaptive, or a number of mm"):
+        read_fixtures(written(tmp_path, "margin: wide\n"))
+    with pytest.raises(InvalidInputError, match="between 0 and the cap"):
+        read_fixtures(written(tmp_path, "margin: 9\n"))

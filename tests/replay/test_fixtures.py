@@ -19,6 +19,7 @@ from dvf_ig.guidance import (
     static_force,
 )
 from dvf_ig.guidance.fixtures import DISTANCE, FORCE, GRADIENT, TICK_OUTPUT
+from dvf_ig.guidance.margins import MarginOptions
 from dvf_ig.replay import Replay, result_of, run_replay
 from dvf_ig.replay.report import report_html
 from dvf_ig.replay.result import true_contact
@@ -53,6 +54,19 @@ def test_a_replay_without_fixtures_has_the_forbidden_surface(replay: Replay) -> 
     valid = replay.ticks.valid
     np.testing.assert_array_equal(again.ticks.status[valid], replay.ticks.status[valid])
     np.testing.assert_allclose(again.ticks.wanted_n[valid], replay.ticks.wanted_n[valid], atol=1e-9)
+
+
+def test_a_margin_is_reported_with_the_depth_that_it_leaves(replay: Replay) -> None:
+    off = result_of(replay)["margin"]
+    assert (off["mode"], off["median_mm"]) == ("off", 0.0)
+    ticks = dataclasses.replace(replay.ticks, margin_mm=np.full(len(replay.ticks), 0.3))
+    options = dataclasses.replace(FORBIDDEN_SURFACE, margin=MarginOptions("fixed", fixed_mm=0.3))
+    setup = dataclasses.replace(replay.setup, fixtures=options)
+    found = result_of(dataclasses.replace(replay, ticks=ticks, setup=setup))["margin"]
+    assert (found["mode"], found["median_mm"], found["p95_mm"]) == ("fixed", 0.3, 0.3)
+    for figure in ("p95", "max"):
+        less = max(0.0, off["violation_mm"][figure] - 0.3)
+        assert found["violation_mm"][figure] == pytest.approx(less, abs=1e-9)
 
 
 def test_dynamic_guidance_is_scored_against_guidance(replay: Replay) -> None:

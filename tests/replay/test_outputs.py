@@ -35,6 +35,7 @@ def two_ticks() -> Ticks:
         force_n=np.array([[0.0, 0.0, 0.0], [0.1, -0.2, 0.3]]),
         wanted_n=np.zeros((2, 3)),
         distance_mm=np.array([nan, 1.25]),
+        margin_mm=np.zeros(2),
         status=np.array([Status.NO_POSE, Status.OK]),
         supervisor=np.array([SupervisorState.FADE, SupervisorState.OK]),
         hazards=np.array([Hazard.NO_POSE | Hazard.NO_PHASE, 0]),

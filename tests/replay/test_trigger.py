@@ -8,6 +8,7 @@ import pytest
 from recorded import tool_of
 
 from dvf_ig.core import FloatArray, InvalidInputError, NoOverlapError, Scenario, TriggerTimes
+from dvf_ig.guidance import Status
 from dvf_ig.io import describe, read_scenario, write_scenario
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay import Replay, run_replay
@@ -57,8 +58,10 @@ def test_a_trigger_registers_and_guides_as_an_ecg_does_until_it_stops(
     with_ecg_n = np.linalg.norm(replay.ticks.force_n, axis=1)
     lost = t_s > STOPS_S + 1.5
     assert with_ecg_n[replay.ticks.t_s > STOPS_S + 1.5].max() > 0.1
-    assert force_n[lost].max() == 0.0
     assert force_n[~lost].max() > 0.1
+    walls = stopped.ticks.status == int(Status.NO_PHASE)
+    assert force_n[lost & walls].max() > 0.1, "the wall of the worst phase stays while the pose is confirmed"
+    assert not (stopped.ticks.status[lost] == int(Status.OK)).any()
     assert not stopped.ticks.phase.valid[lost].any()
 
 

@@ -21,7 +21,18 @@ from toy_session import (
 )
 
 from dvf_ig.core import FloatArray
-from dvf_ig.guidance import HAZARD_RULES, Hazard, RearmAnswer, SupervisorState
+from dvf_ig.guidance import (
+    HAZARD_RULES,
+    FixtureOptions,
+    FixtureSet,
+    Gaussian,
+    Hazard,
+    RearmAnswer,
+    Sigmoid,
+    Status,
+    SupervisorState,
+)
+from dvf_ig.guidance.blend import Blend
 from dvf_ig.guidance.supervisor import FADE_S, FAST_FADE_S, LATCH_AFTER_S
 from dvf_ig.session import GuidanceState, Rearm, Session, ToolPose
 
@@ -156,10 +167,6 @@ COMES_BACK = [
     (frozen_tool, 0.5, Hazard.TOOL_FROZEN, 0.051, 0.15),
     (tool_clock_back, 0.5, Hazard.CLOCK_BACKWARDS, 0.041, 0.15),
     (tool_outside, 1.5, Hazard.OUT_OF_VOLUME, 0.021, 0.2),
-    (ecg_replaced_by(0.3), 1.0, Hazard.NO_PHASE, 0.22, 0.15),
-    (ecg_replaced_by(np.nan), 1.0, Hazard.NO_PHASE, 0.22, 0.15),
-    (ecg_silent, 3.0, Hazard.NO_PHASE, 1.3, 0.15),
-    (arrhythmia, 5.0, Hazard.NO_PHASE, 3.0, 0.15),
     (no_images, 6.0, Hazard.POSE_UNCONFIRMED, 3.6, 0.15),
     (lost_probe, 6.0, Hazard.POSE_UNCONFIRMED, 3.6, 0.15),
     (no_frames, 6.0, Hazard.POSE_UNCONFIRMED, 3.6, 0.15),
@@ -192,6 +199,46 @@ def test_the_force_fades_and_comes_back(
     back = times > last_s + back_s
     assert (force[back] > GUIDING_N).all()
     assert {s.supervisor for s, b in zip(states, back, strict=True) if b} <= {OK, DEGRADED}
+
+
+LOSES_PHASE = [
+    (ecg_replaced_by(0.3), 1.0, 0.22),
+    (ecg_replaced_by(np.nan), 1.0, 0.22),
+    (ecg_silent, 3.0, 1.3),
+    (arrhythmia, 5.0, 3.0),
+]
+
+
+@pytest.mark.parametrize(("disturb", "lasting_s", "within_s"), LOSES_PHASE, ids=_name)
+def test_a_lost_phase_leaves_the_wall(disturb: Disturbance, lasting_s: float, within_s: float) -> None:
+    """The tool is in the wall; guidance alone, at the same place, fades."""
+    states = disturbed(disturb, lasting_s, FROM_S + lasting_s + 1.0)
+    times = np.array([state.now_s for state in states])
+    first_s, _ = during(states, Hazard.NO_PHASE)
+    assert FROM_S - 1e-9 <= first_s <= FROM_S + within_s
+    assert HAZARD_RULES[Hazard.NO_PHASE].sentence in next(s for s in states if s.now_s == first_s).reasons
+    unknown = [s for s in states if s.status is Status.NO_PHASE and s.now_s < FROM_S + 4.0]
+    assert min(sizes(unknown)) > GUIDING_N
+    assert {s.supervisor for s in unknown} == {DEGRADED}
+    assert all(np.isfinite(s.distance_mm) and s.rate_mm_per_cycle == 0.0 for s in unknown)
+    vectors = np.array([s.force_n for s in states])[times > GUIDED_S + 0.2]
+    assert np.linalg.norm(np.diff(vectors, axis=0), axis=1).max() < 0.1
+
+
+@pytest.mark.parametrize("blend", ["force", "periodic"])
+def test_a_lost_phase_takes_guidance_away(blend: Blend) -> None:
+    """Alone, by the supervisor's fade; beside a wall by the crossing to it, within 250 ms."""
+    guide = FixtureOptions(Gaussian(cap_n=0.3), blend)
+    for others in ((), (FixtureOptions(Sigmoid(depth_mm=30.0, cap_n=0.3)),)):
+        streams = toy_streams(END_S)
+        ecg_replaced_by(0.3)(streams, FROM_S, FROM_S + 1.0)
+        setup = replace(toy_setup(), fixtures=FixtureSet((guide, *others)))
+        with Session(setup) as session:
+            states = run(session, streams.merged(), ticks(GUIDED_S, FROM_S + 1.2))
+        times, force = np.array([s.now_s for s in states]), sizes(states)
+        first_s, last_s = during(states, Hazard.NO_PHASE)
+        assert force[times < first_s][-1] > 0.2
+        assert force[(times > first_s + FADE_S + 0.011) & (times <= last_s)].max() < 0.001
 
 
 @pytest.mark.parametrize("disturb", [no_images, lost_probe, no_frames], ids=_name)

@@ -9,6 +9,7 @@ from .constants import constants
 from .distance import distance_maps
 from .gating import gating
 from .hearts import hearts
+from .margins import margins
 from .operators import operators
 from .options import TrialsCommand
 from .pairs import pairs
@@ -31,6 +32,7 @@ app.command("training")(training)
 app.command("replay")(replay)
 app.command("hearts")(hearts)
 app.command("constants")(constants)
+app.command("margins")(margins)
 app.command("watch")(watch)
 add_registration_commands(app)
 app.command("calibration", cls=TrialsCommand)(calibration)

@@ -10,13 +10,13 @@ from dvf_ig.guidance.device import MM_PER_M, DeviceLimits
 from dvf_ig.guidance.evaluator import Evaluator
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.hazards import (
-    WITHHOLDING,
     Hazard,
     Latch,
     Response,
     hazard_of,
     hazards_that_latch,
     hazards_with,
+    withholding,
 )
 from dvf_ig.guidance.laws import Confinement, Gaussian
 from dvf_ig.guidance.status import Status
@@ -32,9 +32,11 @@ from dvf_ig.guidance.supervisor import (
     SLOW_SLEW_N_PER_S,
     RearmAnswer,
 )
-from dvf_ig.kernels.dynamic import DEPTH, LAW
+from dvf_ig.kernels.fixture_field import DEPTH, LAW
 from dvf_ig.kernels.servo import supervision
 from dvf_ig.kernels.servo import tick as kernel
+from dvf_ig.kernels.servo.fixtures import FIXTURE_SIZE
+from dvf_ig.kernels.servo.published import MAX_FIXTURES
 
 from .options import ServoOptions
 
@@ -84,6 +86,7 @@ class Scratch(NamedTuple):
     work: FloatArray
     order: FloatArray
     composed: FloatArray
+    other: FloatArray
     vectors: FloatArray
 
 
@@ -103,8 +106,8 @@ def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOption
         raise InvalidInputError(
             "the servo renders fixtures on the model's surface; one of these guides to a path: leave it out"
         )
-    if len(parts) > kernel.MAX_FIXTURES:
-        raise InvalidInputError(f"{len(parts)} fixtures given; the servo renders up to {kernel.MAX_FIXTURES}")
+    if len(parts) > MAX_FIXTURES:
+        raise InvalidInputError(f"{len(parts)} fixtures given; the servo renders up to {MAX_FIXTURES}")
     rows = [_packed(part) for part in parts]
     packed = np.zeros((len(rows), max(len(row) for row in rows)))
     for i, row in enumerate(rows):
@@ -112,7 +115,7 @@ def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOption
     nothing = np.zeros((0, 4, 4, 4), dtype=np.float32)
     linear = [part.coefficients for part in parts if part.blend != "periodic"]
     periodic = [part.coefficients for part in parts if part.blend == "periodic"]
-    constants = np.zeros((len(rows), kernel.FIXTURE_SIZE))
+    constants = np.zeros((len(rows), FIXTURE_SIZE))
     for i, part in enumerate(parts):
         guiding, confining = isinstance(part.law, Gaussian), isinstance(part.law, Confinement)
         constants[i] = (
@@ -130,7 +133,7 @@ def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOption
         constants,
         np.array(tick_constants(fixtures, options, latency_s), dtype=np.float64),
         supervisor_limits(device),
-        hazard_codes(),
+        hazard_codes(fixtures.walls),
     )
 
 
@@ -178,10 +181,14 @@ def supervisor_limits(device: DeviceLimits) -> FloatArray:
     return limits
 
 
-def hazard_codes() -> Any:
-    """The hazards' bits as the kernels need them."""
+def hazard_codes(walls: bool) -> Any:
+    """The hazards' bits as the kernels need them.
+
+    Args:
+        walls: a forbidden region is among the fixtures (`withholding`).
+    """
     codes = np.zeros(kernel.CODES_SIZE, dtype=np.int64)
-    codes[supervision.FADING] = WITHHOLDING
+    codes[supervision.FADING] = withholding(walls)
     codes[supervision.FAST] = hazards_with(Response.FAST_FADE)
     codes[supervision.AT_ONCE] = hazards_with(Response.NO_FORCE)
     codes[supervision.SLOWING] = hazards_with(Response.SLOW)

@@ -9,7 +9,7 @@ from dvf_ig.core.arrays import frozen_floats
 from dvf_ig.guidance.hazards import Hazard
 from dvf_ig.guidance.pose_and_phase import PoseAndPhase
 from dvf_ig.guidance.status import Status
-from dvf_ig.kernels.servo import tick as kernel
+from dvf_ig.kernels.servo import published as kernel
 
 VALID_FOR_S = 0.1
 """A session speaks 30 times a second: three missed words are silence."""

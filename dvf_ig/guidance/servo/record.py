@@ -52,7 +52,7 @@ class ServoRecord:
 
     @property
     def distance_mm(self) -> FloatArray:
-        """(n,) of the primary fixture; NaN unless OK."""
+        """(n,) of the primary fixture; at NO_PHASE of the first wall at its worst phase; else NaN."""
         return self._column(kernel.DISTANCE_MM)
 
     @property

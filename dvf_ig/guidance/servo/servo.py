@@ -19,7 +19,7 @@ from dvf_ig.guidance.sideways import check_sideways
 from dvf_ig.guidance.supervisor import RearmAnswer
 from dvf_ig.kernels.place import POSE_UNTIL
 from dvf_ig.kernels.servo import loop as kernel
-from dvf_ig.kernels.servo import shared
+from dvf_ig.kernels.servo import published, shared
 from dvf_ig.kernels.servo import tick as tick_kernel
 
 from .bound import REARM_ANSWERS, bind_fixtures, new_scratch
@@ -77,9 +77,9 @@ class Servo:
                 check_sideways(part, limits)
         self._functions = np.array(device.functions, dtype=np.int64)
         self._counter = shared.new_counter()
-        self._shared = np.zeros(tick_kernel.INPUT_SIZE)
-        self._shared[tick_kernel.VALID_UNTIL_S] = np.inf
-        self._shared[tick_kernel.POSE_AND_PHASE + POSE_UNTIL] = -np.inf
+        self._shared = np.zeros(published.INPUT_SIZE)
+        self._shared[published.VALID_UNTIL_S] = np.inf
+        self._shared[published.POSE_AND_PHASE + POSE_UNTIL] = -np.inf
         self._numbers = np.zeros(kernel.NUMBERS, dtype=np.int64)
         self._numbers[kernel.LATE_NS] = LATE_NS
         self._histogram = np.zeros(BINS, dtype=np.int64)

@@ -9,7 +9,8 @@ from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.supervisor import RearmAnswer
 from dvf_ig.kernels.servo import loop as kernel
 from dvf_ig.kernels.servo import shared
-from dvf_ig.kernels.servo.tick import INPUT_SIZE, ROW
+from dvf_ig.kernels.servo.published import INPUT_SIZE
+from dvf_ig.kernels.servo.tick import ROW
 
 from .bound import REARM_ANSWERS, bind_fixtures, new_scratch
 from .inputs import ServoInputs

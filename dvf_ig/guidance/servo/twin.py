@@ -4,11 +4,12 @@ import numpy as np
 
 from dvf_ig.core import FloatArray
 from dvf_ig.guidance.device import DeviceLimits
-from dvf_ig.guidance.evaluator import Evaluator
+from dvf_ig.guidance.evaluator import Evaluator, ForceSamples
 from dvf_ig.guidance.fixture import FixtureSet
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.hazards import Hazard, hazard_of
 from dvf_ig.guidance.joint_force import composed_force
+from dvf_ig.guidance.phase_loss import PhaseLoss
 from dvf_ig.guidance.status import Status
 from dvf_ig.guidance.supervisor import SupervisedForce, Supervisor, SupervisorState
 
@@ -73,7 +74,8 @@ class ReadableTick:
         self._set: FixtureSet = fixtures.options
         self._parts = [part for part in fixtures.parts if isinstance(part, Evaluator)]
         self._c, self._options = tick_constants(fixtures, options, latency_s), options
-        self._supervisor = Supervisor(limits)
+        self._supervisor, self._loss = Supervisor(limits, walls=fixtures.walls), PhaseLoss()
+        self._wall = next((i for i, one in enumerate(fixtures.options.fixtures) if one.forbidden), None)
         self.observer = PassivityObserver(self._c.delay_ticks, self._c.largest_damping)
         self._last: tuple[float, FloatArray] | None = None
         self._speed = np.zeros(3)
@@ -90,11 +92,13 @@ class ReadableTick:
         hazards = inputs.hazards
         silent = t_s > inputs.now_s + inputs.valid_for_s
         status = Status.NO_POSE if silent else inputs.tool_status
+        if status == Status.OK and hazards & Hazard.NO_PHASE:
+            status = Status.NO_PHASE
         hazards |= Hazard.SESSION_SILENT if silent else Hazard.NONE
         ahead = xyz + (c.lead_s * self._speed if self._options.predict_tool else 0.0)
-        field_n, wanted_n, surface, status = self._forces(ahead, t_s + c.lead_s, inputs, status)
+        field_n, wanted_n, surface, status = self._forces(ahead, t_s + c.lead_s, dt_s, inputs, status)
         self.observer.observe(xyz, field_n, dt_s, following=self._following)
-        if status == Status.OK:
+        if status == Status.OK or (status == Status.NO_PHASE and self._wall is not None):
             wanted_n = wanted_n + self.observer.damping(self._speed, surface, c.period_s)
         length = float(np.linalg.norm(wanted_n))
         if length > c.cap_n:
@@ -111,21 +115,48 @@ class ReadableTick:
         return sent
 
     def _forces(
-        self, xyz: FloatArray, t_s: float, inputs: ServoInputs, status: Status
+        self, xyz: FloatArray, t_s: float, dt_s: float, inputs: ServoInputs, status: Status
     ) -> tuple[FloatArray, FloatArray, FloatArray, Status]:
         """The fixtures' force, the same with relative damping, the surface's velocity, the status."""
         nothing = np.zeros(3)
-        each = [
-            inputs.transform.evaluate(part, xyz[None], t_s, np.array([int(status)])) for part in self._parts
-        ]
-        found = Status(int(each[0].status[0]))
-        if found != Status.OK:
-            return nothing, nothing, nothing, found
-        field_n = composed_force(self._set, np.array([one.force_n[0] for one in each])).force_n
-        gradient = each[0].gradient[0]
+        each = self._each(xyz, t_s, inputs, status)
+        statuses = [Status(int(one.status[0])) for one in each]
+        refused = [one for one in statuses if one not in (Status.OK, Status.NO_PHASE)]
+        found = refused[0] if refused else max(statuses)
         place = inputs.transform.at(xyz[None], t_s)
+        self._loss.step(dt_s, found, float(place.model_phase[0]))
+        if found != Status.OK and (found != Status.NO_PHASE or self._wall is None):
+            return nothing, nothing, nothing, found
+        primary = each[0 if found == Status.OK or self._wall is None else self._wall]
+        field_n = self._crossed(self._composed(each), xyz, t_s, inputs, found)
+        gradient = primary.gradient[0]
         rotation = inputs.transform.pose.at(t_s).rotation if inputs.transform.pose is not None else np.eye(3)
-        rate = float(place.distance_rate_mm_s((rotation @ gradient)[None], each[0].rate_mm_per_cycle)[0])
+        by_phase = primary.rate_mm_per_cycle * np.nan_to_num(place.model_phase_rate_hz)
+        by_pose = np.einsum("ni,ni->n", (rotation @ gradient)[None], place.velocity_mm_s)
+        rate = float((by_pose + (by_phase if found == Status.OK else 0.0))[0])
         norm = float(np.linalg.norm(gradient))
         pushed = field_n + self._options.feed_forward.force(gradient, rate, self._speed)
         return field_n, pushed, -rate / norm * gradient / norm, found
+
+    def _each(self, xyz: FloatArray, t_s: float, inputs: ServoInputs, status: Status) -> list[ForceSamples]:
+        given = np.array([int(status)])
+        return [inputs.transform.evaluate(part, xyz[None], t_s, given) for part in self._parts]
+
+    def _composed(self, each: list[ForceSamples]) -> FloatArray:
+        return composed_force(self._set, np.array([one.force_n[0] for one in each])).force_n
+
+    def _crossed(
+        self, force_n: FloatArray, xyz: FloatArray, t_s: float, inputs: ServoInputs, found: Status
+    ) -> FloatArray:
+        """The force, mixed with that of the last known phase, or with the walls of the worst one."""
+        share, pose = self._loss.share, inputs.transform.pose
+        if self._wall is None or pose is None:
+            return force_n
+        if found == Status.OK and share > 0.0:
+            worst = self._composed(self._each(xyz, t_s, inputs, Status.NO_PHASE))
+            return (1.0 - share) * force_n + share * worst
+        if found == Status.NO_PHASE and share < 1.0:
+            phase = self._loss.held_phase
+            held = [part.force_through(pose.at(t_s), xyz[None], phase) for part in self._parts]
+            return (1.0 - share) * self._composed(held) + share * force_n
+        return force_n

@@ -9,7 +9,7 @@ from dvf_ig.core.model import DvfModel
 from dvf_ig.core.scenario import Scenario
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
-from dvf_ig.io.fixtures import FixturesConfig, RetimingName, read_fixtures
+from dvf_ig.io.fixtures import FixturesConfig, RetimingName, margin_options, read_fixtures
 from dvf_ig.io.plus.names import ProbeNames
 from dvf_ig.io.reading import reading
 from dvf_ig.io.truth import read_truth
@@ -157,12 +157,18 @@ def _ultrasound(recorded: TrackedSequence, probe: PoseStream) -> TrackedSequence
 def read_session_fixtures(
     config: SessionConfig | SessionDraft, folder: Path, named_by: str
 ) -> tuple["FixtureSet | None", RetimingName | None]:
-    if config.fixtures is None:
+    margin = config.margin
+    if config.fixtures is None and margin is None:
         return None, config.retiming
     if isinstance(config.fixtures, str):
         fixtures, retiming = read_fixtures(folder / config.fixtures)
+        if margin is not None:
+            fixtures = replace(fixtures, margin=margin_options(margin))
         return fixtures, config.retiming or retiming
     with reading(Path(named_by), "a session's configuration"):
-        return FixturesConfig(fixtures=config.fixtures, cap_n=config.cap_n).fixture_set(
-            folder
-        ), config.retiming
+        of_session = FixturesConfig(
+            fixtures=FixturesConfig().fixtures if config.fixtures is None else config.fixtures,
+            cap_n=config.cap_n,
+            margin="off" if margin is None else margin,
+        )
+        return of_session.fixture_set(folder), config.retiming

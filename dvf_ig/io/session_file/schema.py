@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from dvf_ig.core.sequence import Fan
-from dvf_ig.io.fixtures import FixtureConfig, Number, RetimingName
+from dvf_ig.io.fixtures import FixtureConfig, MarginChoice, Number, RetimingName
 from dvf_ig.io.yaml_config import KIND, Section
 
 SCHEMA = "dvf_ig.session/1"
@@ -226,7 +226,7 @@ class SessionDraft(Section):
         patient_id: of the model unless given; of images, their name.
         ecg: None where the ultrasound sequence holds it as field data.
         tool: None takes the tool tracked in the ultrasound sequence, if there is one.
-        fixtures, cap_n, retiming: as in a file of `--fixtures`.
+        fixtures, cap_n, retiming, margin: as in a file of `--fixtures`.
         truth: folder of a synthetic scenario's truth, to be scored against.
     """
 
@@ -244,6 +244,7 @@ class SessionDraft(Section):
     fixtures: FixtureSource | None = None
     cap_n: Number | None = None
     retiming: RetimingName | None = None
+    margin: MarginChoice | None = None
     truth: FileName | None = None
 
 

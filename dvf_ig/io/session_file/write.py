@@ -248,4 +248,5 @@ def _fixtures() -> list[str]:
         "# fixtures:",
         "#   - {law: forbidden, gamma: 1.0, depth_mm: 0.0, cap_n: 0.6}",
         "# retiming: two-segment  # how the beat is mapped to the model's cycle; or uniform",
+        "# margin: off  # by which fixtures are widened: off, fixed (2 mm), a number of mm, or adaptive",
     ]

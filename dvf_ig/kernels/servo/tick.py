@@ -14,30 +14,16 @@ from numpy.typing import NDArray
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
 from dvf_ig.kernels.compiled import inlined
-from dvf_ig.kernels.composition import COMPOSED_SIZE, CONFLICT, compose_forces, work_size
-from dvf_ig.kernels.dynamic import DEPTH, LAW, forces_on_surface
+from dvf_ig.kernels.composition import COMPOSED_SIZE, CONFLICT, work_size
 from dvf_ig.kernels.laws import direction_certainty
-from dvf_ig.kernels.place import PACKED_SIZE, Columns, phase_at, pose_at, status_at
-from dvf_ig.kernels.pose_and_phase import DISTANCE_RATE, DISTANCE_SIGMA, GUIDED_SIZE, distance_rate_and_sigma
-from dvf_ig.kernels.vectors import Vector, dot
+from dvf_ig.kernels.pose_and_phase import DISTANCE_RATE, DISTANCE_SIGMA, GUIDED_SIZE
 
 from . import passivity, supervision
+from .fixtures import LOSS_SIZE, WORST_SHARE, fixtures_force
 from .passivity import control, note_sent, observe
+from .phase_loss import cross_to_walls
+from .published import CLOCK_OFFSET_S, HAZARDS, TOOL_STATUS, TRACKER_FROM_DEVICE, VALID_UNTIL_S
 from .supervision import supervise
-
-MAX_FIXTURES = 8
-
-# Offsets in what a session publishes. Only pose and phase live in the session's time: what fades, latches or
-# times out runs by the servo's own clock, which no session can set back.
-VALID_UNTIL_S = 0
-"""By the servo's clock."""
-HAZARDS = 1
-TOOL_STATUS = 2
-CLOCK_OFFSET_S = 3
-TRACKER_FROM_DEVICE = 4
-MARGIN_MM = 16
-POSE_AND_PHASE = MARGIN_MM + MAX_FIXTURES
-INPUT_SIZE = POSE_AND_PHASE + PACKED_SIZE
 
 # Offsets in the constants of a servo.
 PERIOD_S = 0
@@ -52,17 +38,6 @@ LARGEST_DAMPING = 8
 RESIDUAL_LIMIT_MJ = 9
 DELAY_TICKS = 10
 CONSTANTS_SIZE = 11
-
-# Columns of the fixtures' constants.
-FIXTURE_CAP_N = 0
-FORBIDDEN = 1
-BASE_WIDTH = 2
-BASE_DEPTH = 3
-WIDEN_WIDTH = 4
-"""Share of the margin by which a law's width grows: 1 of a guidance, which it softens."""
-WIDEN_DEPTH = 5
-"""−1 of a forbidden region, +1 of a confinement, in the kernel's sign of depth: both widen the region."""
-FIXTURE_SIZE = 6
 
 # Offsets in the hazard codes, after the supervisor's masks.
 OF_STATUS = supervision.MASKS_SIZE
@@ -79,7 +54,8 @@ TOOL_XYZ = TOOL
 TOOL_SPEED = TOOL + 3
 TOOL_KNOWN = TOOL + 6
 LAST_TICK_S = TOOL + 7
-MEMORY_SIZE = TOOL + 8
+PHASE_LOSS = TOOL + 8
+MEMORY_SIZE = PHASE_LOSS + LOSS_SIZE
 
 # Columns of a row of the record.
 T_S = 0
@@ -115,6 +91,7 @@ def scratch_sizes(fixtures: int) -> dict[str, Any]:
         "work": work_size(fixtures),
         "order": (fixtures,),
         "composed": (COMPOSED_SIZE,),
+        "other": (COMPOSED_SIZE,),
         "vectors": (5, 3),
     }
 
@@ -143,73 +120,6 @@ def _place_in_tracker(
         for k in range(3):
             m[TOOL_SPEED + k] = 0.0
     return finite
-
-
-@inlined
-def _in_model(pose: Columns, p: FloatArray) -> Vector:
-    x, y, z, t = pose[0], pose[1], pose[2], pose[3]
-    return (
-        x[0] * p[0] + y[0] * p[1] + z[0] * p[2] + t[0],
-        x[1] * p[0] + y[1] * p[1] + z[1] * p[2] + t[1],
-        x[2] * p[0] + y[2] * p[1] + z[2] * p[2] + t[2],
-    )
-
-
-@inlined
-def _to_tracker(pose: Columns, v: Vector) -> Vector:
-    """A free vector of the model's frame in the tracker's."""
-    return dot(pose[0], v), dot(pose[1], v), dot(pose[2], v)
-
-
-@inlined
-def fixtures_force(
-    linear: NDArray[Any],
-    periodic: NDArray[Any],
-    packed: FloatArray,
-    fixtures: FloatArray,
-    cap_n: float,
-    inputs: FloatArray,
-    t_s: float,
-    xyz: FloatArray,
-    input_status: int,
-    first: FloatArray,
-    forces: FloatArray,
-    work: FloatArray,
-    order: FloatArray,
-    composed: FloatArray,
-) -> int:
-    """All fixtures' force at one place and time: `composed`; distance, gradient, rates, σ in `first`."""
-    pose_phase = inputs[POSE_AND_PHASE:]
-    status = input_status
-    if status == code.OK:
-        status = status_at(pose_phase, t_s, xyz[0] + xyz[1] + xyz[2])
-    composed[:] = 0.0
-    first[:] = math.nan
-    if status != code.OK:
-        return status
-    pose, phase = pose_at(pose_phase, t_s), phase_at(pose_phase, t_s)
-    for i in range(len(packed)):
-        margin = inputs[MARGIN_MM + i]
-        packed[i, LAW + 1] = fixtures[i, BASE_WIDTH] + fixtures[i, WIDEN_WIDTH] * margin
-        packed[i, DEPTH] = fixtures[i, BASE_DEPTH] + fixtures[i, WIDEN_DEPTH] * margin
-    found = forces_on_surface(linear, periodic, packed, _in_model(pose, xyz), phase[0], forces)
-    if found[0] != code.OK:
-        return found[0]
-    for i in range(len(packed)):
-        forces[i, 0], forces[i, 1], forces[i, 2] = _to_tracker(
-            pose, (forces[i, 0], forces[i, 1], forces[i, 2])
-        )
-    gradient = _to_tracker(pose, found[3])
-    first[3], first[4], first[5], first[6], first[7] = (
-        found[2],
-        gradient[0],
-        gradient[1],
-        gradient[2],
-        found[4],
-    )
-    compose_forces(forces, fixtures[:, FIXTURE_CAP_N], fixtures[:, FORBIDDEN], cap_n, work, order, composed)
-    first[DISTANCE_RATE], first[DISTANCE_SIGMA] = distance_rate_and_sigma(pose_phase, pose, phase, xyz, first)
-    return code.OK
 
 
 @inlined
@@ -264,6 +174,7 @@ def servo_tick(
     work: FloatArray,
     order: FloatArray,
     composed: FloatArray,
+    other: FloatArray,
     vectors: FloatArray,
     row: FloatArray,
     force_device: FloatArray,
@@ -278,11 +189,11 @@ def servo_tick(
         xyz_device: (3,) mm, device frame; device_status: not 0 where the device did not answer.
         clock_s: monotonic clock at which the position was read.
         found: hazard bits that the loop found.
-        m: memory; first, forces, work, order, composed, vectors: scratch (`scratch_sizes`).
+        m: memory; first, forces, work, order, composed, other, vectors: scratch (`scratch_sizes`).
         row: (30,) the record of this tick.
         force_device: (3,) N to send, device frame.
     """
-    t_s = clock_s - inputs[CLOCK_OFFSET_S]
+    t_s, loss = clock_s - inputs[CLOCK_OFFSET_S], m[PHASE_LOSS:]
     dt_s = clock_s - m[LAST_TICK_S] if m[LAST_TICK_S] != 0.0 else c[PERIOD_S]
     m[LAST_TICK_S] = clock_s
     hazards = found | int(inputs[HAZARDS])
@@ -297,6 +208,8 @@ def servo_tick(
     if not clock_s <= inputs[VALID_UNTIL_S]:
         hazards |= codes[SESSION_SILENT]
         status = code.NO_POSE if status == code.OK else status
+    if status == code.OK and hazards & codes[OF_STATUS + code.NO_PHASE]:
+        status = code.NO_PHASE
     for k in range(3):
         speed[k] = m[TOOL_SPEED + k]
         xyz[k] = m[TOOL_XYZ + k] + c[PREDICT_TOOL] * c[LEAD_S] * speed[k]
@@ -311,18 +224,40 @@ def servo_tick(
         t_s + c[LEAD_S],
         xyz,
         status,
+        loss,
         first,
         forces,
         work,
         order,
         composed,
     )
+    if status != code.OK or loss[WORST_SHARE] > 0.0:
+        status = cross_to_walls(
+            linear,
+            periodic,
+            packed,
+            fixtures,
+            c[CAP_N],
+            inputs,
+            t_s + c[LEAD_S],
+            xyz,
+            status,
+            dt_s / limits[supervision.FADE_S],
+            loss,
+            first,
+            forces,
+            work,
+            order,
+            composed,
+            other,
+        )
+    evaluated = math.isfinite(first[3])
     surface_speed = math.nan
     for k in range(3):
         xyz[k] = m[TOOL_XYZ + k]
         field[k] = composed[k] + composed[3 + k]
         wanted[k] = field[k]
-    if status == code.OK:
+    if evaluated:
         surface_speed = _relative_damping(c, m, first, surface, wanted)
     hazards |= codes[OF_STATUS + status]
     supervisor = m[SUPERVISION:TOOL]
@@ -331,7 +266,7 @@ def servo_tick(
             supervisor[supervision.STATE] <= supervision.DEGRADED and supervisor[supervision.SLOW] == 0.0
         )
         observe(m, xyz, field, dt_s, int(c[DELAY_TICKS]), following)
-        if status == code.OK:
+        if evaluated:
             control(m, speed, surface, c[PERIOD_S], c[LARGEST_DAMPING], wanted)
     else:
         m[passivity.STARTED] = 0.0

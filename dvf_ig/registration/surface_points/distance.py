@@ -8,7 +8,8 @@ import numpy as np
 
 from dvf_ig.core import HEART_RADIUS_MM, DvfModel, FloatArray, Rigid, require_same_frame
 from dvf_ig.kernels import status as code
-from dvf_ig.kernels.dynamic import BLEND_DISTANCE, force_batch, packed_fixture
+from dvf_ig.kernels.dynamic import force_batch
+from dvf_ig.kernels.fixture_field import BLEND_DISTANCE, packed_fixture
 
 from .touched import TouchedPoints
 

@@ -36,7 +36,8 @@ POSE = Rigid.from_rotation_vector([0.4, -1.1, 0.7], [30.0, -80.0, 12.0], "mr", "
 """Any registration costs the same."""
 FIRST_CALL = """
 import time, numpy as np
-from dvf_ig.kernels.dynamic import force_tick as tick, packed_fixture
+from dvf_ig.kernels.dynamic import force_tick as tick
+from dvf_ig.kernels.fixture_field import packed_fixture
 c, n = np.zeros((2, 4, 4, 4), np.float32), np.zeros(3)
 packed = packed_fixture(n, 1.0, np.array([0.0, 0.5]), np.zeros((0, 4, 4)), np.ones(5), 0, np.eye(3, 4))
 start = time.perf_counter()

@@ -23,12 +23,12 @@ def rough_session(seed, count):
         yield t_s, given, hazards, rng.uniform() < 0.02
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_kernel_s_supervisor_is_the_readable_one(seed):
+@pytest.mark.parametrize(("seed", "walls"), [(1, False), (2, True), (3, False)])
+def test_the_kernel_s_supervisor_is_the_readable_one(seed, walls):
     limits = DeviceLimits(stiffness_n_per_m=300.0)
-    readable, memory = Supervisor(limits), np.zeros(kernel.MEMORY_SIZE)
+    readable, memory = Supervisor(limits, walls=walls), np.zeros(kernel.MEMORY_SIZE)
     kernel.start_supervision(memory)
-    numbers, codes = supervisor_limits(limits), hazard_codes()
+    numbers, codes = supervisor_limits(limits), hazard_codes(walls)
     states, answers = set(), set()
     for t_s, wanted, hazards, ask in rough_session(seed, 6000):
         expected = readable.step(t_s, wanted, hazards)
@@ -50,7 +50,7 @@ def test_the_kernel_s_supervisor_is_the_readable_one(seed):
 def test_an_old_step_is_no_reason_to_rearm():
     readable, memory = Supervisor(), np.zeros(kernel.MEMORY_SIZE)
     kernel.start_supervision(memory)
-    numbers, codes = supervisor_limits(DeviceLimits()), hazard_codes()
+    numbers, codes = supervisor_limits(DeviceLimits()), hazard_codes(False)
     for k in range(30):
         hazards = Hazard.NOT_FINITE if k < 2 else Hazard.NONE
         readable.step(0.001 * k, np.zeros(3), hazards)

@@ -1,9 +1,11 @@
 """The tick of the servo against its readable form, and what its inputs do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from dvf_ig.core import InvalidInputError, Rigid
+from dvf_ig.core import InvalidInputError, PhaseState, Rigid
 from dvf_ig.guidance import (
     Confinement,
     DeviceLimits,
@@ -19,10 +21,11 @@ from dvf_ig.guidance import (
     SupervisorState,
 )
 from dvf_ig.guidance.devices.recorded import RecordedDevice
-from dvf_ig.guidance.servo import ServoInputs, ServoOptions, SimulatedServo
+from dvf_ig.guidance.servo import ServoInputs, ServoOptions, ServoRecord, SimulatedServo
 from dvf_ig.guidance.servo.twin import ReadableTick
+from dvf_ig.kernels.servo.tick import CLAMPED
 
-from .conftest import RATE_HZ, TRACKER_FROM_DEVICE
+from .conftest import RATE_HZ, THREE, TRACKER_FROM_DEVICE, beat
 
 LIMITS = DeviceLimits(stiffness_n_per_m=400.0)
 OPTIONS = ServoOptions(feed_forward=FeedForward(damping_n_s_per_m=0.5, friction_n=0.02))
@@ -64,6 +67,77 @@ def test_the_kernel_s_tick_is_the_readable_one(moving, three, path_mm):
         np.testing.assert_allclose(record.by_surface_mj[-1], twin.observer.by_surface_mj, atol=1e-9)
     assert states >= {SupervisorState.OK, SupervisorState.DEGRADED, SupervisorState.FADE}
     assert abs(twin.observer.by_surface_mj) > 0.01
+
+
+def losing_phase(moving, ticks, every=33):
+    """The phase ends at 0.3 s, is known again from 0.8 s on, is lost at 0.95 s and back at 1.05 s."""
+    lost = replace(moving, phase=beat(state=PhaseState.SUSPECT))
+    for first in range(0, ticks, every):
+        now_s = first / RATE_HZ
+        transform = replace(moving, phase=beat(until_s=0.3)) if now_s < 0.5 else lost
+        if 0.8 <= now_s < 0.95 or now_s >= 1.05:
+            transform = moving
+        yield ServoInputs(transform, now_s, TRACKER_FROM_DEVICE), min(every, ticks - first)
+
+
+@pytest.mark.parametrize("which", [slice(None), slice(2, None)], ids=["walls", "guidance alone"])
+def test_a_lost_phase_leaves_walls_and_the_kernel_s_tick_stays_the_readable_one(ball, moving, path_mm, which):
+    """Guidance has gone after 250 ms and no step exceeds the slew limit; without a wall the force fades."""
+    fixtures = Fixtures(ball, FixtureSet(THREE.fixtures[which], 0.6))
+    device = RecordedDevice(path_mm, RATE_HZ)
+    servo = SimulatedServo(fixtures, device, limits=LIMITS, options=OPTIONS)
+    twin = ReadableTick(fixtures, LIMITS, OPTIONS, device.latency_s)
+    rows, tick = [], 0
+    for inputs, count in losing_phase(moving, 1450):
+        record = servo.run(inputs, count)
+        for k in range(count):
+            expected = twin.step(float(record.t_s[k]), path_mm[tick], inputs)
+            np.testing.assert_allclose(record.sent_n[k], expected.force_n, atol=1e-9)
+            assert (record.state[k], record.hazards[k]) == (expected.state, expected.hazards)
+            tick += 1
+        rows.append(record.rows)
+    record = ServoRecord(np.concatenate(rows))
+    steps = np.linalg.norm(np.diff(record.sent_n, axis=0), axis=1)
+    assert steps.max() <= 0.1
+    assert not record.rows[:, CLAMPED].any()
+    gone = record.t_s[(record.hazards & Hazard.NO_PHASE) != 0]
+    assert gone[0] == pytest.approx(0.3, abs=0.0011)
+    held = slice(600, 790)
+    if which == slice(None):
+        assert set(record.state.tolist()) == {SupervisorState.DEGRADED, SupervisorState.OK}
+        pose = moving.pose
+        for k in range(600, 790, 30):
+            ahead = record.t_s[k] + 0.5e-3
+            walls = Fixtures(ball, FixtureSet(THREE.fixtures[:2], 0.6))
+            place = Rigid(ball.frame, "tracker", pose.at(ahead).rotation, pose.at(ahead).translation_mm)
+            speed = record.xyz_mm[k : k + 1] - record.xyz_mm[k - 1 : k]
+            tip = record.xyz_mm[k : k + 1] + 0.5 * speed
+            alone = walls.evaluate(place, tip, np.nan, np.array([int(Status.NO_PHASE)]))
+            np.testing.assert_allclose(record.field_n[k], alone.force_n[0], atol=2e-3)
+            assert record.distance_mm[k] == pytest.approx(alone.distance_mm[0], abs=0.02)
+        assert np.linalg.norm(record.sent_n[held], axis=1).max() > 0.15
+    else:
+        assert not record.sent_n[held].any()
+        assert np.isnan(record.distance_mm[held]).all()
+
+
+def test_leaving_the_box_while_the_phase_is_lost_is_that_of_the_readable_tick(ball, moving, path_mm):
+    """At 0.45 s, within the crossing, and at 0.65 s, for 5 ms each; the force fades and comes back."""
+    fixtures, path = Fixtures(ball, THREE), path_mm.copy()
+    for begin in (450, 650):
+        path[begin : begin + 5] += 500.0
+    servo = SimulatedServo(fixtures, RecordedDevice(path, RATE_HZ), limits=LIMITS, options=OPTIONS)
+    twin, tick, found = ReadableTick(fixtures, LIMITS, OPTIONS, 0.0), 0, Hazard.NONE
+    for inputs, count in losing_phase(moving, 1000):
+        record = servo.run(inputs, count)
+        for k in range(count):
+            expected = twin.step(float(record.t_s[k]), path[tick], inputs)
+            np.testing.assert_allclose(record.sent_n[k], expected.force_n, atol=1e-9)
+            assert (record.state[k], record.hazards[k]) == (expected.state, expected.hazards)
+            found |= expected.hazards
+            tick += 1
+    assert found & Hazard.OUT_OF_VOLUME
+    assert found & Hazard.NO_PHASE
 
 
 def test_the_device_gets_the_force_in_its_own_frame(moving, three, path_mm):

@@ -1,0 +1,46 @@
+"""Walls where the cardiac phase is not known, in readable form; `dvf_ig.kernels.worst_phase` says what."""
+
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from dvf_ig.core import Rigid
+from dvf_ig.guidance.blend import static_force
+from dvf_ig.guidance.evaluator import Evaluator, ForceSamples
+from dvf_ig.guidance.laws import Confinement, Gaussian
+from dvf_ig.guidance.status import Status
+from dvf_ig.kernels.worst_phase import SMOOTHING_MM
+
+
+def worst_phase_forces(evaluator: Evaluator, model_from_query: Rigid, xyz_mm: Any) -> ForceSamples:
+    """Forces of the smooth maximum of a wall's distance over the model's phases; guidance has none.
+
+    Tests hold `Evaluator.force_through` at NO_PHASE to it.
+
+    Args:
+        evaluator, model_from_query, xyz_mm: as in `Evaluator.force_through`.
+    Raises:
+        FrameMismatchError, InvalidInputError: as there.
+    """
+    each = [
+        evaluator.force_through(model_from_query, xyz_mm, phase)
+        for phase in evaluator.model.timing.fractions.tolist()
+    ]
+    status, wall = each[0].status, not isinstance(evaluator.law, Gaussian)
+    outward = -1.0 if isinstance(evaluator.law, Confinement) else 1.0
+    reach = outward * np.array([one.distance_mm for one in each]) / SMOOTHING_MM
+    total = logsumexp(reach, axis=0)
+    share = np.exp(reach - total)
+    gradient = np.einsum("in,inj->nj", share, np.array([one.gradient for one in each]))
+    distance = outward * SMOOTHING_MM * total
+    usable = (status == int(Status.OK)) & wall
+    force = static_force(evaluator.law, distance, gradient)
+    return ForceSamples(
+        model_from_query.source,
+        np.where(usable[:, None], force, 0.0),
+        np.where(usable, distance, np.nan),
+        np.where(usable[:, None], gradient, np.nan),
+        np.where(status == int(Status.OK), int(Status.NO_PHASE), status),
+        np.where(usable, 0.0, np.nan),
+    )

@@ -1,0 +1,120 @@
+"""A fixture in one array, and the field of one of its phases at a point: what every evaluation is made of."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core import FloatArray
+
+from . import status as code
+from .compiled import inlined
+from .lanes import Float64x4, multiply, pack, unpack
+from .laws import direction_certainty, signed_potential
+from .spline import Cell, cell_value_gradient, inside_box
+from .vectors import Vector
+
+BLEND_FORCE = 0
+BLEND_DISTANCE = 1
+BLEND_PERIODIC = 2
+
+# Offsets in a packed fixture.
+ORIGIN = 0
+PER_KNOT = 3
+BLEND = 4
+LAW = 5
+DEPTH = 9
+POSE = 10
+TIMES = 22
+POWERS = 16
+"""Numbers for each phase that follow the phase times, with the periodic blend."""
+
+WITHOUT_RATE = 7
+"""Numbers in the output of a tick: force 3, distance, gradient 3; the distance rate may follow."""
+
+Output = tuple[int, Vector, float, Vector, float]
+"""Status, force (N), distance (mm), gradient, distance rate (mm a cycle)."""
+
+
+def packed_fixture(
+    origin_mm: FloatArray,
+    knot_mm: float,
+    fractions: FloatArray,
+    powers: FloatArray,
+    law: FloatArray,
+    blend: int,
+    model_from_query: FloatArray,
+) -> FloatArray:
+    """Everything but the coefficients in one array: each array argument lengthens a call from Python.
+
+    Args:
+        origin_mm: (3,); knot_mm: knot pitch.
+        fractions: (n,) phase times as fractions of the cycle.
+        powers: (n, 4, 4) phase weights of BLEND_PERIODIC (`cubic_in_phase`); (0, 4, 4) otherwise.
+        law: (5,) kind, scale, exponent, cap in N, guarded depth in mm (dvf_ig.guidance laws).
+        blend: BLEND_FORCE, BLEND_DISTANCE or BLEND_PERIODIC.
+        model_from_query: (3, 4) rigid map of query points into the model's frame.
+    """
+    head = [origin_mm, [1.0 / knot_mm, float(blend)], law, model_from_query.ravel()]
+    return np.concatenate([*head, fractions, powers.ravel()])
+
+
+@inlined
+def no_output(status: int) -> Output:
+    """Zero force, everything else NaN."""
+    undefined = (math.nan, math.nan, math.nan)
+    return status, (0.0, 0.0, 0.0), math.nan, undefined, math.nan
+
+
+@inlined
+def force_per_gradient(f: FloatArray, s_mm: float, norm: float) -> float:
+    """Force per unit of gradient: −cap·f(s)·certainty/|∇d|; zero where the direction is lost."""
+    certainty = direction_certainty(norm)
+    if certainty == 0.0:
+        return 0.0
+    potential = signed_potential(int(f[LAW]), f[LAW + 1], f[LAW + 2], s_mm)
+    ratio: float = -f[LAW + 3] * potential * certainty / norm
+    return ratio
+
+
+@inlined
+def force_per_gradient_of_field(f: FloatArray, field: Float64x4) -> float:
+    """`_force_per_gradient` at a distance and gradient of one phase."""
+    d, gx, gy, gz = unpack(field)
+    return force_per_gradient(f, d - f[DEPTH], math.sqrt(gx * gx + gy * gy + gz * gz))
+
+
+@inlined
+def field_of_phase(coefficients: NDArray[np.float32], phase: int, cell: Cell, per_knot: float) -> Float64x4:
+    """(distance, gradient) of one phase, gradient per mm."""
+    return multiply(
+        pack(1.0, per_knot, per_knot, per_knot), cell_value_gradient(coefficients, np.uintp(phase), cell)
+    )
+
+
+@inlined
+def cells_of(coefficients: NDArray[np.float32]) -> tuple[int, int, int]:
+    return coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3
+
+
+@inlined
+def knot_coordinates(
+    coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float
+) -> tuple[int, float, float, float]:
+    """Status and knot coordinates of a point."""
+    u = (q[0] - f[ORIGIN]) * f[PER_KNOT]
+    v = (q[1] - f[ORIGIN + 1]) * f[PER_KNOT]
+    w = (q[2] - f[ORIGIN + 2]) * f[PER_KNOT]
+    if not math.isfinite(u + v + w + phi):
+        return code.FAULT, u, v, w
+    return code.OK if inside_box(u, v, w, cells_of(coefficients)) else code.OUT_OF_VOLUME, u, v, w
+
+
+@inlined
+def output_of(force: Float64x4, field: Float64x4, rate: float) -> Output:
+    """Output of the rows (0, force) and (distance, gradient), and the distance rate."""
+    _, fx, fy, fz = unpack(force)
+    d, gx, gy, gz = unpack(field)
+    if not math.isfinite(fx + fy + fz):
+        return no_output(code.FAULT)
+    return code.OK, (fx, fy, fz), d, (gx, gy, gz), rate

@@ -1,0 +1,107 @@
+"""A forbidden region where the cardiac phase is not known: the surface of the worst phase, made smooth.
+
+With d_i the distance in each of the model's N phases, a wall that keeps out of an organ takes
+
+    d = τ log Σ exp(d_i/τ),    ∇d = Σ w_i ∇d_i,    w_i = exp(d_i/τ) / Σ exp(d_j/τ)
+
+which is max_i d_i (docs/theory/safety.md) and, where several phases reach alike, up to τ log N more: never
+less protection, and a gradient without steps, so that the force never jumps from one phase's direction to
+another's. A confinement takes −τ log Σ exp(−d_i/τ): the narrowest chamber. The readable form is
+`dvf_ig.guidance.margins.worst_phase`.
+
+Source: the smooth maximum, Boyd and Vandenberghe 2004, section 3.1.5.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core import FloatArray
+
+from . import status as code
+from .compiled import inlined, kernel
+from .fixture_field import (
+    BLEND,
+    BLEND_PERIODIC,
+    LAW,
+    PER_KNOT,
+    POWERS,
+    TIMES,
+    Output,
+    cells_of,
+    field_of_phase,
+    force_per_gradient_of_field,
+    knot_coordinates,
+    no_output,
+    output_of,
+)
+from .lanes import Float64x4, fma, pack, scale, unpack
+from .laws import SIGMOID
+from .spline import Cell, find_cell
+from .vectors import Vector
+
+SMOOTHING_MM = 0.25
+"""τ: the pitch between frames in Ren 2008. 20 phases that coincide widen a wall by 0.75 mm. By judgement."""
+
+
+@inlined
+def is_wall(f: FloatArray) -> bool:
+    """Whether a packed fixture is a forbidden region or a confinement."""
+    return int(f[LAW]) == SIGMOID
+
+
+@inlined
+def _field_at_phase(
+    coefficients: NDArray[np.float32], f: FloatArray, phase: int, cell: Cell, count: int
+) -> Float64x4:
+    """(distance, gradient) at a phase's own time; of a periodic spline by its three parts that act there."""
+    if int(f[BLEND]) != BLEND_PERIODIC:
+        return field_of_phase(coefficients, phase, cell, f[PER_KNOT])
+    weights = TIMES + count + POWERS * phase
+    before = phase - 1 if phase > 0 else count - 1
+    after = phase + 1 if phase + 1 < count else 0
+    sum_ = scale(f[weights], field_of_phase(coefficients, before, cell, f[PER_KNOT]))
+    sum_ = fma(sum_, f[weights + 1], field_of_phase(coefficients, phase, cell, f[PER_KNOT]))
+    return fma(sum_, f[weights + 2], field_of_phase(coefficients, after, cell, f[PER_KNOT]))
+
+
+@kernel
+def worst_phase_force(coefficients: NDArray[np.float32], f: FloatArray, q: Vector) -> Output:
+    """Force, distance and gradient of a wall at its worst phase; its rate by the phase is zero.
+
+    Not inlined: it is called where the phase is not known alone, and must cost nothing elsewhere.
+
+    Args:
+        coefficients, f: of a wall, as in `dvf_ig.kernels.dynamic.force_tick`.
+        q: point in the model's frame.
+    Returns:
+        status OK, OUT_OF_VOLUME or FAULT; no force but at OK.
+    """
+    status, u, v, w = knot_coordinates(coefficients, f, q, 0.0)
+    if status != code.OK:
+        return no_output(status)
+    cell, count = find_cell(u, v, w, cells_of(coefficients)), len(coefficients)
+    outward = 1.0 if f[LAW + 1] > 0.0 else -1.0
+    most, total, mixed = -math.inf, 0.0, pack(0.0, 0.0, 0.0, 0.0)
+    for phase in range(count):
+        field = _field_at_phase(coefficients, f, phase, cell, count)
+        reach = outward * unpack(field)[0]
+        if reach > most:
+            shrunk = math.exp((most - reach) / SMOOTHING_MM)
+            mixed, total, most = fma(field, shrunk, mixed), 1.0 + shrunk * total, reach
+        else:
+            weight = math.exp((reach - most) / SMOOTHING_MM)
+            mixed, total = fma(mixed, weight, field), total + weight
+    _, gx, gy, gz = unpack(scale(1.0 / total, mixed))
+    field = pack(outward * (most + SMOOTHING_MM * math.log(total)), gx, gy, gz)
+    return output_of(scale(force_per_gradient_of_field(f, field), field), field, 0.0)
+
+
+@kernel
+def wall_without_phase(coefficients: NDArray[np.float32], f: FloatArray, q: Vector) -> Output:
+    """The same with status NO_PHASE in place of OK; no force of a fixture that is no wall."""
+    if not is_wall(f):
+        return no_output(code.NO_PHASE)
+    status, force, d, gradient, rate = worst_phase_force(coefficients, f, q)
+    return code.NO_PHASE if status == code.OK else status, force, d, gradient, rate
