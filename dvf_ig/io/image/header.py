@@ -108,7 +108,7 @@ def real_numbers(path: Path, name: str, text: str, count: int) -> FloatArray:
         values = np.zeros(0)
     if len(values) != count or not (np.abs(values) <= _LARGEST).all():
         raise UnreadableFileError(
-            f"{path}: {name} is '{text[:60]}'; needed {count} finite numbers below {_LARGEST:g}: copy it again"
+            f"{path}: {name} is '{text[:60]}'; needed {count} finite numbers below {_LARGEST:g}"
         )
     return values
 

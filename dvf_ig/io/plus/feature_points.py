@@ -8,6 +8,7 @@ from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
+from dvf_ig.io import limits
 from dvf_ig.io.reading import read_text, reading
 
 from .names import USUAL_NAMES, ProbeNames
@@ -38,7 +39,7 @@ def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArr
     rows: list[FloatArray] = []
     for number, line in enumerate(lines[1:], start=2):
         frame, *cells = _numbers(path, number, line, len(head))
-        if frame != frame or frame < 0 or frame != int(frame):
+        if not 0 <= frame < limits.FRAMES or frame != int(frame):
             raise UnreadableFileError(f"{path}, line {number}: '{line[0]}' is no frame number (0, 1, 2, …)")
         numbers.append(int(frame))
         rows.append(np.array(cells).reshape(count, 2))

@@ -10,6 +10,7 @@ from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
+from dvf_ig.io import limits
 from dvf_ig.io.reading import read_text, reading
 
 from .sequence_read import read_sequence
@@ -43,6 +44,8 @@ def read_poses(path: Path | str, target: str | None = None, source: str | None =
             times, matrices = _read_folder(path)
         else:
             times, matrices = _read_table(path)
+        limits.require_times(times, "its column of times")
+        limits.require_lengths(matrices, "a pose")
         valid = np.ones(len(matrices), dtype=np.bool_)
         rotations, translations = matrices[:, :3, :3], matrices[:, :3, 3]
         return PoseStream(target or "tracker", source or "tool", times, rotations, translations, valid)
