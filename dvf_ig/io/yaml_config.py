@@ -1,7 +1,7 @@
 """YAML that people write: sections with known keys, and sentences that name file and key of what is wrong."""
 
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
@@ -36,7 +36,7 @@ class Section(BaseModel):
 class _Loader(yaml.SafeLoader):
     """Plain values alone: a date is a text, so that none can be wrong."""
 
-    yaml_implicit_resolvers: ClassVar = {
+    yaml_implicit_resolvers = {  # noqa: RUF012
         first: [(tag, form) for tag, form in found if not tag.endswith(":timestamp")]
         for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
