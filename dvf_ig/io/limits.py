@@ -30,8 +30,8 @@ ELEMENTS = 50_000_000
 """Vertices or triangles of a mesh; whole-heart surfaces have 10 000 to 1 000 000."""
 MODEL_BYTES = 2 << 30
 """Arrays of a model: 20 phases with knots every 3 mm have 55 MB, every 1 mm 1.5 GB."""
-LENGTH_MM = 1e5
-"""No coordinate in an operating room lies 100 m from the origin; trackers reach 5 m, scanners 2 m."""
+LENGTH_MM = 1e6
+"""No coordinate in an operating room lies a kilometre from the origin; trackers reach 5 m, scanners 2 m."""
 SPACING_MM = (1e-4, 1e3)
 """Sides of voxels: micro-CT has 0.005 mm. Outside are wrong units or damaged headers."""
 TIME_S = 1e10

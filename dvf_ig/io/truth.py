@@ -2,7 +2,6 @@
 
 import io
 import math
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,8 @@ from dvf_ig.core.scenario import ScenarioTruth, ToolTruth
 from dvf_ig.io.atomic import make_folder, write_bytes, write_text
 from dvf_ig.io.image.timing import timing_document, timing_from_document
 from dvf_ig.io.json_file import read_json, write_json
+from dvf_ig.io.limits import MODEL_BYTES
+from dvf_ig.io.npz import read_npz
 from dvf_ig.io.reading import read_bytes, read_text, reading
 from dvf_ig.io.transform import rigid_from_matrix
 
@@ -169,9 +170,8 @@ def _write_arrays(path: Path, arrays: dict[str, AnyArray]) -> None:
 
 
 def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, AnyArray]:
-    data = read_bytes(path, "the truth of a scenario")
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            return {name: archive[name] for name in names}
-    except (ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile) as exc:
-        raise UnreadableFileError(f"{path} is damaged or lacks an array ({exc}); write it again") from exc
+    arrays = read_npz(path, read_bytes(path, "the truth of a scenario"), MODEL_BYTES)
+    lacking = [name for name in names if name not in arrays]
+    if lacking:
+        raise UnreadableFileError(f"{path} is damaged or lacks an array ({lacking[0]}); write it again")
+    return arrays
