@@ -140,7 +140,7 @@ def markup_points(path: Path) -> tuple[list[str], FloatArray]:
                     names.append(str(point.get("label") or point.get("id") or len(names) + 1))
                     rows.append(np.array(point["position"], dtype=np.float64) * signs)
         return names, np.array(rows).reshape(-1, 3)
-    except (KeyError, TypeError, AttributeError) as exc:
+    except (KeyError, TypeError, AttributeError, OverflowError) as exc:
         raise UnreadableFileError(f"{path} is not a 3D Slicer markups file (no {exc})") from exc
     except ValueError as exc:
         if isinstance(exc, UnreadableFileError):
@@ -171,7 +171,7 @@ def _from_fcsv(path: Path) -> tuple[list[str], FloatArray]:
 def _from_tag(path: Path) -> tuple[list[str], list[FloatArray]]:
     """Names and one (n, 3) LPS array a volume."""
     text = read_text(path, "an MNI tag file")
-    volumes = re.search(r"Volumes\s*=\s*(\d+)\s*;", text)
+    volumes = re.search(r"Volumes\s*=\s*([0-9]{1,3})\s*;", text)
     body = re.search(r"Points\s*=(.*?);", text, re.DOTALL)
     if not text.startswith("MNI Tag Point File") or volumes is None or body is None:
         raise UnreadableFileError(f"{path} is not an MNI tag file (no Volumes and Points)")

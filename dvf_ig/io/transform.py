@@ -108,7 +108,10 @@ def rigid_from_matrix(matrix: Any, target: str, source: str) -> Rigid:
     Raises:
         InvalidInputError: not 4×4 or further than 1e-3 from rigid.
     """
-    array = np.asarray(matrix, dtype=np.float64)
+    try:
+        array = np.asarray(matrix, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as exc:
+        raise InvalidInputError(f"the matrix of {target}_from_{source} is not of numbers ({exc})") from exc
     limits.require_lengths(array, f"the matrix of {target}_from_{source}")
     exact = array.shape == (4, 4) and np.isfinite(array).all() and rigidity_defect(array[:3, :3]) <= 1e-9
     if exact and np.array_equal(array[3], (0, 0, 0, 1)):

@@ -14,6 +14,7 @@ from dvf_ig.core.mesh import SurfaceSeries
 from dvf_ig.core.points import Landmarks, Points
 from dvf_ig.core.rigid import Rigid
 from dvf_ig.core.scenario import ScenarioTruth, ToolTruth
+from dvf_ig.io import limits
 from dvf_ig.io.atomic import make_folder, write_bytes, write_text
 from dvf_ig.io.image.timing import timing_document, timing_from_document
 from dvf_ig.io.json_file import read_json, write_json
@@ -88,7 +89,7 @@ def read_truth(folder: Path) -> ScenarioTruth:
             return _truth(folder, document)
         except KeyError as exc:
             raise UnreadableFileError(f"{path} lacks {exc}; write the scenario again") from exc
-        except (TypeError, ValueError) as exc:
+        except (TypeError, ValueError, OverflowError, AttributeError) as exc:
             if isinstance(exc, InvalidInputError):
                 raise
             raise UnreadableFileError(f"{path} holds a value of the wrong kind ({exc})") from exc
@@ -96,6 +97,8 @@ def read_truth(folder: Path) -> ScenarioTruth:
 
 def _truth(folder: Path, document: dict[str, Any]) -> ScenarioTruth:
     tool = _read_arrays(folder / "tool.npz", _TOOL)
+    for name, told in (("tip_mm", document["tip_mm"]), ("targets", list(document["targets"].values()))):
+        limits.require_lengths(told, name)
     calibrated = document.get("calibrated_probe_from_image")
     return ScenarioTruth(
         mr_from_tracker=tuple(_timed_pose(entry) for entry in document["mr_from_tracker"]),

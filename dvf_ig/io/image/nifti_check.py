@@ -183,7 +183,7 @@ def _checked(path: Path, fields: dict[str, tuple[Any, ...]], begin: int, *, sing
         *(fields["qform"] if uses_qform else ()),
         *(axes.flat if uses_sform else ()),
     ]
-    if not np.isfinite(placed).all() or not np.isfinite(sizes).all() or (sizes == 0).any():
+    if not (np.abs(placed) < 1e12).all() or not np.isfinite(sizes).all() or (sizes == 0).any():
         raise UnreadableFileError(
             f"{path}: its header holds sizes of voxels ({sizes.tolist()}), a place or a scale that are not "
             "finite or zero; convert it again"

@@ -61,7 +61,7 @@ def _of_lists(path: Path, document: Any) -> dict[str, FloatArray]:
     for name, points in document.items():
         try:
             found[_kind(path, name)] = np.array(points, dtype=np.float64).reshape(-1, 3)
-        except (TypeError, ValueError) as exc:
+        except (TypeError, ValueError, OverflowError) as exc:
             if isinstance(exc, UnreadableFileError):
                 raise
             raise UnreadableFileError(

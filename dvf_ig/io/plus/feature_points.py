@@ -15,6 +15,9 @@ from .names import USUAL_NAMES, ProbeNames
 from .poses import SEQUENCE_SUFFIXES, read_poses
 from .sequence_read import read_indexed_sequence
 
+LARGEST_PX = 1e6
+"""No point that was seen lies further from an image's corner."""
+
 
 def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArray:
     """Segmented points of the images of a sequence.
@@ -126,6 +129,9 @@ def _numbers(path: Path, number: int, line: list[str], count: int) -> list[float
     if len(line) != count:
         raise UnreadableFileError(f"{path}, line {number}: {len(line)} cells; needed {count}")
     try:
-        return [float(cell) if cell.strip() else float("nan") for cell in line]
+        values = [float(cell) if cell.strip() else float("nan") for cell in line]
     except ValueError as exc:
         raise UnreadableFileError(f"{path}, line {number}: {exc}") from exc
+    if any(abs(value) > LARGEST_PX for value in values[1:]):
+        raise UnreadableFileError(f"{path}, line {number}: a place beyond {LARGEST_PX:g} px; export it again")
+    return values

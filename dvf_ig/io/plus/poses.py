@@ -16,6 +16,8 @@ from dvf_ig.io.reading import read_text, reading
 from .sequence_read import read_sequence
 
 SEQUENCE_SUFFIXES = (".mha", ".mhd", ".nrrd", ".nhdr")
+LARGEST = 1e12
+"""Squares of larger numbers may overflow."""
 _USUAL_TOOLS = ("stylus", "tool")
 
 
@@ -136,6 +138,8 @@ def _numbers(path: Path) -> FloatArray:
         table = np.array([[float(cell) for cell in row] for row in rows])
     except ValueError as exc:
         raise UnreadableFileError(f"{path} is not a table of numbers: {exc}") from exc
-    if table.ndim != 2 or not np.isfinite(table).all():
-        raise UnreadableFileError(f"{path}: needed rows of finite numbers, each of the same length")
+    if table.ndim != 2 or not (np.abs(table) < LARGEST).all():
+        raise UnreadableFileError(
+            f"{path}: needed rows of finite numbers below {LARGEST:g}, each of the same length"
+        )
     return table

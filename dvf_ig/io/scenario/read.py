@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.scenario import Scenario
 from dvf_ig.io.file_within import path_within
@@ -37,7 +39,11 @@ def read_scenario_session(folder: Path, *, truth: bool = True) -> SessionConfig:
     """
     config = read_config(folder)
     _require_kind(config, folder)
-    session = session_of_scenario(config, folder, truth=truth)
+    try:
+        session = session_of_scenario(config, folder, truth=truth)
+    except ValidationError as exc:
+        problem = exc.errors()[0]
+        raise UnreadableFileError(f"{folder / CONFIG}: {problem['loc'][-1]}: {problem['msg']}") from exc
     for _, name in named_files(session):
         path_within(folder, name, folder / CONFIG)
     return session
