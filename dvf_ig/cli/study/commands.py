@@ -9,6 +9,7 @@ from .constants import constants
 from .distance import distance_maps
 from .gating import gating
 from .hearts import hearts
+from .operators import operators
 from .options import TrialsCommand
 from .pairs import pairs
 from .passivity import passivity
@@ -35,3 +36,4 @@ add_registration_commands(app)
 app.command("calibration", cls=TrialsCommand)(calibration)
 app.command("pairs")(pairs)
 app.command("passivity")(passivity)
+app.command("operators")(operators)
