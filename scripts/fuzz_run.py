@@ -201,9 +201,7 @@ def _for_minutes(given: Any, seeds: Path) -> int:
             STATE.parent.mkdir(parents=True, exist_ok=True)
             STATE.write_text(json.dumps(state, indent=1, sort_keys=True))
     counts = {reader: state.get(f"{reader} {given.seed}", 0) for reader in readers}
-    print(
-        f"{sum(counts.values())} files so far, {min(counts.values())} or more a reader; {len(kinds)} new kinds"
-    )
+    print(f"{sum(counts.values())} files read, {min(counts.values())} or more a reader, {len(kinds)} kinds")
     return 1 if kinds else 0
 
 

@@ -133,8 +133,7 @@ def read_array(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
     with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
         header = image_header(path)
         if header is None:
-            stored, geometry = _read_nifti(path, dimension)
-            return _right_handed(path, frame, *geometry, stored)
+            return _read_nifti(path, frame, dimension)
         size, count = len(header.sizes), header.values_per_voxel
         if size != dimension or count != 1:
             raise UnreadableFileError(
@@ -146,8 +145,8 @@ def read_array(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
         return _right_handed(path, frame, *_exact(header.fields.get(_EXACT_KEY, ""), *geometry), values)
 
 
-def _read_nifti(path: Path, dimension: int) -> tuple[AnyArray, tuple[FloatArray, FloatArray, FloatArray]]:
-    """Values indexed [x, y, z] or [phase, x, y, z]; origin, spacing and direction."""
+def _read_nifti(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
+    """As `read_array`."""
     import SimpleITK
 
     size = check_nifti(path)
@@ -164,10 +163,11 @@ def _read_nifti(path: Path, dimension: int) -> tuple[AnyArray, tuple[FloatArray,
     if image.GetDimension() != dimension or image.GetNumberOfComponentsPerPixel() != 1:
         raise UnreadableFileError(f"{path} holds several values a voxel; needed an image with one")
     values = np.transpose(SimpleITK.GetArrayViewFromImage(image))
-    values = np.array(np.moveaxis(values, -1, 0) if dimension == 4 else values)
+    values = np.moveaxis(values, -1, 0) if dimension == 4 else values
     origin, spacing = np.array(image.GetOrigin()[:3]), np.array(image.GetSpacing()[:3])
     _require_plausible(path, origin, spacing)
-    return values, (origin, spacing, np.array(image.GetDirection()).reshape(dimension, dimension)[:3, :3])
+    direction = np.array(image.GetDirection()).reshape(dimension, dimension)[:3, :3]
+    return _right_handed(path, frame, origin, spacing, direction, values)
 
 
 def _require_plausible(path: Path, origin: FloatArray, spacing: FloatArray) -> None:

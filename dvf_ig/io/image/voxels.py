@@ -14,7 +14,6 @@ from dvf_ig.io.reading import refuse_lfs_pointer
 from .header import ImageHeader, Storage
 
 _GZIP_OR_ZLIB = 47
-_BLOCK = 1 << 22
 _MOST_PACKED = 1032
 """Bytes that one byte of a deflate stream can stand for (RFC 1951: 258 in two bits)."""
 
@@ -35,8 +34,7 @@ def read_voxels(path: Path, header: ImageHeader) -> AnyArray:
     held = sum(file.stat().st_size for file in storage.files or (path,))
     if needed > held * (_MOST_PACKED if storage.compressed else 1):
         _require_size(path, held, needed)
-    flat = np.empty(needed, np.uint8)
-    (_unpack if storage.compressed else _copy)(path, storage, flat)
+    flat = (_unpacked if storage.compressed else _raw)(path, storage, needed)
     for file in storage.files:
         record_file(file)
     stored = flat.view(header.dtype).reshape(header.sizes[::-1]).T
@@ -44,12 +42,12 @@ def read_voxels(path: Path, header: ImageHeader) -> AnyArray:
     return values if header.phase_axis is None else np.moveaxis(values, header.phase_axis, 0)
 
 
-def _copy(path: Path, storage: Storage, flat: AnyArray) -> None:
+def _raw(path: Path, storage: Storage, needed: int) -> AnyArray:
     """Raw voxels, of separate files an equal part each."""
-    parts = [path] if not storage.files else list(storage.files)
-    if flat.size % len(parts):
-        raise UnreadableFileError(f"{path}: {flat.size} bytes do not spread over {len(parts)} equal files")
-    share = flat.size // len(parts)
+    parts = storage.files or (path,)
+    if needed % len(parts):
+        raise UnreadableFileError(f"{path}: {needed} bytes do not spread over {len(parts)} equal files")
+    share, flat = needed // len(parts), np.empty(needed, np.uint8)
     for part, target in zip(parts, flat.reshape(len(parts), share), strict=True):
         size = part.stat().st_size
         skip = storage.skip if storage.files else storage.offset
@@ -59,34 +57,25 @@ def _copy(path: Path, storage: Storage, flat: AnyArray) -> None:
             stream.seek(begin)
             got = stream.readinto(target.data)
         _require_size(part, got, share)
+    return flat
 
 
-def _unpack(path: Path, storage: Storage, flat: AnyArray) -> None:
-    parts = [path] if not storage.files else list(storage.files)
-    inflater, filled = zlib.decompressobj(_GZIP_OR_ZLIB), 0
+def _unpacked(path: Path, storage: Storage, needed: int) -> AnyArray:
+    """Packed voxels; no more is unpacked than is needed, and a byte."""
+    inflater = zlib.decompressobj(_GZIP_OR_ZLIB)
+    packed = b"".join(file.read_bytes() for file in storage.files)
+    if not storage.files:
+        with path.open("rb") as stream:
+            stream.seek(storage.offset)
+            packed = stream.read()
     try:
-        for part in parts:
-            with part.open("rb") as stream:
-                stream.seek(0 if storage.files else storage.offset)
-                while not inflater.eof and (block := stream.read(_BLOCK)):
-                    filled = _inflate(path, inflater, block, flat, filled)
+        out = inflater.decompress(packed, needed + 1)
     except zlib.error as exc:
         raise UnreadableFileError(f"{path}: its packed voxels are damaged ({exc}); copy it again") from exc
-    _require_size(path, filled, flat.size)
+    _require_size(path, len(out), needed)
     if not inflater.eof:
         raise UnreadableFileError(f"{path} is truncated: its packed voxels do not end; copy it again")
-
-
-def _inflate(path: Path, inflater: "zlib._Decompress", block: bytes, flat: AnyArray, filled: int) -> int:
-    """Unpack a block into the array; how much of it is filled then."""
-    while block:
-        out = inflater.decompress(block, _BLOCK)
-        if filled + len(out) > flat.size:
-            _require_size(path, filled + len(out), flat.size)
-        flat[filled : filled + len(out)] = np.frombuffer(out, np.uint8)
-        filled += len(out)
-        block = inflater.unconsumed_tail
-    return filled
+    return np.frombuffer(out, np.uint8)
 
 
 def _require_size(path: Path, got: int, needed: int) -> None:

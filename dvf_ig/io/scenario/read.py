@@ -43,7 +43,8 @@ def read_scenario_session(folder: Path, *, truth: bool = True) -> SessionConfig:
         session = session_of_scenario(config, folder, truth=truth)
     except ValidationError as exc:
         problem = exc.errors()[0]
-        raise UnreadableFileError(f"{folder / CONFIG}: {problem['loc'][-1]}: {problem['msg']}") from exc
+        key = ".".join(map(str, problem["loc"])) or "its files"
+        raise UnreadableFileError(f"{folder / CONFIG}: {key}: {problem['msg']}") from exc
     for _, name in named_files(session):
         path_within(folder, name, folder / CONFIG)
     return session
