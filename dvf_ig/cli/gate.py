@@ -40,16 +40,19 @@ def gate(
 ) -> None:
     """Detect R peaks causally and report where the heart's phase is valid."""
     with command():
-        from dvf_ig.io import provenance_fields, refuse_foreign, write_json
+        from dvf_ig.io import files_together, provenance_fields, refuse_foreign, write_json
 
         rate_hz = phase_at or VALIDITY_RATE_HZ
         signal, tracking = _track(ecg, rate, rate_hz, predictor, delay_s)
         result = _result(tracking, with_phase=phase_at is not None)
         if output is not None:
-            refuse_foreign(output.with_suffix(".png"))
-            write_json(output, {**result, **provenance_fields()})
+            picture = output.with_suffix(".png")
+            refuse_foreign(picture)
+            with files_together(output.parent, (output.name, picture.name)) as new:
+                write_json(new / output.name, {**result, **provenance_fields()})
+                _draw(new / picture.name, ecg, signal, tracking)
             wrote(output)
-            _draw(output.with_suffix(".png"), ecg, signal, tracking)
+            wrote(picture)
         emit(result, _rows(result), as_json=as_json)
 
 
@@ -130,7 +133,6 @@ def _draw(path: Path, spec: str, signal: "Signal | None", tracking: "PhaseTracki
     name = Path(spec.rpartition(":")[2]).name
     peaks_s = np.array([peak.t_s for peak in tracking.peaks])
     write_bytes(path, gate_png(name, signal, peaks_s, tracking.track))
-    wrote(path)
 
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:

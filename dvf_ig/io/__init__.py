@@ -1,8 +1,8 @@
 """Files to core values and back: the only place that knows LPS/RAS, pixels, bytes and PLUS names."""
 
-from .atomic import files_together as files_together
 from .atomic import output_folder as output_folder
 from .atomic import write_text as write_text
+from .atomic_folder import files_together as files_together
 from .calibration_files import read_hand_eye as read_hand_eye
 from .calibration_files import read_lag as read_lag
 from .calibration_files import read_landmark_map as read_landmark_map

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from dvf_ig.core import ImageMap, Points, QualityGateError, Rigid
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 
+from . import limits
 from .json_file import read_json
 from .plus.image_map import read_image_map
 from .plus.names import same_sensor
@@ -97,7 +98,9 @@ def read_tip(path: Path | str, tool: str | None = None, *, allow_refused: bool =
         found = _read(TipFile, path, "a tool tip", "pivot", allow_refused=allow_refused)
         if tool not in (None, found.tip_frame):
             raise UnreadableFileError(f"{path} is the tip of '{found.tip_frame}'; needed that of '{tool}'")
-        return Points(found.tip_frame, np.array([found.tip_mm]))
+        with reading(path, "a tool tip"):
+            limits.require_lengths(found.tip_mm, "tip_mm")
+            return Points(found.tip_frame, np.array([found.tip_mm]))
     tips = {
         d.target: d.matrix[:3, 3]
         for d in read_calibrations(path).values()
@@ -138,6 +141,7 @@ def read_probe(path: Path | str, sensor: str = "probe", *, allow_refused: bool =
 
 def _image_map(found: ProbeFile, sensor: str) -> ImageMap:
     """From its parts, which keep every digit, where they are those of the matrix."""
+    limits.require_lengths(found.sensor_from_image, "sensor_from_image")
     whole = ImageMap.from_matrix(found.sensor_from_image, sensor)
     if found.sensor_from_image_rigid is None or found.pixel_mm is None:
         return whole
@@ -155,7 +159,10 @@ def read_lag(path: Path | str, *, allow_refused: bool = False) -> float:
         UnreadableFileError: absent, or not such a file.
         QualityGateError: it was refused.
     """
-    return _read(LatencyFile, Path(path), "a latency", "latency", allow_refused=allow_refused).lag_s
+    lag_s = _read(LatencyFile, Path(path), "a latency", "latency", allow_refused=allow_refused).lag_s
+    with reading(Path(path), "a latency"):
+        limits.require_times(lag_s, "lag_s")
+    return lag_s
 
 
 def read_landmark_map(path: Path | str, *, allow_refused: bool = False) -> Rigid:

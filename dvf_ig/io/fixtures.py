@@ -19,6 +19,7 @@ from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 
 from .json_file import read_json
 from .landmarks import markup_points
+from .limits import TIME_S
 from .reading import reading
 from .yaml_config import Section, read_yaml, validated
 
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
     from dvf_ig.guidance import FixtureOptions, FixtureSet, PathTarget
     from dvf_ig.guidance.margins import MarginOptions
 
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-TIME_S, le=TIME_S)]
+"""No length, time, force or stiffness that a person gives is larger than a time stamp."""
 BlendName = Literal["force", "distance", "periodic"]
 RetimingName = Literal["uniform", "two-segment"]
 MARGINS = ("off", "fixed", "adaptive")

@@ -39,6 +39,8 @@ def read_json(path: Path | str, what: str = "a JSON file") -> Any:
         return json.loads(text)
     except json.JSONDecodeError as exc:
         raise UnreadableFileError(f"{path} is not {what}: line {exc.lineno}: {exc.msg}") from exc
+    except ValueError as exc:
+        raise UnreadableFileError(f"{path} is not {what}: it holds a number of too many digits") from exc
     except RecursionError as exc:
         raise UnreadableFileError(f"{path} is not {what}: it is nested too deeply") from exc
 

@@ -11,6 +11,7 @@ from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import OutputError, UnreadableFileError
 from dvf_ig.core.points import Landmarks, Points
 
+from . import limits
 from .json_file import read_json, write_json
 from .reading import read_text, reading
 
@@ -43,18 +44,23 @@ def named_points(path: Path) -> tuple[list[str], FloatArray]:
     Raises:
         UnreadableFileError: absent, another format, two volumes, or no coordinate system.
     """
-    name = path.name.lower()
     with reading(path, "landmarks"):
-        if name.endswith(".json"):
-            return markup_points(path)
-        if name.endswith(".fcsv"):
-            return _from_fcsv(path)
-        if not name.endswith(".tag"):
-            raise UnreadableFileError(f"{path} has no landmark ending; needed .mrk.json, .fcsv or .tag")
-        names, sides = _from_tag(path)
-        if len(sides) != 1:
-            raise UnreadableFileError(f"{path} pairs the points of two volumes; read it as a pair")
-        return names, sides[0]
+        names, xyz = _points_of(path, path.name.lower())
+        limits.require_lengths(xyz, "a point")
+        return names, xyz
+
+
+def _points_of(path: Path, name: str) -> tuple[list[str], FloatArray]:
+    if name.endswith(".json"):
+        return markup_points(path)
+    if name.endswith(".fcsv"):
+        return _from_fcsv(path)
+    if not name.endswith(".tag"):
+        raise UnreadableFileError(f"{path} has no landmark ending; needed .mrk.json, .fcsv or .tag")
+    names, sides = _from_tag(path)
+    if len(sides) != 1:
+        raise UnreadableFileError(f"{path} pairs the points of two volumes; read it as a pair")
+    return names, sides[0]
 
 
 def read_tag_pair(path: Path | str, frame_first: str, frame_second: str) -> tuple[Landmarks, Landmarks]:
@@ -71,6 +77,7 @@ def read_tag_pair(path: Path | str, frame_first: str, frame_second: str) -> tupl
         if len(sides) != 2:
             raise UnreadableFileError(f"{path} holds one volume's points; needed those of two volumes")
         first, second = sides
+        limits.require_lengths(np.concatenate(sides), "a point")
         return _landmarks(path, names, first, frame_first), _landmarks(path, names, second, frame_second)
 
 
@@ -133,7 +140,7 @@ def markup_points(path: Path) -> tuple[list[str], FloatArray]:
                     names.append(str(point.get("label") or point.get("id") or len(names) + 1))
                     rows.append(np.array(point["position"], dtype=np.float64) * signs)
         return names, np.array(rows).reshape(-1, 3)
-    except (KeyError, TypeError, AttributeError) as exc:
+    except (KeyError, TypeError, AttributeError, OverflowError) as exc:
         raise UnreadableFileError(f"{path} is not a 3D Slicer markups file (no {exc})") from exc
     except ValueError as exc:
         if isinstance(exc, UnreadableFileError):
@@ -156,7 +163,7 @@ def _from_fcsv(path: Path) -> tuple[list[str], FloatArray]:
         table = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
         names = [row[label] if label < len(row) and row[label] else row[0] for row in table]
         xyz = np.array([[float(row[i]) for i in at] for row in table]).reshape(-1, 3)
-    except (ValueError, IndexError) as exc:
+    except (ValueError, IndexError, csv.Error) as exc:
         raise UnreadableFileError(f"{path} is not a 3D Slicer fiducial list ({exc})") from exc
     return names, xyz * signs
 
@@ -164,7 +171,7 @@ def _from_fcsv(path: Path) -> tuple[list[str], FloatArray]:
 def _from_tag(path: Path) -> tuple[list[str], list[FloatArray]]:
     """Names and one (n, 3) LPS array a volume."""
     text = read_text(path, "an MNI tag file")
-    volumes = re.search(r"Volumes\s*=\s*(\d+)\s*;", text)
+    volumes = re.search(r"Volumes\s*=\s*([0-9]{1,3})\s*;", text)
     body = re.search(r"Points\s*=(.*?);", text, re.DOTALL)
     if not text.startswith("MNI Tag Point File") or volumes is None or body is None:
         raise UnreadableFileError(f"{path} is not an MNI tag file (no Volumes and Points)")

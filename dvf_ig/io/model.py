@@ -16,8 +16,12 @@ from dvf_ig.core.mesh import Mesh
 from dvf_ig.core.model import DvfModel
 
 from .atomic import write_bytes
+from .limits import MODEL_BYTES
 from .model_chambers import chamber_arrays, chambers_of_arrays
+from .model_header import ModelHeader, require_consistent
+from .npz import read_npz
 from .reading import read_bytes, reading
+from .yaml_config import validated
 
 SCHEMA = "dvf_ig.model/1"
 _CHECKSUM = b"dvf_ig sha256 "
@@ -151,38 +155,37 @@ def _check_checksum(path: Path, data: bytes) -> None:
 
 def _unpack(path: Path, data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray]]:
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        arrays = read_npz(path, data, MODEL_BYTES)
         header = json.loads(arrays.pop("header").tobytes())
-    except (ValueError, KeyError, RuntimeError, zipfile.BadZipFile) as exc:
+    except (ValueError, KeyError, RecursionError) as exc:
         raise UnreadableFileError(f"{path} is not a model file ({exc}); build it again") from exc
     if not isinstance(header, dict):
         raise UnreadableFileError(f"{path} is not a model file: its header is no JSON object; build it again")
     return header, arrays
 
 
-def _model(path: Path, header: dict[str, Any], arrays: dict[str, AnyArray]) -> DvfModel:
+def _model(path: Path, document: dict[str, Any], arrays: dict[str, AnyArray]) -> DvfModel:
+    header = validated(ModelHeader, document, path)
     try:
+        require_consistent(header, arrays)
         vertices = np.split(arrays["reference_vertices_mm"], np.cumsum(arrays["vertex_counts"])[:-1])
         triangles = np.split(arrays["reference_triangles"], np.cumsum(arrays["triangle_counts"])[:-1])
         caps = np.split(arrays["reference_caps"], np.cumsum(arrays["triangle_counts"])[:-1])
-        frame = header["frame"]
+        frame = header.frame
         return DvfModel(
-            patient_id=header["patient_id"],
-            surface_name=header["surface_name"],
+            patient_id=header.patient_id,
+            surface_name=header.surface_name,
             frame=frame,
-            timing=CycleTiming(
-                arrays["fractions"], header["rr_s"], header["rr_assumed"], header["timing_assumed"]
-            ),
-            es_fraction=header["es_fraction"],
-            ed_phase=header["ed_phase"],
+            timing=CycleTiming(arrays["fractions"], header.rr_s, header.rr_assumed, header.timing_assumed),
+            es_fraction=header.es_fraction,
+            ed_phase=header.ed_phase,
             coefficients=arrays["coefficients"],
             origin_mm=arrays["origin_mm"],
-            knot_spacing_mm=header["knot_spacing_mm"],
+            knot_spacing_mm=header.knot_spacing_mm,
             reference=tuple(Mesh(frame, v, t) for v, t in zip(vertices, triangles, strict=True)),
             reference_caps=tuple(caps),
-            sources=tuple(header["sources"]),
-            chambers=chambers_of_arrays(header.get("chambers", []), frame, arrays),
+            sources=header.sources,
+            chambers=chambers_of_arrays(header.chambers, frame, arrays),
         )
     except KeyError as exc:
         raise UnreadableFileError(f"{path}: the model lacks {exc}; build it again") from exc

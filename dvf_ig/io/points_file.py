@@ -9,8 +9,9 @@ from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.points import Points
 
+from . import limits
 from .landmarks import LANDMARK_ENDINGS, named_points
-from .reading import read_text
+from .reading import read_text, reading
 
 
 def read_points(path: Path | str, frame: str) -> Points:
@@ -25,7 +26,9 @@ def read_points(path: Path | str, frame: str) -> Points:
     """
     path = Path(path)
     slicer = path.name.lower().endswith(LANDMARK_ENDINGS)
-    xyz_mm = named_points(path)[1] if slicer else _from_csv(path)
+    with reading(path, "points"):
+        xyz_mm = named_points(path)[1] if slicer else _from_csv(path)
+        limits.require_lengths(xyz_mm, "a point")
     if not len(xyz_mm):
         raise UnreadableFileError(f"{path} holds no points; needed x, y, z in mm of at least one")
     return Points(frame, xyz_mm)
@@ -33,7 +36,11 @@ def read_points(path: Path | str, frame: str) -> Points:
 
 def _from_csv(path: Path) -> FloatArray:
     rows: list[list[float]] = []
-    for number, row in enumerate(csv.reader(read_text(path, "points").splitlines()), start=1):
+    try:
+        table = list(csv.reader(read_text(path, "points").splitlines()))
+    except csv.Error as exc:
+        raise UnreadableFileError(f"{path} is not a table of points ({exc})") from exc
+    for number, row in enumerate(table, start=1):
         if not row:
             continue
         try:

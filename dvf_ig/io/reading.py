@@ -6,6 +6,7 @@ from pathlib import Path
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 
+from .limits import FILE_BYTES, TEXT_BYTES
 from .provenance import file_stamp, record_file, record_folder
 
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
@@ -46,10 +47,12 @@ def reading(path: Path, what: str) -> Iterator[None]:
         UnreadableFileError: the file is absent, unreadable, or its content breaks an invariant of the value
             it should become, or is a Git-LFS pointer. Errors that are this class already pass unchanged.
     """
+    if "\0" in str(path):
+        raise UnreadableFileError(f"{str(path)[:80]!r} is no name of a file; needed {what}")
     refuse_lfs_pointer(path)
-    if path.is_dir():
-        record_folder(path)
     try:
+        if path.is_dir():
+            record_folder(path)
         before = file_stamp(path)
         yield
         if before is not None:
@@ -68,14 +71,28 @@ def reading(path: Path, what: str) -> Iterator[None]:
 
 
 def read_bytes(path: Path, what: str) -> bytes:
-    """The whole file, or UnreadableFileError naming it."""
+    """The whole file, of at most FILE_BYTES, or UnreadableFileError naming it; of a pipe, TEXT_BYTES."""
     with reading(path, what):
-        data = path.read_bytes()
+        most = FILE_BYTES if path.is_file() or path.is_dir() else TEXT_BYTES
+        with path.open("rb") as stream:
+            _require_size(path, path.stat().st_size, most)
+            data = stream.read() if most == FILE_BYTES else stream.read(most + 1)
+        _require_size(path, len(data), most)
         record_file(path, data)
         return data
 
 
-def read_text(path: Path, what: str) -> str:
-    """The whole file as UTF-8 text without a byte-order mark, or UnreadableFileError naming it."""
+def read_text(path: Path, what: str, most: int = TEXT_BYTES) -> str:
+    """The whole file as UTF-8 text without a byte-order mark, or UnreadableFileError naming it.
+
+    Args:
+        most: bytes that it may have.
+    """
     with reading(path, what):
+        _require_size(path, path.stat().st_size, most)
         return read_bytes(path, what).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _require_size(path: Path, size: int, most: int) -> None:
+    if size > most:
+        raise UnreadableFileError(f"{path} has {size} bytes; at most {most} are read: split it")

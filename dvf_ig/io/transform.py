@@ -5,17 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import FrameMismatchError, InvalidInputError, OutputError, UnreadableFileError
+from dvf_ig.core.errors import FrameMismatchError, InvalidInputError, OutputError
 from dvf_ig.core.rigid import Rigid, rigidity_defect
 
+from . import limits
 from .atomic import atomic_file, write_text
+from .itk_transform import linear_matrix
 from .json_file import read_json
-from .reading import read_bytes, reading, refuse_lfs_pointer
+from .reading import reading, refuse_lfs_pointer
 from .sidecar import refuse_foreign, write_sidecar
 
 CONVENTION = "ITK: maps points of 'from' (fixed image) to 'to' (moving image); LPS, mm"
-_AFFINE = ("AffineTransform", "MatrixOffsetTransformBase")
 
 
 def read_transform(path: Path | str, target: str | None = None, source: str | None = None) -> Rigid:
@@ -53,7 +53,7 @@ def read_transform(path: Path | str, target: str | None = None, source: str | No
             '{"from": "<fixed frame>", "to": "<moving frame>"}'
         )
     with reading(path, "an ITK transform"):
-        matrix = _matrix(path)
+        matrix = linear_matrix(path)
         return rigid_from_matrix(matrix, target or "target", source or "source")
 
 
@@ -108,7 +108,11 @@ def rigid_from_matrix(matrix: Any, target: str, source: str) -> Rigid:
     Raises:
         InvalidInputError: not 4×4 or further than 1e-3 from rigid.
     """
-    array = np.asarray(matrix, dtype=np.float64)
+    try:
+        array = np.asarray(matrix, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as exc:
+        raise InvalidInputError(f"the matrix of {target}_from_{source} is not of numbers ({exc})") from exc
+    limits.require_lengths(array, f"the matrix of {target}_from_{source}")
     exact = array.shape == (4, 4) and np.isfinite(array).all() and rigidity_defect(array[:3, :3]) <= 1e-9
     if exact and np.array_equal(array[3], (0, 0, 0, 1)):
         return Rigid(target, source, array[:3, :3], array[:3, 3])
@@ -121,45 +125,3 @@ def _sidecar_frames(path: Path) -> tuple[str, str] | None:
     if not isinstance(document, dict) or not {"from", "to"} <= document.keys():
         return None
     return str(document["to"]), str(document["from"])
-
-
-def _matrix(path: Path) -> FloatArray:
-    """(4, 4) LPS matrix of a linear ITK transform, source to target."""
-    head = read_bytes(path, "an ITK transform")
-    exact = _affine_text(head.decode("ascii", "replace")) if head.startswith(b"#Insight") else None
-    return exact if exact is not None else _through_itk(path)
-
-
-def _affine_text(text: str) -> FloatArray | None:
-    """The matrix of a text file with one affine transform, with all its digits; None for anything else."""
-    values = dict(line.split(":", 1) for line in text.splitlines() if ":" in line and line[0] != "#")
-    if text.count("Transform:") != 1 or not values.get("Transform", "").strip().startswith(_AFFINE):
-        return None
-    try:
-        numbers = np.array(values["Parameters"].split(), dtype=np.float64)
-        center = np.array(values["FixedParameters"].split(), dtype=np.float64)
-    except (KeyError, ValueError):
-        return None
-    if numbers.size != 12 or center.size != 3:
-        return None
-    matrix = np.eye(4)
-    matrix[:3, :3] = numbers[:9].reshape(3, 3)
-    matrix[:3, 3] = numbers[9:] + center - matrix[:3, :3] @ center
-    return matrix
-
-
-def _through_itk(path: Path) -> FloatArray:
-    import SimpleITK
-
-    try:
-        transform = SimpleITK.ReadTransform(str(path))
-    except RuntimeError as exc:
-        raise UnreadableFileError(f"{path} is not a readable ITK transform; write it as .tfm again") from exc
-    if transform.GetDimension() != 3 or not transform.IsLinear():
-        raise UnreadableFileError(f"{path} is not a linear 3-D transform; needed a rigid one")
-    matrix = np.eye(4)
-    origin = np.array(transform.TransformPoint((0.0, 0.0, 0.0)))
-    corners = [transform.TransformPoint(tuple(row)) for row in np.eye(3).tolist()]
-    matrix[:3, :3] = (np.array(corners) - origin).T
-    matrix[:3, 3] = origin
-    return matrix

@@ -2,7 +2,6 @@
 
 import io
 import math
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,12 @@ from dvf_ig.core.mesh import SurfaceSeries
 from dvf_ig.core.points import Landmarks, Points
 from dvf_ig.core.rigid import Rigid
 from dvf_ig.core.scenario import ScenarioTruth, ToolTruth
+from dvf_ig.io import limits
 from dvf_ig.io.atomic import make_folder, write_bytes, write_text
 from dvf_ig.io.image.timing import timing_document, timing_from_document
 from dvf_ig.io.json_file import read_json, write_json
+from dvf_ig.io.limits import MODEL_BYTES
+from dvf_ig.io.npz import read_npz
 from dvf_ig.io.reading import read_bytes, read_text, reading
 from dvf_ig.io.transform import rigid_from_matrix
 
@@ -87,7 +89,7 @@ def read_truth(folder: Path) -> ScenarioTruth:
             return _truth(folder, document)
         except KeyError as exc:
             raise UnreadableFileError(f"{path} lacks {exc}; write the scenario again") from exc
-        except (TypeError, ValueError) as exc:
+        except (TypeError, ValueError, OverflowError, AttributeError) as exc:
             if isinstance(exc, InvalidInputError):
                 raise
             raise UnreadableFileError(f"{path} holds a value of the wrong kind ({exc})") from exc
@@ -95,6 +97,8 @@ def read_truth(folder: Path) -> ScenarioTruth:
 
 def _truth(folder: Path, document: dict[str, Any]) -> ScenarioTruth:
     tool = _read_arrays(folder / "tool.npz", _TOOL)
+    for name, told in (("tip_mm", document["tip_mm"]), ("targets", list(document["targets"].values()))):
+        limits.require_lengths(told, name)
     calibrated = document.get("calibrated_probe_from_image")
     return ScenarioTruth(
         mr_from_tracker=tuple(_timed_pose(entry) for entry in document["mr_from_tracker"]),
@@ -169,9 +173,8 @@ def _write_arrays(path: Path, arrays: dict[str, AnyArray]) -> None:
 
 
 def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, AnyArray]:
-    data = read_bytes(path, "the truth of a scenario")
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            return {name: archive[name] for name in names}
-    except (ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile) as exc:
-        raise UnreadableFileError(f"{path} is damaged or lacks an array ({exc}); write it again") from exc
+    arrays = read_npz(path, read_bytes(path, "the truth of a scenario"), MODEL_BYTES)
+    lacking = [name for name in names if name not in arrays]
+    if lacking:
+        raise UnreadableFileError(f"{path} is damaged or lacks an array ({lacking[0]}); write it again")
+    return arrays

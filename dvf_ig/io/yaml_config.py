@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from dvf_ig.core.errors import UnreadableFileError
 
+from .limits import SETTINGS_BYTES
 from .reading import read_text
 
 KIND = "~"
@@ -32,6 +33,15 @@ class Section(BaseModel):
         return given
 
 
+class _Loader(yaml.SafeLoader):
+    """Plain values alone: a date is a text, so that none can be wrong."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012
+        first: [(tag, form) for tag, form in found if not tag.endswith(":timestamp")]
+        for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+
 S = TypeVar("S", bound=BaseModel)
 
 
@@ -44,10 +54,15 @@ def read_yaml(path: Path, what: str) -> Any:
     Raises:
         UnreadableFileError: absent, or not YAML.
     """
+    text = read_text(path, what, SETTINGS_BYTES)
     try:
-        return yaml.safe_load(read_text(path, what))
+        return yaml.load(text, _Loader)
     except yaml.YAMLError as exc:
-        raise UnreadableFileError(f"{path} is not YAML: {' '.join(str(exc).split())}") from exc
+        raise UnreadableFileError(f"{path} is not YAML: {' '.join(str(exc).split())[:400]}") from exc
+    except RecursionError as exc:
+        raise UnreadableFileError(f"{path} is not {what}: it is nested too deeply") from exc
+    except (ValueError, TypeError, LookupError, AttributeError) as exc:
+        raise UnreadableFileError(f"{path}: a value is not what its tag or its form says ({exc})") from exc
 
 
 def validated(section: type[S], document: Any, path: Path) -> S:

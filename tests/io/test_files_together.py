@@ -46,14 +46,14 @@ def test_none_where_a_place_cannot_be_taken(tmp_path: Path, monkeypatch: pytest.
         write_a_and(lambda new: (new / "b").write_text("new"), tmp_path)
     assert contents(tmp_path) == {"a": "old"}
     (tmp_path / "b").rmdir()
-    replace = os.replace
+    rename = os.rename
 
     def full(source: Path, target: Path) -> None:
         if target == tmp_path / "b":
             raise OSError(28, "No space left on device")
-        replace(source, target)
+        rename(source, target)
 
-    monkeypatch.setattr(os, "replace", full)
+    monkeypatch.setattr(os, "rename", full)
     with pytest.raises(OutputError, match="No space left"):
         write_a_and(lambda new: (new / "b").write_text("new"), tmp_path)
     assert contents(tmp_path) == {"a": "old"}

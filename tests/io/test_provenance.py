@@ -28,7 +28,7 @@ from dvf_ig.io import (
     write_surface_series,
     write_transforms,
 )
-from dvf_ig.io.ecg.record_files import record_files
+from dvf_ig.io.ecg.wfdb_header import read_record_header
 from dvf_ig.io.provenance import not_recorded, recorded_inputs, versions
 from dvf_ig.io.reading import read_text, reading
 
@@ -188,7 +188,9 @@ def test_every_segment_of_a_wfdb_record_counts(tmp_path: Path) -> None:
     for name, signals in (("one", ["a.dat", "a.dat"]), ("two", ["b.dat"])):
         lines = [f"{name} {len(signals)} 250 400", *(f"{signal} 16 200" for signal in signals), "# a remark"]
         (tmp_path / f"{name}.hea").write_text("\n".join(lines))
-    found = [path.name for path in record_files(tmp_path / "all")]
+        for signal in signals:
+            (tmp_path / signal).write_bytes(bytes(1600))
+    found = [path.name for path in read_record_header(tmp_path / "all").files]
     assert found == ["all.hea", "one.hea", "a.dat", "two.hea", "b.dat"]
 
 

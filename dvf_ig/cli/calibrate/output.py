@@ -38,7 +38,7 @@ def save(
     error_mm: float | None,
     picture: Callable[[Path], None] | None = None,
 ) -> None:
-    """Write a result as JSON with its date; beside it its transform and a picture.
+    """Write a result as JSON with its date, and beside it its transform and a picture: all or none.
 
     A refused result has no PLUS XML: that format cannot say that it must not be used.
 
@@ -51,34 +51,39 @@ def save(
     """
     if output is None:
         return
-    from dvf_ig.io import refuse_foreign, write_sidecar
+    from dvf_ig.io import (
+        CoordinateDefinition,
+        files_together,
+        refuse_foreign,
+        write_coordinate_definitions,
+        write_sidecar,
+    )
 
     now = datetime.now(UTC)
     record = {**result, "date": now.isoformat(timespec="seconds")}
     json_path = output.with_suffix(".json") if output.suffix == ".xml" else output
     xml_path, png_path = output.with_suffix(".xml"), output.with_suffix(".png")
+    refuse_foreign(json_path, kind=result["kind"], named=output)
     refuse_foreign(*([xml_path] if name else []), *([png_path] if picture else []), named=output)
-    write_sidecar(json_path, record, result["kind"], named=output)
-    wrote(json_path)
-    if name is not None and matrix is not None:
-        if result["refused"]:
-            _warn_of_xml(xml_path)
-        else:
-            _write_transform(xml_path, name, matrix, error_mm, now)
-    if picture is not None:
-        picture(png_path)
-        wrote(png_path)
-
-
-def _write_transform(
-    path: Path, name: str, matrix: "FloatArray", error_mm: float | None, now: datetime
-) -> None:
-    from dvf_ig.io import CoordinateDefinition, write_coordinate_definitions
-
-    target, _, source = name.partition("_from_")
-    stamp = now.strftime("%y%m%d_%H%M%S")
-    write_coordinate_definitions(path, [CoordinateDefinition(target, source, matrix, error_mm, stamp)])
-    wrote(path, target)
+    placed = None
+    if name is not None and matrix is not None and not result["refused"]:
+        target, _, source = name.partition("_from_")
+        placed = CoordinateDefinition(target, source, matrix, error_mm, now.strftime("%y%m%d_%H%M%S"))
+    files = {
+        json_path: None,
+        **({xml_path: placed.target} if placed else {}),
+        **({png_path: None} if picture else {}),
+    }
+    with files_together(output.parent, [path.name for path in files]) as new:
+        write_sidecar(new / json_path.name, record, result["kind"])
+        if placed:
+            write_coordinate_definitions(new / xml_path.name, [placed])
+        if picture is not None:
+            picture(new / png_path.name)
+    if result["refused"] and name is not None and matrix is not None:
+        _warn_of_xml(xml_path)
+    for path, frame in files.items():
+        wrote(path, frame)
 
 
 def _warn_of_xml(path: Path) -> None:

@@ -11,10 +11,22 @@ from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io.reading import read_bytes
 
 from .recording import split_spec
-from .wfdb_edf import DAMAGE, existing_record, quiet, wfdb_package
+from .wfdb import existing_record
+from .wfdb_header import read_rate_and_length
 
 BEAT_SYMBOLS = frozenset("NLRBAaJSVrFejnE/fQ?")
 """Annotation codes that mark a heart beat (PhysioNet, "WFDB annotation codes")."""
+_CODES = {
+    **dict(enumerate("NLRaVFJASEj/Q", start=1)),
+    25: "B",
+    30: "?",
+    34: "e",
+    35: "n",
+    38: "f",
+    41: "r",
+}
+"""By number: those of beats. Source: WFDB, ecgcodes.h."""
+_SKIP, _TEXT = 59, 63
 
 
 @read_only_arrays
@@ -45,28 +57,61 @@ def read_annotations(spec: str) -> BeatAnnotations:
     Args:
         spec: `wfdb:PATH` or one of the record's files; PATH.atr and PATH.hea must exist.
     Raises:
-        MissingDependencyError: the package wfdb is absent.
-        UnreadableFileError: no annotations, or not readable.
+        UnreadableFileError: no annotations, not readable, or cut off: what an expert's list lacks would count
+            as beats that are not there.
     """
     kind, path = split_spec(spec)
     if kind != "wfdb":
         raise UnreadableFileError(f"'{spec}' has no beat annotations; give a WFDB record as wfdb:RECORD")
-    wfdb = wfdb_package()
     record = existing_record(path)
-    for ending in (".atr", ".hea"):
-        read_bytes(Path(f"{record}{ending}"), "beat annotations")
-    try:
-        with quiet():
-            rate_hz = float(wfdb.rdheader(str(record.resolve())).fs)
-            notes = wfdb.rdann(str(record.resolve()), "atr")
-    except DAMAGE as exc:
-        raise UnreadableFileError(f"{record}.atr: not readable annotations ({exc}); copy it again") from exc
-    beats = {s: y for s, y in zip(notes.sample, notes.symbol, strict=True) if y in BEAT_SYMBOLS}
+    file = record.with_name(f"{record.name}.atr")
+    data = read_bytes(file, "beat annotations")
+    rate_hz, length = read_rate_and_length(record)
+    notes = _notes(file, data)
+    times = [sample / rate_hz for sample, _, _ in notes]
+    if not notes or (length is not None and notes[-1][0] > length):
+        raise UnreadableFileError(f"{file}: not readable annotations of this record; copy it again")
+    beats = {t: _CODES[code] for t, (_, code, _) in zip(times, notes, strict=True) if code in _CODES}
+    beats = {t: symbol for t, symbol in beats.items() if symbol in BEAT_SYMBOLS}
     rhythms = [
-        (float(s) / rate_hz, text.strip("\x00")[1:])
-        for s, text in zip(notes.sample, notes.aux_note, strict=True)
+        (t, text.strip("\x00")[1:])
+        for t, (_, _, text) in zip(times, notes, strict=True)
         if text.startswith("(")
     ]
     order = sorted(beats)
-    t_s = np.array(order, dtype=np.float64) / rate_hz
-    return BeatAnnotations(t_s, tuple(beats[s] for s in order), tuple(rhythms))
+    return BeatAnnotations(np.array(order), tuple(beats[t] for t in order), tuple(rhythms))
+
+
+def _notes(path: Path, data: bytes) -> list[tuple[int, int, str]]:
+    """(sample, code, text) of each annotation, and whether the end mark was there.
+
+    Source: WFDB annot(5), MIT format: words of 6 bits of code and 10 of time since the annotation before.
+    """
+    notes: list[tuple[int, int, str]] = []
+    words = np.frombuffer(data[: len(data) // 2 * 2], "<u2")
+    at, sample = 0, 0
+    while at < len(words):
+        code, value = int(words[at]) >> 10, int(words[at]) & 0x3FF
+        at += 1
+        if code == 0:
+            return notes
+        if code == _SKIP and at + 1 < len(words):
+            step = (int(words[at]) << 16) | int(words[at + 1])
+            sample += step - (1 << 32 if step >= 1 << 31 else 0)
+            at += 2
+        elif code == _TEXT:
+            text = data[2 * at : 2 * at + value].decode("latin-1")
+            at += (value + 1) // 2
+            if notes and at <= len(words):
+                notes[-1] = (*notes[-1][:2], text)
+            if text.startswith("## time resolution"):
+                raise UnreadableFileError(
+                    f"{path} has a time resolution of its own; convert it to the record's"
+                )
+        elif code < _SKIP:
+            sample += value
+            notes.append((sample, code, ""))
+        if sample < 0 or (notes and notes[-1][0] > sample):
+            raise UnreadableFileError(f"{path}: its annotations run backwards; copy it again")
+    at_s = f"; the last whole annotation is at sample {notes[-1][0]}" if notes else ""
+    raise UnreadableFileError(f"{path} is truncated: it has no end mark{at_s}; copy it again")

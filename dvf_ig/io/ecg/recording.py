@@ -1,18 +1,23 @@
 """Read and write ECG recordings, named by `wfdb:`, `edf:`, `csv:` or `plus:PATH`, or by a path's ending."""
 
+import logging
 import re
 from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.signal import Signal
+from dvf_ig.io import limits
 from dvf_ig.io.atomic import write_text
 from dvf_ig.io.plus.ecg_field import read_ecg_field
 from dvf_ig.io.reading import reading
 
+from .edf import read_edf
 from .text_table import read_ecg_table
-from .wfdb_edf import read_edf, read_wfdb
+from .wfdb import read_wfdb
+
+log = logging.getLogger(__name__)
 
 KINDS = ("wfdb", "edf", "csv", "plus")
 _KIND_OF_ENDING = {
@@ -47,10 +52,30 @@ def read_ecg(spec: str, rate_hz: float | None = None) -> Signal:
         raise InvalidInputError(f"'{spec}' states its own sampling rate; leave out the one of {rate_hz:g} Hz")
     with reading(path, f"an ECG ({kind})"):
         if kind == "wfdb":
-            return read_wfdb(path)
-        if kind == "plus":
-            return read_ecg_field(path, _field(spec))
-        return read_edf(path) if kind == "edf" else read_ecg_table(path, rate_hz)
+            signal = read_wfdb(path)
+        elif kind == "plus":
+            signal = read_ecg_field(path, _field(spec))
+        else:
+            signal = read_edf(path) if kind == "edf" else read_ecg_table(path, rate_hz)
+        _require_plausible(path, signal)
+        return signal
+
+
+def _require_plausible(path: Path, signal: Signal) -> None:
+    """Refuse what is no voltage, and a recording without any sample; warn of a lead without."""
+    limits.require_times(signal.start_s, "its first time")
+    missing = np.isnan(signal.samples)
+    largest = float(np.abs(signal.samples[~missing]).max()) if not missing.all() else None
+    if largest is None:
+        raise UnreadableFileError(f"{path} holds no sample of {', '.join(signal.leads)[:60]}, only gaps")
+    if largest > limits.ECG_VALUE:
+        raise UnreadableFileError(
+            f"{path} holds a sample of {largest:g} {signal.unit}; needed finite values below "
+            f"{limits.ECG_VALUE:g}, and nan where a sample is missing"
+        )
+    for lead, empty in zip(signal.leads, missing.T, strict=True):
+        if empty.all():
+            log.warning("%s: lead %s holds no sample, only gaps", path, lead)
 
 
 def split_spec(spec: str) -> tuple[str, Path]:

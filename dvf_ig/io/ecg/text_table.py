@@ -24,6 +24,8 @@ _IN_ONE_SECOND = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "μs":
 _LONGEST_STEP_S = 0.05
 """Slower than 20 Hz is no ECG; with steps of 0.05 ms and more (20 kHz), no two time units fit one step."""
 _SHORTEST_STEP_S = 2e-5
+_LATEST = 1e19
+"""Nanoseconds since 1970 reach 1.8e18."""
 
 
 @read_only_arrays
@@ -188,6 +190,10 @@ def _name_and_unit(name: str) -> tuple[str, str | None]:
 def _seconds(path: Path, table: _Table, at: int) -> FloatArray:
     """The times in s, by the unit that the column's name states, else by the one that its steps fit."""
     times, name = table.values[:, at], table.names[at] if table.names else ""
+    if (np.abs(times) > _LATEST).any():
+        raise UnreadableFileError(
+            f"{path}: its times reach {np.nanmax(np.abs(times)):.3g}; needed those of a clock"
+        )
     if at == table.clock:
         return past_midnight(times)
     stated = (_name_and_unit(name)[1] or name).lower()

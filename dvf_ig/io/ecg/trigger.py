@@ -8,6 +8,7 @@ import numpy as np
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.signal import Signal
 from dvf_ig.core.trigger import TriggerTimes
+from dvf_ig.io import limits
 from dvf_ig.io.atomic import write_text
 from dvf_ig.io.reading import read_text, reading
 
@@ -65,7 +66,9 @@ def read_triggers(path: Path | str, delay_s: float | None = None) -> TriggerTime
     if delay_s is None:
         delay_s = float(stated[0]) if stated else 0.0
     with reading(path, "a list of trigger times"):
-        return TriggerTimes(np.array([float(line) for _, line in rows]), delay_s)
+        times = np.array([float(line) for _, line in rows])
+        limits.require_times(times, "its list")
+        return TriggerTimes(times, delay_s)
 
 
 def write_triggers(trigger: TriggerTimes, path: Path | str) -> None:

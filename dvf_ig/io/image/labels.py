@@ -7,9 +7,10 @@ import numpy as np
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.volume import Grid, Volume, VolumeSeries
+from dvf_ig.io.reading import reading
 
-from .segments import merged_segments, read_segments, segment_values
-from .volume import image_dimension, read_array
+from .segments import Segment, merged_segments, segment_values, segments_of
+from .volume import image_dimension, image_header, read_array
 
 PLACE_TOLERANCE_MM = 0.05
 
@@ -59,9 +60,7 @@ def read_labels(path: Path | str, frame: str = "mr") -> tuple[Volume, ...]:
 
 def read_label_names(path: Path | str) -> tuple[tuple[int, str], ...]:
     """Label and name of each segment of a segmentation of 3D Slicer; none of any other readable image."""
-    path = Path(path)
-    image_dimension(path)
-    segments = read_segments(path)
+    segments = _segments(Path(path))
     return tuple(zip(segment_values(segments), (s.name for s in segments), strict=True))
 
 
@@ -70,8 +69,14 @@ def _read(path: Path, frame: str) -> tuple[Grid, AnyArray]:
     dimension = image_dimension(path)
     grid, values = read_array(path, frame, dimension)
     layers = values[None] if dimension == 3 else values
-    segments = read_segments(path)
+    segments = _segments(path)
     return grid, merged_segments(path, layers, segments)[None] if segments else layers
+
+
+def _segments(path: Path) -> tuple[Segment, ...]:
+    with reading(path, "a label image"):
+        header = image_header(path)
+        return () if header is None else segments_of(path, header.fields)
 
 
 def _on_grid(path: Path, labels: Grid, values: AnyArray, image: Grid) -> AnyArray:

@@ -1,4 +1,4 @@
-"""Refuse NIfTI files that ITK reads wrongly: sheared voxel axes (replaced silently) and truncated voxels."""
+"""Refuse NIfTI files that ITK reads wrongly: damaged headers, sheared axes, truncated voxels."""
 
 import gzip
 import math
@@ -6,19 +6,49 @@ import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dvf_ig.core import read_only_arrays
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.io import limits
+from dvf_ig.io.reading import refuse_lfs_pointer
 
 TOLERANCE = 1e-3
 _FIELDS = {
-    348: (("8h", 40), ("h", 72), ("f", 108), ("h", 254), ("12f", 280)),
-    540: (("8q", 16), ("h", 14), ("q", 168), ("i", 348), ("12d", 400)),
+    348: {
+        "dim": ("8h", 40),
+        "datatype": ("h", 70),
+        "bitpix": ("h", 72),
+        "pixdim": ("8f", 76),
+        "vox_offset": ("f", 108),
+        "scaling": ("2f", 112),
+        "units": ("b", 123),
+        "codes": ("2h", 252),
+        "qform": ("6f", 256),
+        "sform": ("12f", 280),
+        "magic": ("4s", 344),
+    },
+    540: {
+        "magic": ("4s", 4),
+        "datatype": ("h", 12),
+        "bitpix": ("h", 14),
+        "dim": ("8q", 16),
+        "pixdim": ("8d", 104),
+        "vox_offset": ("q", 168),
+        "scaling": ("2d", 176),
+        "codes": ("2i", 344),
+        "qform": ("6d", 352),
+        "sform": ("12d", 400),
+        "units": ("i", 500),
+    },
 }
-"""By header size (NIfTI-1, -2): form and position of dim, bitpix, vox_offset, sform_code and srow_x…z."""
+"""By header size (NIfTI-1, -2): form and position of each field."""
+_BITS = {2: 8, 4: 16, 8: 32, 16: 32, 64: 64, 256: 8, 512: 16, 768: 32, 1024: 64, 1280: 64}
+"""Of the real data types: integers of 8 to 64 bit, float32, float64."""
+_UNITS = {1: "m", 3: "micrometres"}
 
 _BLOCK = 1 << 20
 
@@ -26,34 +56,54 @@ _BLOCK = 1 << 20
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Header:
-    """What matters here of a NIfTI-1 or -2 header: the sform's (3, 3) axes or None, and the bytes needed."""
+    """What matters here of a NIfTI-1 or -2 header.
 
+    Attributes:
+        dimension: of the image, without trailing axes of one voxel beyond the fourth.
+        axes: (3, 3) of the sform; None where it is not used.
+        needed_bytes: up to the last voxel, in the file that holds them.
+    """
+
+    dimension: int
     axes: FloatArray | None
     needed_bytes: int
 
 
-def check_nifti(path: Path) -> None:
-    """Check a NIfTI file; files of other formats pass unread.
+def nifti_files(path: Path) -> tuple[Path, ...]:
+    """The other file of a pair (`.hdr`, `.img`), whichever of the two was named."""
+    other = {".hdr": ".img", ".img": ".hdr"}.get(path.suffix.lower())
+    return () if other is None else (path.with_suffix(other),)
+
+
+def check_nifti(path: Path) -> int:
+    """Check a NIfTI file, of which the header alone is parsed; its dimension.
 
     Raises:
-        UnreadableFileError: not NIfTI, truncated, or an sform (where its code is set) whose axes are not
-            orthogonal; then the message holds a command that repairs the file.
+        UnreadableFileError: not NIfTI, truncated, sizes, types, units or geometry that no image of a heart
+            has, or an sform (where its code is set) whose axes are not orthogonal; then the message holds a
+            command that repairs the file.
     """
-    if not path.name.lower().endswith((".nii", ".nii.gz")):
-        return
-    start, size = _start_and_size(path)
-    header = _parse(path, start)
+    pair = nifti_files(path)
+    header_file = path if path.suffix.lower() != ".img" else pair[0]
+    for file in pair:
+        refuse_lfs_pointer(file)
+        if not file.is_file():
+            raise UnreadableFileError(f"{file} does not exist; a NIfTI pair needs .hdr and .img together")
+    header = _parse(path, _begin(header_file, 540), single=not pair)
     if header.axes is not None:
         _require_orthogonal(path, header.axes)
+    voxels = path if path.suffix.lower() != ".hdr" else pair[0]
+    size = _size(voxels, header.needed_bytes)
     if size < header.needed_bytes:
         raise UnreadableFileError(
             f"{path} is truncated: it has {size} bytes, its header needs {header.needed_bytes}; copy it again"
         )
+    return header.dimension
 
 
 def _require_orthogonal(path: Path, axes: FloatArray) -> None:
     length = np.linalg.norm(axes, axis=0)
-    if not np.isfinite(axes).all() or (length == 0).any():
+    if (length == 0).any():
         raise UnreadableFileError(f"{path}: an axis of its sform has no length; set its geometry again")
     unit = axes / length
     shear = float(np.abs(unit.T @ unit - np.eye(3)).max())
@@ -65,36 +115,87 @@ def _require_orthogonal(path: Path, axes: FloatArray) -> None:
         )
 
 
-def _start_and_size(path: Path) -> tuple[bytes, int]:
-    """The first bytes of a file and its size, both as they are when unpacked."""
-    with path.open("rb") as stream:
-        packed = stream.read(2) == b"\x1f\x8b"
+def _begin(path: Path, count: int) -> bytes:
+    """The first bytes of a file, unpacked."""
     try:
-        with gzip.open(path) if packed else path.open("rb") as stream:
-            start = stream.read(_BLOCK)
-            size = len(start)
-            while block := stream.read(_BLOCK):
+        with gzip.open(path) if _is_packed(path) else path.open("rb") as stream:
+            return stream.read(count)
+    except (gzip.BadGzipFile, EOFError, zlib.error) as exc:
+        raise UnreadableFileError(f"{path} is truncated or damaged ({exc}); copy it again") from exc
+
+
+def _size(path: Path, most: int) -> int:
+    """Bytes of a file, unpacked; counted up to `most` and to the end of what is packed."""
+    if not _is_packed(path):
+        return path.stat().st_size
+    size = 0
+    try:
+        with gzip.open(path) as stream:
+            while size <= most and (block := stream.read(_BLOCK)):
                 size += len(block)
     except (gzip.BadGzipFile, EOFError, zlib.error) as exc:
         raise UnreadableFileError(f"{path} is truncated or damaged ({exc}); copy it again") from exc
-    return start, size
+    return size
 
 
-def _parse(path: Path, start: bytes) -> _Header:
+def _is_packed(path: Path) -> bool:
+    with path.open("rb") as stream:
+        return stream.read(2) == b"\x1f\x8b"
+
+
+def _parse(path: Path, start: bytes, *, single: bool) -> _Header:
     for order in "<>":
         stated = struct.unpack_from(f"{order}i", start)[0] if len(start) >= 4 else 0
         if len(start) < stated or stated not in _FIELDS:
             continue
-        dims, (bits,), (offset,), (code,), rows = (
-            struct.unpack_from(order + form, start, at) for form, at in _FIELDS[stated]
-        )
-        if not 1 <= dims[0] <= 7 or min(dims[1 : dims[0] + 1]) < 1 or not math.isfinite(offset):
-            raise UnreadableFileError(
-                f"{path}: its NIfTI header states the sizes {list(dims)}; copy it again"
-            )
-        needed = int(offset) + math.prod(dims[1 : dims[0] + 1]) * bits // 8
-        axes = np.array(rows).reshape(3, 4)[:, :3]
-        return _Header(axes if code > 0 else None, needed)
+        fields = {
+            name: struct.unpack_from(order + form, start, at) for name, (form, at) in _FIELDS[stated].items()
+        }
+        return _checked(path, fields, 352 if stated == 348 else 544, single=single)
     raise UnreadableFileError(
         f"{path} is not a NIfTI file, or is truncated within its header ({len(start)} bytes)"
     )
+
+
+def _checked(path: Path, fields: dict[str, tuple[Any, ...]], begin: int, *, single: bool) -> _Header:
+    """What the fields say; each of those that place or scale voxels is finite."""
+    dims = [int(size) for size in fields["dim"]]
+    count = dims[0]
+    used = dims[1 : count + 1] if 1 <= count <= 7 else []
+    if not used or min(used) < 1 or max(used) > limits.AXIS or any(size > 1 for size in used[4:]):
+        raise UnreadableFileError(
+            f"{path}: its NIfTI header states the sizes {dims}; needed those of an image"
+        )
+    kind, (offset,) = int(fields["datatype"][0]), fields["vox_offset"]
+    if fields["bitpix"] != (_BITS.get(kind),):
+        raise UnreadableFileError(
+            f"{path}: its data type is {kind} with {fields['bitpix'][0]} bits; needed real numbers"
+        )
+    if fields["magic"] not in ([(b"n+1\0",), (b"n+2\0",)] if single else [(b"ni1\0",), (b"ni2\0",)]):
+        raise UnreadableFileError(
+            f"{path} is not marked as NIfTI, or as the other form of it; convert it again"
+        )
+    sizes = np.array(fields["pixdim"][1 : min(count, 3) + 1])
+    uses_qform, uses_sform = (code > 0 for code in fields["codes"])
+    axes = np.array(fields["sform"]).reshape(3, 4)
+    placed = [
+        *fields["scaling"],
+        *(fields["qform"] if uses_qform else ()),
+        *(axes.flat if uses_sform else ()),
+    ]
+    if not (np.abs(placed) < 1e12).all() or not np.isfinite(sizes).all() or (sizes == 0).any():
+        raise UnreadableFileError(
+            f"{path}: its header holds sizes of voxels ({sizes.tolist()}), a place or a scale that are not "
+            "finite or zero; convert it again"
+        )
+    unit = int(fields["units"][0]) & 7
+    if unit in _UNITS:
+        raise UnreadableFileError(f"{path}: its unit of length is {_UNITS[unit]}; needed mm: save it in mm")
+    needed = math.prod(used) * _BITS[kind] // 8
+    if not math.isfinite(offset) or not (begin if single else 0) <= offset <= limits.HEADER_BYTES:
+        raise UnreadableFileError(f"{path}: its voxels begin at byte {offset:g}; copy it again")
+    if needed > limits.VOXEL_BYTES:
+        raise UnreadableFileError(
+            f"{path}: its header states {needed:.3g} bytes; at most {limits.VOXEL_BYTES:.3g} are read"
+        )
+    return _Header(min(count, 4), axes[:, :3] if uses_sform else None, int(offset) + needed)

@@ -9,6 +9,7 @@ import numpy as np
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.points import Points, Seeds
+from dvf_ig.io import limits
 from dvf_ig.io.json_file import read_json
 from dvf_ig.io.landmarks import named_points
 from dvf_ig.io.reading import reading
@@ -32,6 +33,8 @@ def read_seeds(path: Path | str, frame: str = "mr") -> Seeds:
         found = (
             _of_markups(path) if _is_markups(path) else _of_lists(path, read_json(path, "a file of seeds"))
         )
+        for kind, xyz in found.items():
+            limits.require_lengths(xyz, f"a seed of '{kind}'")
         heart, background, cavity = (Points(frame, found[kind]) for kind in KINDS)
         return Seeds(heart, background, cavity)
 
@@ -58,7 +61,7 @@ def _of_lists(path: Path, document: Any) -> dict[str, FloatArray]:
     for name, points in document.items():
         try:
             found[_kind(path, name)] = np.array(points, dtype=np.float64).reshape(-1, 3)
-        except (TypeError, ValueError) as exc:
+        except (TypeError, ValueError, OverflowError) as exc:
             if isinstance(exc, UnreadableFileError):
                 raise
             raise UnreadableFileError(

@@ -1,15 +1,21 @@
 """Segments of a 3D Slicer segmentation (`.seg.nrrd`): which value in which layer is which."""
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.errors import InvalidInputError
+
+from .header import whole_numbers
 
 log = logging.getLogger(__name__)
+
+MOST_VALUE = (1 << 16) - 1
+"""Of a label."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,33 +27,22 @@ class Segment:
     value: int
 
 
-def read_segments(path: Path) -> tuple[Segment, ...]:
-    """The segments that a readable image's header lists; none where it is no segmentation of 3D Slicer.
+def segments_of(path: Path, fields: Mapping[str, str]) -> tuple[Segment, ...]:
+    """The segments that an image's header lists; none where it is no segmentation of 3D Slicer.
 
     Source: Slicer's vtkMRMLSegmentationStorageNode, keys Segment<N>_Name, _Layer and _LabelValue.
 
     Raises:
         UnreadableFileError: a layer or a value that is no number.
     """
-    import SimpleITK
-
-    header = SimpleITK.ImageFileReader()
-    header.SetFileName(str(path))
-    header.ReadImageInformation()
     found: list[Segment] = []
-    while header.HasMetaDataKey(f"Segment{len(found)}_LabelValue"):
+    while f"Segment{len(found)}_LabelValue" in fields:
         n = len(found)
-        fields = {
-            name: header.GetMetaData(f"Segment{n}_{name}")
-            if header.HasMetaDataKey(f"Segment{n}_{name}")
-            else ""
-            for name in ("Name", "Layer", "LabelValue")
-        }
-        try:
-            layer, value = int(fields["Layer"] or 0), int(fields["LabelValue"])
-        except ValueError as exc:
-            raise UnreadableFileError(f"{path}: layer or value of segment {n} is no number ({exc})") from exc
-        found.append(Segment(fields["Name"] or f"segment {n}", layer, value))
+        layer, value = (
+            whole_numbers(path, f"Segment{n}_{name}", fields.get(f"Segment{n}_{name}") or "0", 0, MOST_VALUE)
+            for name in ("Layer", "LabelValue")
+        )
+        found.append(Segment(fields.get(f"Segment{n}_Name") or f"segment {n}", layer[0], value[0]))
     return tuple(found)
 
 

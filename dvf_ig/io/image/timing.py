@@ -77,7 +77,7 @@ def timing_from_document(path: Path, document: Any) -> CycleTiming:
             bool(document.get("rr_assumed", False)),
             bool(document.get("timing_assumed", False)),
         )
-    except (TypeError, ValueError) as exc:
+    except (TypeError, ValueError, OverflowError) as exc:
         if isinstance(exc, InvalidInputError):
             raise
         raise UnreadableFileError(f"{path}: fractions or rr_s are not numbers ({exc})") from exc
@@ -104,6 +104,6 @@ def _from_triggers(path: Path, entry: dict[str, Any]) -> CycleTiming:
         trigger_s = np.atleast_2d(np.array(entry["trigger_ms"], dtype=np.float64)) / 1000.0
         rr_s = np.array(entry["RR_ms"], dtype=np.float64) / 1000.0
         fractions = (trigger_s / rr_s[:, None]).mean(axis=0)
-    except (KeyError, TypeError, ValueError) as exc:
+    except (KeyError, TypeError, ValueError, OverflowError) as exc:
         raise UnreadableFileError(f"{path}: needed trigger_ms and RR_ms of each slice ({exc})") from exc
     return CycleTiming(fractions, float(rr_s.mean()))

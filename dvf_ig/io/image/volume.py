@@ -1,4 +1,4 @@
-"""3-D and cyclic 4-D images: NIfTI, NRRD, MetaImage through SimpleITK; LPS, mm."""
+"""3-D and cyclic 4-D images: MetaImage and NRRD read here, NIfTI by SimpleITK; LPS, mm."""
 
 from pathlib import Path
 from typing import Any
@@ -10,18 +10,22 @@ from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileError
 from dvf_ig.core.rigid import rigidity_defect
 from dvf_ig.core.volume import Grid, Volume, VolumeSeries
+from dvf_ig.io import limits
 from dvf_ig.io.atomic import atomic_file
 from dvf_ig.io.provenance import record_file
-from dvf_ig.io.reading import reading, refuse_lfs_pointer
+from dvf_ig.io.reading import reading
 
-from .nifti_check import check_nifti
+from .header import ImageHeader
+from .metaimage import read_metaimage_header
+from .nifti_check import check_nifti, nifti_files
+from .nrrd import read_nrrd_header
 from .timing import read_timing
-from .voxel_files import voxel_files
+from .voxels import read_voxels
 
 DIRECTION_TOLERANCE = 1e-3
 _EXACT_KEY = "dvf_ig_origin_spacing_direction"
-_NRRD_KIND = "NRRD_kinds[pixel]"
 SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
+NIFTI_SUFFIXES = (".nii", ".nii.gz", ".hdr", ".img")
 
 
 def read_volume(path: Path | str, frame: str = "mr") -> Volume:
@@ -69,25 +73,30 @@ def image_dimension(path: Path | str) -> int:
     Raises:
         UnreadableFileError: absent or not an image.
     """
-    import SimpleITK
-
     path = Path(path)
     with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
-        path.stat()
-        header = SimpleITK.ImageFileReader()
-        header.SetFileName(str(path))
-        try:
-            header.ReadImageInformation()
-        except RuntimeError as exc:
-            check_nifti(path)
-            raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
-        return 4 if _is_list(header) else int(header.GetDimension())
+        header = image_header(path)
+        return check_nifti(path) if header is None else len(header.sizes)
 
 
-def _is_list(image: Any) -> bool:
-    """Whether a 3-D NRRD image, or the reader of its header, holds a list of values at each voxel."""
-    kind = image.GetMetaData(_NRRD_KIND) if image.HasMetaDataKey(_NRRD_KIND) else ""
-    return image.GetDimension() == 3 and kind == "list"
+def image_header(path: Path) -> ImageHeader | None:
+    """The header of a MetaImage or NRRD file, told apart by content and ending; None where it is NIfTI.
+
+    Raises:
+        UnreadableFileError: damaged, or none of these.
+    """
+    name = path.name.lower()
+    with path.open("rb") as stream:
+        begin = stream.read(4)
+    if name.endswith(NIFTI_SUFFIXES):
+        return None
+    if begin == b"NRRD" or name.endswith((".nrrd", ".nhdr")):
+        return read_nrrd_header(path)
+    if name.endswith((".mha", ".mhd")):
+        return read_metaimage_header(path)
+    raise UnreadableFileError(
+        f"{path} has no known image ending; needed one of {', '.join((*SUFFIXES, *NIFTI_SUFFIXES[2:]))}"
+    )
 
 
 def write_volume(volume: Volume, path: Path | str) -> None:
@@ -121,42 +130,62 @@ def read_array(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
     Raises:
         UnreadableFileError: as `read_volume`, or of another dimension.
     """
+    with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
+        header = image_header(path)
+        if header is None:
+            return _read_nifti(path, frame, dimension)
+        size, count = len(header.sizes), header.values_per_voxel
+        if size != dimension or count != 1:
+            raise UnreadableFileError(
+                f"{path} is {size}-D with {count} value(s) a voxel; needed {dimension}-D with one"
+            )
+        _require_plausible(path, header.origin_mm, header.spacing_mm)
+        values = read_voxels(path, header)
+        geometry = (header.origin_mm, header.spacing_mm, header.direction)
+        return _right_handed(path, frame, *_exact(header.fields.get(_EXACT_KEY, ""), *geometry), values)
+
+
+def _read_nifti(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
+    """As `read_array`."""
     import SimpleITK
 
-    with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
-        path.stat()
-        check_nifti(path)
-        try:
-            image = SimpleITK.ReadImage(str(path))
-        except RuntimeError as exc:
-            for file in voxel_files(path):
-                refuse_lfs_pointer(file)
-            raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
-        for file in voxel_files(path):
-            record_file(file)
-        listed = dimension == 4 and _is_list(image)
-        if not listed and (image.GetDimension() != dimension or image.GetNumberOfComponentsPerPixel() != 1):
-            raise UnreadableFileError(
-                f"{path} is {image.GetDimension()}-D with {image.GetNumberOfComponentsPerPixel()} value(s) a "
-                f"voxel; needed {dimension}-D with one"
-            )
-        size = image.GetDimension()
-        direction = np.array(image.GetDirection()).reshape(size, size)[:3, :3]
-        values = np.transpose(SimpleITK.GetArrayViewFromImage(image))
-        if dimension == 4 and not listed:
-            values = np.moveaxis(values, -1, 0)
-        origin, spacing = np.array(image.GetOrigin()[:3]), np.array(image.GetSpacing()[:3])
-        return _right_handed(path, frame, *_exact(image, origin, spacing, direction), values)
+    size = check_nifti(path)
+    if size != dimension:
+        raise UnreadableFileError(
+            f"{path} is {size}-D with 1 value(s) a voxel; needed {dimension}-D with one"
+        )
+    try:
+        image = SimpleITK.ReadImage(str(path), imageIO="NiftiImageIO")
+    except RuntimeError as exc:
+        raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
+    for file in nifti_files(path):
+        record_file(file)
+    if image.GetDimension() != dimension or image.GetNumberOfComponentsPerPixel() != 1:
+        raise UnreadableFileError(f"{path} holds several values a voxel; needed an image with one")
+    values = np.transpose(SimpleITK.GetArrayViewFromImage(image))
+    values = np.moveaxis(values, -1, 0) if dimension == 4 else values
+    origin, spacing = np.array(image.GetOrigin()[:3]), np.array(image.GetSpacing()[:3])
+    _require_plausible(path, origin, spacing)
+    direction = np.array(image.GetDirection()).reshape(dimension, dimension)[:3, :3]
+    return _right_handed(path, frame, origin, spacing, direction, values)
+
+
+def _require_plausible(path: Path, origin: FloatArray, spacing: FloatArray) -> None:
+    limits.require_lengths(origin, "the image's origin")
+    low, high = limits.SPACING_MM
+    if not ((spacing >= low) & (spacing <= high)).all():
+        raise UnreadableFileError(
+            f"{path}: its voxels have sides of {spacing.tolist()}; needed {low:g} to {high:g} mm"
+        )
 
 
 def _exact(
-    image: Any, origin: FloatArray, spacing: FloatArray, direction: FloatArray
+    text: str, origin: FloatArray, spacing: FloatArray, direction: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The geometry with the digits that a product of spacing and direction loses, where we recorded them.
 
     What was recorded counts only while it still agrees with the image's own header.
     """
-    text = image.GetMetaData(_EXACT_KEY) if image.HasMetaDataKey(_EXACT_KEY) else ""
     try:
         numbers = np.array([float(part) for part in text.split()])
     except ValueError:

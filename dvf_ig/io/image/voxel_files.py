@@ -1,46 +1,47 @@
 """The files in which an image's voxels are, where they are not in the file that was named."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
-DETACHED_SUFFIXES = (".mhd", ".nhdr")
-_PAIRS = {".hdr": ".img", ".img": ".hdr"}
-"""Header and voxels of Analyze and two-file NIfTI; either may be opened."""
-_DATA_FILE = re.compile(
-    r"^(?:ElementDataFile[ \t]*=|data ?file:)[ \t]*([^\r\n]+?)[ \t]*$([^\0]*)", re.IGNORECASE | re.MULTILINE
-)
-_NUMBER = re.compile(r"%0?\d*d")
+from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.io.file_within import file_within
+
+MOST_FILES = 1 << 16
+_PATTERN = re.compile(r"(\S*)%0?(\d?)d(\S*)[ \t]+(\d{1,9})[ \t]+(\d{1,9})(?:[ \t]+(\d{1,9}))?(?:[ \t]+\d)?")
 
 
-def voxel_files(header: Path) -> tuple[Path, ...]:
-    """The separate voxel files of an image, in order; none where the voxels are in the same file.
+def named_voxel_files(header: Path, name: str, rest: Callable[[], str]) -> tuple[Path, ...]:
+    """The separate voxel files of an image, in order; none where the voxels follow the header.
 
     MetaImage and NRRD alike name one file, a pattern with numbers ("slice%03d.raw 1 20 1"), or LIST with one
     name a line below.
 
+    Args:
+        header: the file that names them.
+        name: as it does.
+        rest: the text after the name.
     Raises:
-        OSError: the header cannot be read.
+        UnreadableFileError: a file that is absent, is none, or is not in the header's folder; or too many.
     """
-    if header.suffix.lower() in _PAIRS:
-        other = header.with_suffix(_PAIRS[header.suffix.lower()])
-        return (other,) if other.is_file() else ()
-    if header.suffix.lower() not in DETACHED_SUFFIXES:
+    if name.upper() == "LOCAL":
         return ()
-    found = _DATA_FILE.search(header.read_bytes().decode("utf-8", "replace"))
-    if found is None or found[1].upper() == "LOCAL":
-        return ()
-    if found[1].upper().startswith("LIST"):
-        names = [line.strip() for line in found[2].splitlines() if line.strip()]
+    found = _PATTERN.fullmatch(name)
+    if re.fullmatch(r"LIST(\s+\d)?", name.upper()):
+        names = [line.strip() for line in rest().splitlines() if line.strip()]
+    elif found is not None:
+        names = _numbered(header, found)
     else:
-        names = _numbered(found[1])
-    return tuple(header.parent / name for name in names)
+        names = [name]
+    if not 0 < len(names) <= MOST_FILES:
+        raise UnreadableFileError(f"{header} names {len(names)} files of voxels; needed 1 to {MOST_FILES}")
+    return tuple(file_within(header.parent, one, header) for one in names)
 
 
-def _numbered(text: str) -> list[str]:
-    """The names that a pattern with first, last and step stands for; one name where there is no pattern."""
-    pattern, *numbers = text.split()
-    if _NUMBER.search(pattern) is None or len(numbers) < 2 or not all(n.isdigit() for n in numbers[:3]):
-        return [text]
-    first, last = int(numbers[0]), int(numbers[1])
-    step = max(int(numbers[2]), 1) if len(numbers) > 2 else 1
-    return [pattern % n for n in range(first, last + 1, step)]
+def _numbered(header: Path, pattern: re.Match[str]) -> list[str]:
+    """The names that a pattern with first, last and step stands for."""
+    before, width, after = pattern[1], int(pattern[2] or 0), pattern[3]
+    numbers = range(int(pattern[4]), int(pattern[5]) + 1, max(int(pattern[6] or 1), 1))
+    if len(numbers) > MOST_FILES:
+        raise UnreadableFileError(f"{header} names {len(numbers)} files of voxels; needed 1 to {MOST_FILES}")
+    return [f"{before}{n:0{width}d}{after}" for n in numbers]

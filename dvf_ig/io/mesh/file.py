@@ -7,6 +7,7 @@ import numpy as np
 
 from dvf_ig.core.errors import OutputError, UnreadableFileError
 from dvf_ig.core.mesh import Mesh
+from dvf_ig.io import limits
 from dvf_ig.io.atomic import write_bytes
 from dvf_ig.io.reading import read_bytes, reading
 
@@ -68,8 +69,13 @@ def decode_mesh(path: Path, data: bytes) -> RawMesh:
         raw = decode(data)
     except MeshFormatError as exc:
         raise UnreadableFileError(f"{path}: {exc}") from exc
-    except (ValueError, IndexError, KeyError, OverflowError) as exc:
+    except (ValueError, LookupError, OverflowError, TypeError, RecursionError, SyntaxError) as exc:
         raise UnreadableFileError(f"{path} is not a readable {path.suffix} mesh: {exc}") from exc
+    with reading(path, "a triangle mesh"):
+        limits.require_count(
+            max(len(raw.vertices), len(raw.triangles)), limits.ELEMENTS, "vertices or triangles"
+        )
+        limits.require_lengths(raw.vertices, "a vertex")
     space = _SPACE.search(raw.note)
     if space is None or space[1].upper() == "LPS":
         return raw

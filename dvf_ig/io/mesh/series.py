@@ -1,7 +1,9 @@
 """A surface through the cycle, one mesh file a phase: in a folder, or in an archive that is read in place."""
 
+import lzma
 import re
 import tarfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +13,7 @@ import numpy as np
 from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.mesh import SurfaceSeries
+from dvf_ig.io import limits
 from dvf_ig.io.atomic import make_folder, write_bytes
 from dvf_ig.io.image.timing import read_timing, write_timing
 from dvf_ig.io.provenance import record_file
@@ -21,6 +24,8 @@ from .raw import RawMesh
 from .vtp import encode_vtp
 
 UNKNOWN_PATIENT = "unknown"
+MOST_MEMBERS = 10_000
+"""Meshes in an archive; ours have 20 phases of up to ten surfaces."""
 _CAP = "Cap"
 _PHASE_FILE = re.compile(r"(.+?)_?(\d+)\.(obj|stl|ply|vtp)", re.IGNORECASE)
 
@@ -130,13 +135,8 @@ def _on_disk(path: Path) -> _PhaseFile | None:
 def _in_archive(archive: Path) -> list[_PhaseFile]:
     try:
         with tarfile.open(archive, "r:*") as tar:
-            contents = {
-                member.name: stream.read()
-                for member in tar
-                if member.isfile() and Path(member.name).suffix.lower() in DECODERS
-                if (stream := tar.extractfile(member)) is not None
-            }
-    except (tarfile.TarError, EOFError, OSError) as exc:
+            contents = _contents(archive, tar)
+    except (tarfile.TarError, EOFError, OSError, zlib.error, lzma.LZMAError) as exc:
         raise UnreadableFileError(f"{archive} is not a readable archive ({exc}); copy it again") from exc
     record_file(archive)
     files = []
@@ -145,6 +145,21 @@ def _in_archive(archive: Path) -> list[_PhaseFile]:
         if match is not None:
             files.append(_PhaseFile(archive / member, match[1], int(match[2]), _constant(data)))
     return files
+
+
+def _contents(archive: Path, tar: tarfile.TarFile) -> dict[str, bytes]:
+    """The mesh files of an archive, of at most VOXEL_BYTES together."""
+    contents: dict[str, bytes] = {}
+    total = 0
+    for member in tar:
+        if not member.isreg() or Path(member.name).suffix.lower() not in DECODERS:
+            continue
+        total += member.size
+        if total > limits.VOXEL_BYTES or len(contents) >= MOST_MEMBERS:
+            raise UnreadableFileError(f"{archive} holds more than meshes of a heart; unpack what is needed")
+        stream = tar.extractfile(member)
+        contents[member.name] = b"" if stream is None else stream.read()
+    return contents
 
 
 def _constant(data: bytes) -> Callable[[], bytes]:

@@ -35,6 +35,8 @@ def _decode_ascii(data: bytes) -> RawMesh:
 
 def _welded(corners: FloatArray, note: str) -> RawMesh:
     """Merge equal corners; numbering follows first appearance, so that corresponding files stay alike."""
+    if not np.isfinite(corners).all():
+        raise MeshFormatError("a corner is not finite; export it again")
     points = corners.reshape(-1, 3).astype(np.float64)
     _, first, inverse = np.unique(points, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray
+from dvf_ig.io import limits
 
 from .raw import MeshFormatError, RawMesh, fan_triangles
 
@@ -57,6 +58,10 @@ class _Codec:
         blocks, block_size, last_size = (int(v) for v in self._take(data, 3 * word.itemsize, is_base64, word))
         if blocks == 0:
             return b""
+        if blocks * block_size > limits.TEXT_BYTES:
+            raise MeshFormatError(
+                f"an array states {blocks * block_size} bytes; at most {limits.TEXT_BYTES} are read"
+            )
         head = (3 + blocks) * word.itemsize
         sizes = self._take(data, head, is_base64, word)[3:]
         total = int(sizes.sum())
@@ -64,7 +69,7 @@ class _Codec:
         ends = np.cumsum(sizes)
         parts = [payload[int(e - s) : int(e)] for e, s in zip(ends, sizes, strict=True)]
         try:
-            out = b"".join(zlib.decompress(part) for part in parts)
+            out = b"".join(_unpacked(part, block_size) for part in parts)
         except zlib.error as exc:
             raise MeshFormatError(f"damaged compressed data ({exc})") from exc
         expected = (blocks - 1) * block_size + (last_size or block_size)
@@ -151,6 +156,15 @@ def _array_xml(name: str, values: AnyArray, components: int = 1) -> str:
         f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{components}" format="binary">{text}'
         "</DataArray>"
     )
+
+
+def _unpacked(part: bytes, most: int) -> bytes:
+    """A block of compressed data, of which no more is unpacked than its header says."""
+    inflater = zlib.decompressobj()
+    out = inflater.decompress(part, most + 1)
+    if len(out) > most or not inflater.eof:
+        raise MeshFormatError(f"a block of compressed data does not unpack to the {most} bytes of its header")
+    return out
 
 
 def _split_appended(data: bytes) -> tuple[bytes, bytes, bool]:

@@ -8,11 +8,15 @@ from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
+from dvf_ig.io import limits
 from dvf_ig.io.reading import read_text, reading
 
 from .names import USUAL_NAMES, ProbeNames
 from .poses import SEQUENCE_SUFFIXES, read_poses
 from .sequence_read import read_indexed_sequence
+
+LARGEST_PX = 1e6
+"""No point that was seen lies further from an image's corner."""
 
 
 def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArray:
@@ -38,7 +42,7 @@ def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArr
     rows: list[FloatArray] = []
     for number, line in enumerate(lines[1:], start=2):
         frame, *cells = _numbers(path, number, line, len(head))
-        if frame != frame or frame < 0 or frame != int(frame):
+        if not 0 <= frame < limits.FRAMES or frame != int(frame):
             raise UnreadableFileError(f"{path}, line {number}: '{line[0]}' is no frame number (0, 1, 2, …)")
         numbers.append(int(frame))
         rows.append(np.array(cells).reshape(count, 2))
@@ -125,6 +129,9 @@ def _numbers(path: Path, number: int, line: list[str], count: int) -> list[float
     if len(line) != count:
         raise UnreadableFileError(f"{path}, line {number}: {len(line)} cells; needed {count}")
     try:
-        return [float(cell) if cell.strip() else float("nan") for cell in line]
+        values = [float(cell) if cell.strip() else float("nan") for cell in line]
     except ValueError as exc:
         raise UnreadableFileError(f"{path}, line {number}: {exc}") from exc
+    if any(abs(value) > LARGEST_PX for value in values[1:]):
+        raise UnreadableFileError(f"{path}, line {number}: a place beyond {LARGEST_PX:g} px; export it again")
+    return values

@@ -1,5 +1,6 @@
 """N-wire calibration recordings in PLUS's files: phantom geometry, segmented wire points, tracked poses."""
 
+import re
 from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree
@@ -12,6 +13,7 @@ from dvf_ig.core.phantom import NWirePhantom, NWireRecording, Wire
 from dvf_ig.core.rigid import Rigid
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
+from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 from dvf_ig.io.transform import rigid_from_matrix
 
@@ -61,6 +63,7 @@ def read_wire_points(
             raise UnreadableFileError(f"{path} has no <{section}>; give a PLUS calibration result")
         elements = [(_index(path, e), e) for e in part.findall("Frame")]
         count = max((i for i, _ in elements), default=-1) + 1 if frames is None else frames
+        limits.require_count(count, limits.FRAMES, "frames")
         order = {wire.name: w for w, wire in enumerate(phantom.wires)}
         points = np.full((count, len(order), 2), np.nan)
         for index, element in elements:
@@ -198,7 +201,7 @@ def _pattern(path: Path, element: ElementTree.Element) -> tuple[Wire, Wire, Wire
 
 def _index(path: Path, element: ElementTree.Element) -> int:
     text = element.attrib.get("Index", "")
-    if not text.isdigit():
+    if re.fullmatch(r"[0-9]{1,9}", text) is None:
         raise UnreadableFileError(f"{path}: a <Frame> has Index '{text}'; needed a whole number")
     return int(text)
 

@@ -10,11 +10,14 @@ from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
+from dvf_ig.io import limits
 from dvf_ig.io.reading import read_text, reading
 
 from .sequence_read import read_sequence
 
 SEQUENCE_SUFFIXES = (".mha", ".mhd", ".nrrd", ".nhdr")
+LARGEST = 1e12
+"""Squares of larger numbers may overflow."""
 _USUAL_TOOLS = ("stylus", "tool")
 
 
@@ -43,6 +46,8 @@ def read_poses(path: Path | str, target: str | None = None, source: str | None =
             times, matrices = _read_folder(path)
         else:
             times, matrices = _read_table(path)
+        limits.require_times(times, "its column of times")
+        limits.require_lengths(matrices, "a pose")
         valid = np.ones(len(matrices), dtype=np.bool_)
         rotations, translations = matrices[:, :3, :3], matrices[:, :3, 3]
         return PoseStream(target or "tracker", source or "tool", times, rotations, translations, valid)
@@ -133,6 +138,8 @@ def _numbers(path: Path) -> FloatArray:
         table = np.array([[float(cell) for cell in row] for row in rows])
     except ValueError as exc:
         raise UnreadableFileError(f"{path} is not a table of numbers: {exc}") from exc
-    if table.ndim != 2 or not np.isfinite(table).all():
-        raise UnreadableFileError(f"{path}: needed rows of finite numbers, each of the same length")
+    if table.ndim != 2 or not (np.abs(table) < LARGEST).all():
+        raise UnreadableFileError(
+            f"{path}: needed rows of finite numbers below {LARGEST:g}, each of the same length"
+        )
     return table

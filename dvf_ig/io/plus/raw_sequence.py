@@ -13,9 +13,11 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.io import limits
+from dvf_ig.io.file_within import file_within
 from dvf_ig.io.reading import read_bytes
 
-_FRAME_FIELD = re.compile(r"Seq_Frame(\d+)_(\S+)")
+_FRAME_FIELD = re.compile(r"Seq_Frame([0-9]{1,9})_(\S+)")
 _DATA_FILE_LINE = re.compile(rb"^ElementDataFile[ \t]*=[ \t]*([^\r\n]*)(\r\n|\n|\r|\Z)", re.MULTILINE)
 _UINT8 = {"MET_UCHAR", "uchar", "unsigned char", "uint8", "uint8_t"}
 _GZIP_OR_ZLIB = 47  # zlib's "detect the header" window size
@@ -168,13 +170,13 @@ def _header_text(path: Path, header: bytes) -> str:
 
 
 def _integers(path: Path, name: str, text: str | None) -> list[int]:
-    try:
-        sizes = [int(part) for part in (text or "").split()]
-    except ValueError as exc:
-        raise UnreadableFileError(f"{path}: {name} is '{text}'; needed whole numbers") from exc
-    if not sizes or min(sizes) < 0:
+    words = (text or "").split()
+    if any(re.fullmatch(r"[-+]?[0-9]{1,18}", word) is None for word in words):
+        raise UnreadableFileError(f"{path}: {name} is '{(text or '')[:60]}'; needed whole numbers")
+    sizes = [int(word) for word in words]
+    if not sizes or min(sizes) < 0 or len(sizes) > 4:
         raise UnreadableFileError(
-            f"{path}: {name} is '{text or 'absent'}'; needed image size and frame count"
+            f"{path}: {name} is '{(text or 'absent')[:60]}'; needed image size and frame count"
         )
     return sizes
 
@@ -194,6 +196,8 @@ def _layout(path: Path, sizes: list[int], kinds: list[str]) -> tuple[int, int, i
             f"{path}: {len(sizes)} axes of sizes {sizes}; needed columns, rows and frames of 2-D images"
         )
     columns, rows, frames = sizes
+    if max(columns, rows) > limits.AXIS:
+        raise UnreadableFileError(f"{path}: images of {columns} x {rows} pixels; copy it again")
     if frames == 0:
         raise UnreadableFileError(f"{path} holds no frames; record again")
     return (columns, rows, frames) if columns and rows else (0, 0, frames)
@@ -219,11 +223,13 @@ def _payload(path: Path, data: bytes, start: int, name: str) -> memoryview:
         return memoryview(data)[start:]
     if name.upper().startswith("LIST") or "%" in name:
         raise UnreadableFileError(f"{path}: pixels are spread over several files; save it as one sequence")
-    return memoryview(read_bytes(path.parent / name, f"the pixel data of {path.name}"))
+    return memoryview(read_bytes(file_within(path.parent, name, path), f"the pixel data of {path.name}"))
 
 
 def _inflate(path: Path, payload: memoryview, expected: int) -> bytes:
     """Decompress zlib or gzip data, never more than one byte beyond what is expected."""
+    if expected > limits.FILE_BYTES:
+        raise UnreadableFileError(f"{path}: its header states {expected} bytes of images; split it")
     inflater = zlib.decompressobj(_GZIP_OR_ZLIB)
     try:
         return inflater.decompress(payload, expected + 1)

@@ -9,6 +9,7 @@ from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
+from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 
 from .names import split_transform
@@ -87,6 +88,7 @@ def _times(path: Path, raw: RawSequence) -> tuple[FloatArray, bool]:
     if not np.isfinite(t_s).all():
         bad = int(np.flatnonzero(~np.isfinite(t_s))[0])
         raise UnreadableFileError(f"{path}: the Timestamp of frame {bad} is not finite; record again")
+    limits.require_times(t_s, "a Timestamp")
     return t_s, True
 
 
@@ -194,6 +196,8 @@ def _matrices(path: Path, raw: RawSequence, field: str) -> tuple[FloatArray, Boo
                 f"{path}: {field} of frame {i} is '{text[:40]}'; needed 16 numbers (a row-major 4x4 matrix)"
             )
     matrices = flat.reshape(-1, 4, 4)
+    given = matrices[valid]
+    limits.require_lengths(given[np.isfinite(given)], field)
     if (np.abs(matrices[valid][:, 3] - (0, 0, 0, 1)) > 1e-9).any():
         raise UnreadableFileError(f"{path}: {field} has a last row other than 0 0 0 1")
     return matrices, valid

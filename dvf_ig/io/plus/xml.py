@@ -18,6 +18,9 @@ from dvf_ig.io.sidecar import MARKUP_COMMENT, refuse_foreign
 
 from .names import frame_from_plus, frame_to_plus
 
+LARGEST = 1e9
+"""No place, pixel or index of a calibration is larger."""
+
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,10 +64,10 @@ def numbers(path: Path, element: ElementTree.Element, attribute: str, count: int
         values = np.array((text or "").split(), dtype=np.float64)
     except ValueError:
         values = np.zeros(0)
-    if values.size != count or not np.isfinite(values).all():
+    if values.size != count or not (np.abs(values) <= LARGEST).all():
         shown = "absent" if text is None else f"'{' '.join(text.split())[:60]}'"
         raise UnreadableFileError(
-            f"{path}: {attribute} of <{element.tag}> is {shown}; needed {count} finite numbers"
+            f"{path}: {attribute} of <{element.tag}> is {shown}; needed {count} finite numbers up to 1e9"
         )
     return values
 

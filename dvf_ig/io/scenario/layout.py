@@ -1,6 +1,5 @@
 """What stands where in a scenario folder, and the schema of its `scenario.yaml`."""
 
-import re
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,15 +19,6 @@ TRIGGER = "trigger.csv"
 """In place of `ecg.csv`, where beats come from a trigger."""
 SPEC = "spec.yaml"
 """Beside the truth, because it tells the ground truth."""
-
-_OURS = re.compile(
-    r"scenario\.yaml|README\.md|preview\.png|ecg\.csv|trigger\.csv|ultrasound\.igs\.mha|tool\.igs\.mha"
-    r"|landmarks_(mr|tracker)\.mrk\.json"
-    r"|start\.(tfm|json)|preop/((mr|labels)\.nrrd|timing\.json|[^/]+_\d+\.vtp)"
-    r"|calibration/(pivot|nwire|latency_tracker|latency_video)\.igs\.mha"
-    r"|calibration/(nwire|nwire_points|latency_lines)\.xml"
-    r"|truth/(spec\.yaml|truth\.json|r_peaks\.csv|tool\.npz|surface\.npz)"
-)
 
 
 class PreopConfig(Section):
@@ -101,11 +91,3 @@ def config_text(config: ScenarioConfig) -> str:
     """YAML of a configuration, keys in the order of the schema."""
     document: dict[str, Any] = config.model_dump(mode="json", by_alias=True)
     return yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
-
-
-def is_our_folder(folder: Path) -> bool:
-    """True where a folder is a scenario and holds nothing but what a scenario holds."""
-    if not (folder / CONFIG).is_file():
-        return False
-    files = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir())
-    return all(_OURS.fullmatch(name) for name in files)

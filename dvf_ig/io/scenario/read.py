@@ -2,9 +2,13 @@
 
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.scenario import Scenario
+from dvf_ig.io.file_within import path_within
 from dvf_ig.io.provenance import record_folder
+from dvf_ig.io.session_file.named_files import named_files
 from dvf_ig.io.session_file.read import read_recordings
 from dvf_ig.io.session_file.schema import SessionConfig
 
@@ -31,11 +35,19 @@ def read_scenario_session(folder: Path, *, truth: bool = True) -> SessionConfig:
     """The configuration of a scenario folder; the files that it names are not opened.
 
     Raises:
-        UnreadableFileError: no scenario folder, or its description is wrong.
+        UnreadableFileError: no scenario folder, or its description is wrong or names files elsewhere.
     """
     config = read_config(folder)
     _require_kind(config, folder)
-    return session_of_scenario(config, folder, truth=truth)
+    try:
+        session = session_of_scenario(config, folder, truth=truth)
+    except ValidationError as exc:
+        problem = exc.errors()[0]
+        key = ".".join(map(str, problem["loc"])) or "its files"
+        raise UnreadableFileError(f"{folder / CONFIG}: {key}: {problem['msg']}") from exc
+    for _, name in named_files(session):
+        path_within(folder, name, folder / CONFIG)
+    return session
 
 
 def _require_kind(config: ScenarioConfig, folder: Path) -> None:

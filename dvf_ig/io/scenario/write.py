@@ -13,7 +13,8 @@ from dvf_ig.core.scenario import LatencyRecording, Preop, Scenario
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.stream import PoseStream
 from dvf_ig.core.trigger import TriggerTimes
-from dvf_ig.io.atomic import atomic_folder, make_folder, write_bytes, write_text
+from dvf_ig.io.atomic import make_folder, write_bytes, write_text
+from dvf_ig.io.atomic_folder import atomic_folder
 from dvf_ig.io.ecg.recording import write_ecg_csv
 from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX, write_triggers
 from dvf_ig.io.image.timing import timing_document
@@ -39,7 +40,6 @@ from .layout import (
     PreopConfig,
     ScenarioConfig,
     config_text,
-    is_our_folder,
 )
 from .readme import ScenarioNotes, readme_text
 
@@ -47,7 +47,7 @@ from .readme import ScenarioNotes, readme_text
 def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes | None = None) -> None:
     """Write a scenario folder whole or not at all; `read_scenario` gives back every array exactly.
 
-    An existing scenario folder is replaced; any other folder that is not empty is refused.
+    An existing scenario folder that nobody changed is replaced; any other that is not empty is refused.
 
     Args:
         notes: for people: what README.md, preview.png and truth/spec.yaml say; None leaves these out.
@@ -62,7 +62,7 @@ def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes 
         raise InvalidInputError("a scenario folder holds tool, pivot and N-wire recordings; one is missing")
     if not isinstance(latency, LatencyRecording):
         raise InvalidInputError("a scenario folder holds a water-tank recording, not a latency")
-    with atomic_folder(Path(folder), is_our_folder) as new:
+    with atomic_folder(Path(folder)) as new:
         for part in ("preop", "calibration"):
             make_folder(new / part)
         _write_preop(scenario.preop, new, config.preop)

@@ -22,6 +22,7 @@ from dvf_ig.io.yaml_config import KIND, Section
 
 SCHEMA = "dvf_ig.session/1"
 Fraction = Annotated[float, Field(strict=True, ge=0.0, lt=1.0)]
+Pixel = Annotated[float, Field(ge=-1e6, le=1e6)]
 Text = Annotated[str, Field(strict=True, min_length=1)]
 FileName = Text
 
@@ -38,10 +39,10 @@ def _by_kind(needed: str, **kinds: type | tuple[type, ...]) -> Discriminator:
 class FanConfig(Section):
     """The insonified sector, px and rad."""
 
-    apex_px: tuple[float, float]
-    start_px: float
-    stop_px: float
-    half_angle_rad: float
+    apex_px: tuple[Pixel, Pixel]
+    start_px: Pixel
+    stop_px: Pixel
+    half_angle_rad: Annotated[float, Field(gt=0.0, le=3.2)]
 
     def fan(self) -> Fan:
         """The sector itself."""

@@ -145,7 +145,7 @@ def test_truncated_wfdb(tmp_path: Path, data_dir: Path) -> None:
         read_ecg(f"wfdb:{tmp_path / '101'}")
 
 
-@pytest.mark.parametrize(("spec", "package"), [("wfdb:x", "wfdb"), ("edf:x", "edfio")])
+@pytest.mark.parametrize(("spec", "package"), [("wfdb:x", "wfdb")])
 def test_missing_package(monkeypatch: pytest.MonkeyPatch, spec: str, package: str) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingDependencyError, match=rf"needs the package {package}; .*dvf-ig\[ecg\]"):

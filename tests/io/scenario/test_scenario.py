@@ -99,6 +99,7 @@ def test_layout(tmp_path: Path, make_scenario: Make) -> None:
     write_scenario(make_scenario(), tmp_path / "s")
     files = {p.relative_to(tmp_path / "s").as_posix() for p in (tmp_path / "s").rglob("*") if p.is_file()}
     assert files == {
+        ".written_by_dvf_ig.json",
         *("scenario.yaml", "ecg.csv", "ultrasound.igs.mha", "tool.igs.mha", "start.tfm", "start.json"),
         *("landmarks_mr.mrk.json", "landmarks_tracker.mrk.json"),
         *("preop/mr.nrrd", "preop/labels.nrrd", "preop/timing.json"),

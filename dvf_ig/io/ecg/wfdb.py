@@ -1,0 +1,94 @@
+"""WFDB recordings, through the package of the `ecg` extra."""
+
+import importlib
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError
+from dvf_ig.core.signal import Signal
+from dvf_ig.io import limits
+from dvf_ig.io.provenance import record_file
+from dvf_ig.io.reading import refuse_lfs_pointer
+
+from .units import in_millivolts
+from .wfdb_header import read_record_header
+
+_DAMAGE = (
+    ValueError,
+    LookupError,
+    TypeError,
+    ArithmeticError,
+    OSError,
+    NameError,
+    AttributeError,
+    RuntimeError,
+    AssertionError,
+    MemoryError,
+)
+"""What the package raises on damaged files."""
+
+
+def read_wfdb(record: Path) -> Signal:
+    """All leads of a WFDB record in mV; the record is named without suffix.
+
+    Raises:
+        MissingDependencyError: the package wfdb is absent.
+        UnreadableFileError: a file of the record is absent or damaged.
+    """
+    wfdb = _package()
+    record = existing_record(record)
+    header = read_record_header(record)
+    for file in header.files:
+        refuse_lfs_pointer(file)
+    if header.stated is not None and header.held is not None and header.held < header.stated:
+        raise UnreadableFileError(
+            f"{record}: not a readable WFDB record (truncated: {header.held} of {header.stated} samples); "
+            "copy it again"
+        )
+    try:
+        with _quiet():
+            data = wfdb.rdrecord(str(record.resolve()))
+    except _DAMAGE as exc:
+        raise UnreadableFileError(f"{record}: not a readable WFDB record ({exc}); copy it again") from exc
+    for file in header.files:
+        record_file(file)
+    if data.p_signal is None:
+        raise UnreadableFileError(f"{record}: the record has several sampling rates; resample it to one")
+    limits.require_count(data.p_signal.size, limits.SAMPLES, "samples")
+    samples = np.asarray(data.p_signal, dtype=np.float64)
+    labels = tuple(str(name) for name in data.sig_name)
+    return Signal(in_millivolts(record, samples, list(data.units)), header.rate_hz, 0.0, labels)
+
+
+def existing_record(record: Path) -> Path:
+    """The record's path without suffix, checked before wfdb could look for it elsewhere."""
+    if record.suffix in (".hea", ".dat", ".atr"):
+        record = record.with_suffix("")
+    if not Path(f"{record}.hea").is_file():
+        raise UnreadableFileError(f"{record}.hea does not exist; a WFDB record needs .hea and .dat together")
+    for ending in (".hea", ".dat"):
+        refuse_lfs_pointer(Path(f"{record}{ending}"))
+    return record
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence what the package's own dependencies warn about; a user cannot act on it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _package() -> ModuleType:
+    try:
+        with _quiet():
+            return importlib.import_module("wfdb")
+    except ModuleNotFoundError as exc:
+        raise MissingDependencyError(
+            'reading this ECG needs the package wfdb; install it with: pip install "dvf-ig[ecg]"'
+        ) from exc

@@ -1,0 +1,50 @@
+"""Files that another file names: they stand in its folder, and are files."""
+
+import stat
+from pathlib import Path
+
+from dvf_ig.core.errors import UnreadableFileError
+
+
+def file_within(folder: Path, name: str, named_by: Path) -> Path:
+    """The regular file `name` in `folder` or below it.
+
+    Args:
+        folder: where the name begins.
+        name: as it stands in a header.
+        named_by: the file that names it, for messages.
+    Raises:
+        UnreadableFileError: absent; a pipe, device or folder; or elsewhere, by its name or through a link.
+    """
+    path = path_within(folder, name, named_by)
+    try:
+        real, home = path.resolve(strict=True), folder.resolve()
+        kind = real.stat().st_mode
+    except FileNotFoundError as exc:
+        raise UnreadableFileError(
+            f"{path} does not exist, which {named_by.name} names; copy it there"
+        ) from exc
+    except (OSError, RuntimeError) as exc:
+        raise UnreadableFileError(f"{named_by} names {name!r}, which cannot be opened ({exc})") from exc
+    if not real.is_relative_to(home):
+        raise UnreadableFileError(
+            f"{named_by} names {name!r}, a link that leads out of its folder; copy the file there"
+        )
+    if not stat.S_ISREG(kind):
+        raise UnreadableFileError(f"{named_by} names {name!r}, which is no file; needed one in its folder")
+    return path
+
+
+def path_within(folder: Path, name: str, named_by: Path) -> Path:
+    """A path in `folder` or below it, by its name alone.
+
+    Raises:
+        UnreadableFileError: an absolute name, one with "..", or one that no file can have.
+    """
+    parts = Path(name).parts
+    if not parts or "\0" in name or Path(name).is_absolute() or ".." in parts:
+        raise UnreadableFileError(
+            f"{named_by} names {name[:80]!r}; needed the name of a file in its own folder, without '..': put "
+            "the file there"
+        )
+    return folder / name

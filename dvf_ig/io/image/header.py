@@ -1,0 +1,138 @@
+"""What the header of a MetaImage or NRRD file says of its voxels: how they are stored, where they lie."""
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from dvf_ig.core.arrays import FloatArray, read_only_arrays
+from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.io import limits
+
+_BLOCK = 1 << 18
+_LARGEST = 1e12
+"""No number that places an image is larger; products of those that are overflow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Storage:
+    """Where the bytes of the voxels are.
+
+    Attributes:
+        files: separate files, in order; none where the voxels follow the header.
+        offset: where they begin in the header's own file.
+        skip: bytes to leave out at the beginning of a separate file; None takes its last bytes.
+        compressed: zlib or gzip.
+    """
+
+    files: tuple[Path, ...]
+    offset: int
+    skip: int | None = 0
+    compressed: bool = False
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageHeader:
+    """An image as its file describes it; lengths in mm, LPS.
+
+    Attributes:
+        sizes: of the stored axes, the fastest first; without the axis of several values a voxel.
+        dtype: of a value, with its byte order.
+        values_per_voxel: more than 1 for vectors and colours.
+        phase_axis: which stored axis runs over phases; None where the image is not 4-D.
+        origin_mm, spacing_mm, direction: (3,), (3,), (3, 3) of the three axes in space, as stored; column a
+            of `direction` is that of axis a.
+        storage: where the voxels are.
+        fields: every field of the header by its name.
+    """
+
+    sizes: tuple[int, ...]
+    dtype: np.dtype[np.generic]
+    values_per_voxel: int
+    phase_axis: int | None
+    origin_mm: FloatArray
+    spacing_mm: FloatArray
+    direction: FloatArray
+    storage: Storage
+    fields: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def bytes(self) -> int:
+        """Of all voxels, unpacked."""
+        count = self.values_per_voxel * self.dtype.itemsize
+        for size in self.sizes:
+            count *= size
+        return count
+
+
+def read_until(path: Path, end: re.Pattern[bytes]) -> tuple[bytes, re.Match[bytes] | None]:
+    """The beginning of a file up to a mark, and the mark; None where HEADER_BYTES hold none."""
+    data = bytearray()
+    with path.open("rb") as stream:
+        while len(data) <= limits.HEADER_BYTES and (block := stream.read(max(_BLOCK, len(data)))):
+            begin = max(len(data) - 4096, 0)
+            data += block
+            if end.search(data, begin):
+                break
+    whole = bytes(data)
+    return whole, end.search(whole)
+
+
+def whole_numbers(path: Path, name: str, text: str, least: int, most: int) -> tuple[int, ...]:
+    """The integers of a field, each from `least` to `most`.
+
+    Raises:
+        UnreadableFileError: others, none, or too many.
+    """
+    words = text.split()
+    if 1 <= len(words) <= 16 and all(re.fullmatch(r"[-+]?\d{1,18}", word) for word in words):
+        numbers = tuple(int(word) for word in words)
+        if all(least <= number <= most for number in numbers):
+            return numbers
+    raise UnreadableFileError(
+        f"{path}: {name} is '{text[:60]}'; needed whole numbers from {least} to {most}: copy it again"
+    )
+
+
+def real_numbers(path: Path, name: str, text: str, count: int) -> FloatArray:
+    """(count,) finite numbers of a field.
+
+    Raises:
+        UnreadableFileError: another count, or none that are finite.
+    """
+    try:
+        values = np.array([float(word) for word in text.split()[: count + 1]])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != count or not (np.abs(values) <= _LARGEST).all():
+        raise UnreadableFileError(
+            f"{path}: {name} is '{text[:60]}'; needed {count} finite numbers below {_LARGEST:g}"
+        )
+    return values
+
+
+def sides_and_directions(path: Path, axes_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(3,) side lengths of voxels and (3, 3) directions of the axes, which are the columns of `axes_mm`.
+
+    Raises:
+        UnreadableFileError: an axis without length.
+    """
+    sides = np.linalg.norm(axes_mm, axis=0)
+    if not np.isfinite(sides).all() or (sides <= 0).any():
+        raise UnreadableFileError(f"{path}: an axis of its image has no length; set its geometry again")
+    return sides, axes_mm / sides
+
+
+def three_dimensional(path: Path, matrix: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The part in space of an (n, n) matrix of axes and an (n,) origin, time being the last where n is 4.
+
+    Raises:
+        UnreadableFileError: space and time are mixed.
+    """
+    if len(vector) == 4 and max(np.abs(matrix[:3, 3]).max(), np.abs(matrix[3, :3]).max()) > 1e-9:
+        raise UnreadableFileError(
+            f"{path}: its axes of space and time are mixed; save it with time as an axis of its own"
+        )
+    return matrix[:3, :3], vector[:3]

@@ -1,0 +1,232 @@
+"""The header of an NRRD file (`.nrrd`, `.nhdr`): lines "field: value" and "key:=value", then an empty one.
+
+Source: teem.sourceforge.net/nrrd/format.html.
+"""
+
+import logging
+import re
+from pathlib import Path
+
+import numpy as np
+
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.io import limits
+
+from .header import (
+    ImageHeader,
+    Storage,
+    read_until,
+    real_numbers,
+    sides_and_directions,
+    three_dimensional,
+    whole_numbers,
+)
+from .voxel_files import named_voxel_files
+
+log = logging.getLogger(__name__)
+
+_END = re.compile(rb"\r?\n\r?\n")
+_MAGIC = re.compile(r"NRRD000[1-6]\s*")
+_TYPES = {
+    **dict.fromkeys(("signed char", "int8", "int8_t"), "i1"),
+    **dict.fromkeys(("uchar", "unsigned char", "uint8", "uint8_t"), "u1"),
+    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), "i2"),
+    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), "u2"),
+    **dict.fromkeys(("int", "signed int", "int32", "int32_t"), "i4"),
+    **dict.fromkeys(("uint", "unsigned int", "uint32", "uint32_t"), "u4"),
+    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "int64", "int64_t"), "i8"),
+    **dict.fromkeys(
+        ("ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t"), "u8"
+    ),
+    **dict.fromkeys(("float",), "f4"),
+    **dict.fromkeys(("double",), "f8"),
+}
+_SPACES = {
+    **dict.fromkeys(("left-posterior-superior", "lps"), (1.0, 1.0, 1.0)),
+    **dict.fromkeys(("right-anterior-superior", "ras"), (-1.0, -1.0, 1.0)),
+    **dict.fromkeys(("left-anterior-superior", "las"), (1.0, -1.0, 1.0)),
+}
+"""What turns a space into LPS. With "-time" or "t" added, its fourth axis is time."""
+_DOMAIN_KINDS = ("domain", "space", "time", "???", "none")
+_MILLIMETRES = ("", "mm", "millimeter", "millimeters", "millimetre", "millimetres")
+_VECTOR = re.compile(r"none|\(([^()]*)\)")
+
+
+def read_nrrd_header(path: Path) -> ImageHeader:
+    """Parse the header; of the voxels, nothing is read.
+
+    Raises:
+        UnreadableFileError: not NRRD, a field that is absent or cannot be, a space or unit that is not known,
+            or voxels stored in another encoding or outside its folder.
+    """
+    data, end = read_until(path, _END)
+    if len(data) > limits.HEADER_BYTES and end is None:
+        raise UnreadableFileError(f"{path}: its header does not end within {len(data)} bytes; copy it again")
+    text = data[: len(data) if end is None else end.start()].decode("utf-8", "replace")
+    fields = _fields(path, text)
+    sizes = whole_numbers(path, "sizes", fields.get("sizes", ""), 1, limits.AXIS)
+    if whole_numbers(path, "dimension", fields.get("dimension", ""), 1, 16)[0] != len(sizes):
+        raise UnreadableFileError(
+            f"{path}: dimension is {fields['dimension']}, sizes holds {len(sizes)}: copy it again"
+        )
+    kinds = fields.get("kinds", "").lower().split() or ["domain"] * len(sizes)
+    if len(kinds) != len(sizes):
+        raise UnreadableFileError(f"{path}: {len(kinds)} kinds of {len(sizes)} axes: copy it again")
+    ranges = [a for a, kind in enumerate(kinds) if kind not in _DOMAIN_KINDS]
+    if len(ranges) > 1:
+        raise UnreadableFileError(
+            f"{path}: the kinds of its axes are {' '.join(kinds)[:60]}; needed an image"
+        )
+    listed = len(sizes) == 4 and [kinds[a] for a in ranges] == ["list"]
+    dropped = [] if listed else ranges
+    if dropped not in ([], [0]):
+        raise UnreadableFileError(f"{path}: the values of a voxel do not lie side by side; save it again")
+    space_axes, phase = _axes(path, fields, kinds, listed=listed, dropped=dropped)
+    kept = [a for a in range(len(sizes)) if a not in dropped]
+    return ImageHeader(
+        tuple(sizes[a] for a in kept),
+        _dtype(path, fields),
+        sizes[dropped[0]] if dropped else 1,
+        None if phase is None else kept.index(phase),
+        *_geometry(path, fields, space_axes, phase),
+        _storage(path, fields, text, len(data) if end is None else end.end()),
+        fields,
+    )
+
+
+def _fields(path: Path, text: str) -> dict[str, str]:
+    """Fields by their names in lower case, and keys by theirs as they are."""
+    lines = re.split(r"\r\n|\n|\r", text)
+    if _MAGIC.fullmatch(lines[0]) is None:
+        raise UnreadableFileError(f"{path} is not a readable image: it does not begin with NRRD000X")
+    fields: dict[str, str] = {}
+    for line in lines[1:]:
+        if not line.strip() or line.startswith("#"):
+            continue
+        found = re.match(r"([^:]+?):(=?)[ \t]*(.*)", line, re.DOTALL)
+        name = "" if found is None else found[1] if found[2] else _plain_name(found[1])
+        if found is None or name in fields:
+            if found is None and "data file" in fields:
+                continue  # names of a LIST
+            wrong = "is not 'field: value'" if found is None else "stands there twice"
+            raise UnreadableFileError(f"{path}: header line '{line.strip()[:60]}' {wrong}; copy it again")
+        fields[name] = found[3].strip()
+    return fields
+
+
+def _plain_name(name: str) -> str:
+    """ "datafile" → "data file", as NRRD allows some names without their blank."""
+    plain = name.strip().lower()
+    joined = {"datafile": "data file", "lineskip": "line skip", "byteskip": "byte skip"}
+    return joined.get(plain, plain)
+
+
+def _dtype(path: Path, fields: dict[str, str]) -> np.dtype[np.generic]:
+    kind = fields.get("type", "").lower()
+    if kind not in _TYPES:
+        raise UnreadableFileError(
+            f"{path}: type is '{kind[:40]}'; needed a number of 1, 2, 4 or 8 bytes, such as uint8 or float"
+        )
+    endian = fields.get("endian", "" if _TYPES[kind][1] != "1" else "little").lower()
+    if endian not in ("little", "big"):
+        raise UnreadableFileError(f"{path}: endian is '{endian[:20]}'; needed little or big: copy it again")
+    return np.dtype(("<" if endian == "little" else ">") + _TYPES[kind])
+
+
+def _storage(path: Path, fields: dict[str, str], text: str, end: int) -> Storage:
+    encoding = fields.get("encoding", "").lower()
+    if encoding not in ("raw", "gzip", "gz"):
+        raise UnreadableFileError(f"{path}: encoding is '{encoding[:20]}'; save it as raw or gzip")
+    if fields.get("line skip", "0") != "0":
+        raise UnreadableFileError(f"{path}: its voxels follow lines of another header; save it as NRRD again")
+    skip = whole_numbers(path, "byte skip", fields.get("byte skip", "0"), -1, limits.HEADER_BYTES)[0]
+    compressed = encoding != "raw"
+    if compressed and skip:
+        raise UnreadableFileError(
+            f"{path}: byte skip goes with raw voxels, these are {encoding}; save it again"
+        )
+    names = re.split(r"(?im)^data ?file:.*$", text)[-1]
+    files = named_voxel_files(path, fields.get("data file", "LOCAL"), lambda: names)
+    return Storage(files, end, None if skip < 0 else skip, compressed)
+
+
+def _axes(
+    path: Path, fields: dict[str, str], kinds: list[str], *, listed: bool, dropped: list[int]
+) -> tuple[list[int], int | None]:
+    """The three stored axes in space, and the one that runs over phases."""
+    axes = [a for a in range(len(kinds)) if a not in dropped]
+    if len(axes) > 4:
+        raise UnreadableFileError(f"{path} has {len(axes)} axes; needed 3, or 4 with phases")
+    if len(axes) < 4:
+        return axes if len(axes) == 3 else [], None
+    vectors = [found[1] for found in _VECTOR.finditer(fields.get("space directions", ""))]
+    none = [a for a, vector in enumerate(vectors) if vector is None]
+    marked = [a for a in axes if kinds[a] == ("list" if listed else "time")] or none or [axes[-1]]
+    return [a for a in axes if a != marked[0]], marked[0]
+
+
+def _geometry(
+    path: Path, fields: dict[str, str], axes: list[int], phase: int | None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Origin, spacing and direction in LPS, mm."""
+    if not axes:
+        return np.zeros(3), np.ones(3), np.eye(3)
+    if "space" not in fields and "space dimension" not in fields:
+        return _without_space(path, fields, axes)
+    by_itk = fields.get("space dimension") == "4"  # so ITK writes LPS and time
+    space = fields.get("space", "lpst" if by_itk else "of unknown axes").lower()
+    timed = space.endswith("-time") or (len(space) == 4 and space.endswith("t"))
+    name = space.removesuffix("-time" if space.endswith("-time") else "t") if timed else space
+    if name not in _SPACES:
+        raise UnreadableFileError(
+            f"{path}: its space is '{space[:40]}'; needed left-posterior-superior or right-anterior-superior"
+        )
+    _require_millimetres(path, "space units", fields, [0, 1, 2])
+    count = 4 if timed else 3
+    matrix = np.eye(count)
+    matrix[:, :3] = np.column_stack([_direction(path, fields, a, count) for a in axes])
+    if timed and phase is not None:
+        matrix[:, 3] = _direction(path, fields, phase, count)
+    turn = np.array(_SPACES[name])
+    matrix, origin = three_dimensional(path, matrix, _origin(path, fields, count))
+    return origin * turn, *sides_and_directions(path, matrix * turn[:, None])
+
+
+def _direction(path: Path, fields: dict[str, str], axis: int, count: int) -> FloatArray:
+    """(count,) one step along a stored axis, mm."""
+    text = fields.get("space directions", "")
+    vectors = [found[1] for found in _VECTOR.finditer(text)]
+    vector = vectors[axis] if axis < len(vectors) and not _VECTOR.sub("", text).strip() else None
+    return real_numbers(
+        path, "space directions", "none" if vector is None else vector.replace(",", " "), count
+    )
+
+
+def _origin(path: Path, fields: dict[str, str], count: int) -> FloatArray:
+    text = fields.get("space origin", f"({','.join(['0'] * count)})")
+    found = _VECTOR.fullmatch(text)
+    inside = text if found is None or found[1] is None else found[1].replace(",", " ")
+    return real_numbers(path, "space origin", inside, count)
+
+
+def _without_space(
+    path: Path, fields: dict[str, str], axes: list[int]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A file that gives the spacing alone: its axes are taken as LPS."""
+    _require_millimetres(path, "units", fields, axes)
+    words = fields.get("spacings", "").split()
+    chosen = " ".join(words[a] for a in axes if a < len(words)) or "1 1 1"
+    begins = fields.get("axis mins", fields.get("axismins", "")).lower().split()
+    first = " ".join("0" if a >= len(begins) or begins[a] == "nan" else begins[a] for a in axes)
+    log.warning("%s does not say where its axes point: they are taken as left, posterior, superior", path)
+    spacing = real_numbers(path, "spacings", chosen, 3)
+    origin = real_numbers(path, "axis mins", first, 3)
+    return origin, *sides_and_directions(path, np.diag(spacing))
+
+
+def _require_millimetres(path: Path, name: str, fields: dict[str, str], axes: list[int]) -> None:
+    units = re.findall(r'"([^"]*)"', fields.get(name, ""))
+    other = [units[a] for a in axes if a < len(units) and units[a].strip().lower() not in _MILLIMETRES]
+    if other:
+        raise UnreadableFileError(f"{path}: its {name} are '{other[0][:20]}'; needed mm: save it in mm")

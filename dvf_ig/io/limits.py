@@ -1,0 +1,80 @@
+"""The most that a file may hold: beyond it, a file is damaged, hostile, or of something else than a heart.
+
+What is read is bounded by these before memory is reserved for it.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core.errors import InvalidInputError
+
+FILE_BYTES = 8 << 30
+"""A file that is read whole: ten minutes of uncompressed ultrasound at 30 frames/s (820 x 616) have 9 GB, and
+half of that fills the memory of a workstation twice over while it is taken apart."""
+TEXT_BYTES = 256 << 20
+"""A table, a mesh or XML as text: two leads for three hours at 1 kHz."""
+HEADER_BYTES = 128 << 20
+"""Text before the images of a sequence: 100 000 frames (an hour at 28/s) with two tools have 60 MB."""
+SETTINGS_BYTES = 4 << 20
+"""YAML that people write; the largest of the examples has 4 kB, and a label table of a whole body 20 kB."""
+VOXEL_BYTES = 4 << 30
+"""An image when unpacked: a cardiac CT of 512 x 512 x 300 voxels in 20 phases has 3.1 GB."""
+AXIS = 1 << 16
+"""Voxels or pixels along an axis; the longest in use, RF lines of ultrasound, have 4 000 to 16 000."""
+FRAMES = 1_000_000
+"""Frames or poses in a recording: nine hours at 30/s, or half an hour at 500/s."""
+SAMPLES = 200_000_000
+"""Samples of all leads of an ECG: 18 hours of three leads at 1 kHz; as float64 they have 1.6 GB."""
+ELEMENTS = 50_000_000
+"""Vertices or triangles of a mesh; whole-heart surfaces have 10 000 to 1 000 000."""
+MODEL_BYTES = 2 << 30
+"""Arrays of a model: 20 phases with knots every 3 mm have 55 MB, every 1 mm 1.5 GB."""
+LENGTH_MM = 1e6
+"""No coordinate in an operating room lies a kilometre from the origin; trackers reach 5 m, scanners 2 m."""
+SPACING_MM = (1e-4, 1e3)
+"""Sides of voxels: micro-CT has 0.005 mm. Outside are wrong units or damaged headers."""
+TIME_S = 1e10
+"""Time stamps: seconds since 1970 reach 1.8e9 (2026); milliseconds since then are beyond this limit."""
+ECG_VALUE = 1e9
+"""An ECG's samples in any unit: converters of 24 bit count to 1.7e7, of 32 bit to 2.1e9 at most."""
+NESTING = 100
+"""Lists within lists of a text; ours have five levels."""
+
+
+def require_lengths(xyz_mm: Any, what: str) -> None:
+    """Refuse coordinates that are not finite or beyond LENGTH_MM.
+
+    Raises:
+        InvalidInputError: says which and how far.
+    """
+    array = np.asarray(xyz_mm, dtype=np.float64)
+    if not np.isfinite(array).all():
+        raise InvalidInputError(f"{what} holds a value that is not finite; needed numbers in mm")
+    if array.size and (far := float(np.abs(array).max())) > LENGTH_MM:
+        raise InvalidInputError(
+            f"{what} reaches {far:.3g} mm; nothing lies further than {LENGTH_MM:g} mm away: check the unit"
+        )
+
+
+def require_times(t_s: Any, what: str) -> None:
+    """Refuse times that are not finite or beyond TIME_S.
+
+    Raises:
+        InvalidInputError: says which and how large.
+    """
+    array = np.asarray(t_s, dtype=np.float64)
+    if not np.isfinite(array).all():
+        raise InvalidInputError(f"{what} holds a time that is not finite; needed seconds")
+    if array.size and (late := float(np.abs(array).max())) > TIME_S:
+        raise InvalidInputError(f"{what} reaches {late:.3g} s; needed at most {TIME_S:g} s: check the unit")
+
+
+def require_count(count: int, most: int, what: str) -> None:
+    """Refuse more of something than `most`.
+
+    Raises:
+        InvalidInputError: says how many.
+    """
+    if count > most:
+        raise InvalidInputError(f"it states {count} {what}; at most {most} are read: copy it again")

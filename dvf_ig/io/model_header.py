@@ -1,0 +1,94 @@
+"""The header of a model file: every field with its type and the range that a model can have."""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from dvf_ig.core.arrays import AnyArray
+from dvf_ig.core.errors import InvalidInputError
+
+from . import limits
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Text = Annotated[str, Field(strict=True)]
+Flag = Annotated[bool, Field(strict=True)]
+
+
+class _Units(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    length: Literal["mm"]
+    time: Literal["s"]
+    coefficients: Literal["mm"]
+
+
+class ModelHeader(BaseModel):
+    """Fields as `write_model` writes them."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    schema_: Text = Field(alias="schema")
+    units: _Units
+    distance_sign: Literal["positive inside the protected organ"]
+    axes: Literal["LPS"]
+    frame: Text
+    patient_id: Text
+    surface_name: Text
+    phases: Annotated[int, Field(strict=True, ge=2)]
+    rr_s: Number
+    rr_assumed: Flag
+    timing_assumed: Flag
+    es_fraction: Annotated[float, Field(strict=True, ge=0.0, lt=1.0)]
+    ed_phase: Annotated[int, Field(strict=True, ge=0)]
+    knot_spacing_mm: Annotated[float, Field(strict=True, ge=0.05, le=100.0)]
+    sources: tuple[Text, ...] = ()
+    chambers: tuple[Text, ...] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "ModelHeader":
+        if self.ed_phase >= self.phases:
+            raise ValueError(f"ed_phase is {self.ed_phase}, the model has {self.phases} phases")
+        return self
+
+
+def require_consistent(header: ModelHeader, arrays: dict[str, AnyArray]) -> None:
+    """Refuse arrays that do not fit the header or one another, or lie where no heart does.
+
+    Raises:
+        InvalidInputError: says which.
+        KeyError: an array is missing.
+    """
+    phases, chambers = header.phases, len(header.chambers)
+    if len(arrays["fractions"]) != phases or len(arrays["coefficients"]) != phases:
+        raise InvalidInputError(
+            f"its header states {phases} phases, its arrays have {len(arrays['fractions'])} and "
+            f"{len(arrays['coefficients'])}; build it again"
+        )
+    _require_parts(arrays, "vertex_counts", "reference_vertices_mm", phases)
+    for of_triangles in ("reference_triangles", "reference_caps"):
+        _require_parts(arrays, "triangle_counts", of_triangles, phases)
+    if chambers:
+        _require_parts(arrays, "chamber_vertex_counts", "chamber_vertices_mm", phases * chambers)
+        _require_parts(arrays, "chamber_triangle_counts", "chamber_triangles", phases * chambers)
+    for name in ("coefficients", "origin_mm", "reference_vertices_mm", "chamber_vertices_mm"):
+        if name in arrays:
+            _require_lengths(arrays[name], name)
+
+
+def _require_parts(arrays: dict[str, AnyArray], counts: str, parts: str, number: int) -> None:
+    """Refuse counts that are not those of the parts."""
+    told: Any = arrays[counts]
+    fits = told.dtype.kind in "iu" and told.shape == (number,) and (told >= 0).all()
+    if not fits or int(told.sum()) != len(arrays[parts]):
+        raise InvalidInputError(f"its {counts} do not count its {parts}; build it again")
+
+
+def _require_lengths(array: AnyArray, name: str) -> None:
+    """As `limits.require_lengths`, without a copy of what may be large."""
+    if array.dtype.kind != "f":
+        raise InvalidInputError(f"its {name} are not real numbers; build it again")
+    if array.size and not (np.isfinite(array.min()) and np.isfinite(array.max())):
+        raise InvalidInputError(f"its {name} are not all finite; build it again")
+    if array.size:
+        limits.require_lengths([array.min(), array.max()], f"its {name}")

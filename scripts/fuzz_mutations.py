@@ -1,0 +1,165 @@
+"""Ways to damage a file: by its numbers, its lines, its bytes, and inside what is packed or sealed."""
+
+import gzip
+import hashlib
+import io
+import json
+import random
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable
+
+NUMBERS = (
+    "0 1 -1 2 3 255 256 65535 65536 2147483647 -2147483648 4294967296 1e9 1e10 99999999999",
+    "9223372036854775808 nan inf -inf NaN 1e300 -1e300 1e-300 0.5 1e5 -0 0x10 1e 1,5",
+    f"{'9' * 400} {'9' * 5000}",
+)
+WORDS = (
+    "/dev/zero /etc/passwd ../x . .. LOCAL LIST True False null ~ {} [] %s%n %d RAS LPS m mm um RAST",
+    "time list domain vector gzip raw ascii bzip2 big double block int64 uint8 MET_DOUBLE",
+    "MET_UCHAR nan OK INVALID",
+    f"\0 \u2028x \xe9 {'x' * 300} {'x' * 3000}",
+)
+_NUMBER = re.compile(rb"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+_WORD = re.compile(rb"[A-Za-z_][\w.-]*")
+
+
+def damaged(data: bytes, rng: random.Random) -> bytes:
+    """The file with one to three changes; what is packed or sealed is opened for some of them."""
+    for _ in range(rng.choice((1, 1, 1, 2, 3))):
+        data = _opened(data, rng) if rng.random() < 0.5 else _changed(data, rng)
+    return data
+
+
+def _changed(data: bytes, rng: random.Random) -> bytes:
+    head = data[:65536]
+    is_text = b"\0" not in head[:200] and head[:200].isascii()
+    ways = (
+        (_number, _number, _number, _word, _line, _bytes, _cut) if is_text else (_bytes, _bytes, _field, _cut)
+    )
+    return rng.choice(ways)(data, rng)
+
+
+def _replaced(data: bytes, pattern: re.Pattern[bytes], by: tuple[str, ...], rng: random.Random) -> bytes:
+    places = [match.span() for match in pattern.finditer(data[:65536])]
+    if not places:
+        return _bytes(data, rng)
+    begin, end = rng.choice(places[: rng.choice((20, len(places)))])
+    return data[:begin] + rng.choice(" ".join(by).split(" ")).encode("utf-8") + data[end:]
+
+
+def _number(data: bytes, rng: random.Random) -> bytes:
+    return _replaced(data, _NUMBER, NUMBERS, rng)
+
+
+def _word(data: bytes, rng: random.Random) -> bytes:
+    return _replaced(data, _WORD, WORDS, rng)
+
+
+def _line(data: bytes, rng: random.Random) -> bytes:
+    """A line that goes, comes twice, changes places or is empty."""
+    lines = data.split(b"\n")
+    i, j = rng.randrange(min(len(lines), 200)), rng.randrange(min(len(lines), 200))
+    way = rng.randrange(4)
+    if way == 0:
+        del lines[i]
+    elif way == 1:
+        lines.insert(j, lines[i])
+    elif way == 2:
+        lines[i], lines[j] = lines[j], lines[i]
+    else:
+        lines[i] = b""
+    return b"\n".join(lines)
+
+
+def _bytes(data: bytes, rng: random.Random) -> bytes:
+    out = bytearray(data or b"\0")
+    for _ in range(rng.choice((1, 1, 4, 16))):
+        out[rng.randrange(rng.choice((min(len(out), 600), len(out))))] = rng.choice(
+            (0, 255, 127, 128, rng.randrange(256))
+        )
+    return bytes(out)
+
+
+def _field(data: bytes, rng: random.Random) -> bytes:
+    """A number of 2, 4 or 8 bytes put into the first bytes of a binary file."""
+    form = rng.choice(("h", "i", "q", "f", "d"))
+    value: float = rng.choice((0, 1, -1, 2, 99, 32767))
+    if form in "fd":
+        value = rng.choice((0.0, float("nan"), float("inf"), -1.0, 1e30, 1e-30))
+    packed = struct.pack(rng.choice("<>") + form, value)
+    at = rng.randrange(0, max(min(len(data) - 8, 700), 1))
+    return data[:at] + packed + data[at + len(packed) :]
+
+
+def _cut(data: bytes, rng: random.Random) -> bytes:
+    at = rng.randrange(len(data) + 1)
+    return rng.choice((data[:at], data[:at] + data[:at], data + data[at:], data[at:]))
+
+
+def _opened(data: bytes, rng: random.Random) -> bytes:
+    """The same with a change within what is packed, and the seal put on again."""
+    if data[:2] == b"\x1f\x8b":
+        return (
+            gzip.compress(_changed(gzip.decompress(data), rng)) if _unpacks(gzip.decompress, data) else data
+        )
+    if data[:2] == b"PK":
+        return _model(data, rng) if _unpacks(_archive, data) else data
+    place = data.find(b"ElementDataFile = LOCAL\n")
+    if place > 0 and b"CompressedData = True" in data:
+        body = data[place + 24 :]
+        if _unpacks(zlib.decompress, body):
+            return data[: place + 24] + zlib.compress(_changed(zlib.decompress(body), rng))
+    return _changed(data, rng)
+
+
+def _unpacks(unpack: Callable[[bytes], object], data: bytes) -> bool:
+    try:
+        unpack(data)
+    except (OSError, ValueError, EOFError, zlib.error, zipfile.BadZipFile, RuntimeError, NotImplementedError):
+        return False
+    return True
+
+
+def _archive(data: bytes) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def _model(data: bytes, rng: random.Random) -> bytes:
+    """A model whose header or arrays are changed and whose file checksum is right again."""
+    members = _archive(data)
+    name = rng.choice(sorted(members))
+    members[name] = _changed(members[name], rng)
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for one, content in members.items():
+            archive.writestr(one, content)
+        archive.comment = b"dvf_ig sha256 " + b"0" * 64
+    body = buffer.getvalue()[:-64]
+    return body + hashlib.sha256(body).hexdigest().encode()
+
+
+def resealed(data: bytes) -> bytes:
+    """A model's header with the digest over its content, which `_model` broke; unchanged where it is none."""
+    from dvf_ig.core.errors import DvfIgError
+    from dvf_ig.io.model import _digest, _unpack
+
+    try:
+        from pathlib import Path
+
+        header, arrays = _unpack(Path("model"), data)
+        header["sha256"] = _digest({k: v for k, v in header.items() if k != "sha256"}, arrays)
+    except (DvfIgError, ValueError, TypeError):
+        return data
+    import numpy as np
+
+    buffer = io.BytesIO()
+    text = json.dumps(header, sort_keys=True).encode()
+    np.savez(buffer, **{"header": np.frombuffer(text, np.uint8), **arrays})  # type: ignore[arg-type]
+    with zipfile.ZipFile(buffer, "a") as archive:
+        archive.comment = b"dvf_ig sha256 " + b"0" * 64
+    body = buffer.getvalue()[:-64]
+    return body + hashlib.sha256(body).hexdigest().encode()

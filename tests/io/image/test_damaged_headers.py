@@ -1,0 +1,293 @@
+"""Headers that are damaged, hostile, or in other axes: refused in a sentence, or read where they lie."""
+
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import SimpleITK
+
+from dvf_ig.core import UnreadableFileError
+from dvf_ig.io import read_label_names, read_volume, read_volume_series
+from dvf_ig.io.image.volume import image_dimension
+
+VOXELS = bytes(range(24))
+NRRD = {
+    "type": "uint8",
+    "dimension": "3",
+    "space": "left-posterior-superior",
+    "sizes": "2 3 4",
+    "space directions": "(1,0,0) (0,2,0) (0,0,3)",
+    "kinds": "domain domain domain",
+    "encoding": "raw",
+    "space origin": "(10,20,30)",
+}
+NRRD_4D = NRRD | {
+    "dimension": "4",
+    "sizes": "2 3 4 2",
+    "kinds": "domain domain domain list",
+    "space directions": "(1,0,0) (0,2,0) (0,0,3) none",
+}
+META = {
+    "NDims": "3",
+    "TransformMatrix": "1 0 0 0 1 0 0 0 1",
+    "Offset": "10 20 30",
+    "ElementSpacing": "1 2 3",
+    "DimSize": "2 3 4",
+    "ElementType": "MET_UCHAR",
+    "ElementDataFile": "LOCAL",
+}
+
+
+def nrrd(
+    path: Path, changes: dict[str, str | None], voxels: bytes = VOXELS, base: dict[str, str] = NRRD
+) -> Path:
+    fields = {**base, **changes}
+    text = "".join(f"{name}: {value}\n" for name, value in fields.items() if value is not None)
+    path.write_bytes(f"NRRD0005\n{text}\n".encode() + voxels)
+    return path
+
+
+def meta(path: Path, changes: dict[str, str | None], voxels: bytes = VOXELS) -> Path:
+    fields = {**META, **changes}
+    fields["ElementDataFile"] = fields.pop("ElementDataFile")
+    text = "".join(f"{name} = {value}\n" for name, value in fields.items() if value is not None)
+    path.write_bytes(text.encode() + voxels)
+    return path
+
+
+def nifti(path: Path, at: int, form: str, *values: float) -> Path:
+    """A NIfTI-1 file of 2 x 3 x 4 voxels of 1 mm with one field put in."""
+    header = bytearray(352)
+    struct.pack_into("<i", header, 0, 348)
+    struct.pack_into("<8h", header, 40, 3, 2, 3, 4, 1, 1, 1, 1)
+    struct.pack_into("<hh", header, 70, 2, 8)
+    struct.pack_into("<9f", header, 76, 1, 1, 1, 1, 1, 1, 1, 1, 352)
+    struct.pack_into("<2h6f", header, 252, 1, 0, 0, 0, 0, 0, 0, 0)
+    header[344:348] = b"n+1\0"
+    struct.pack_into(f"<{form}", header, at, *values)
+    path.write_bytes(bytes(header) + VOXELS)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"type": "x" * 2000}, "type is 'xxx"),
+        ({"type": "block"}, "type is"),
+        ({"sizes": "-1 3 4"}, "sizes is"),
+        ({"sizes": "2 3 99999999999999999999"}, "sizes is"),
+        ({"sizes": "2 3"}, "dimension is 3, sizes holds 2"),
+        ({"dimension": "99"}, "dimension is"),
+        ({"sizes": "65000 65000 65000"}, "at most"),
+        ({"sizes": "65000 65000 65000", "encoding": "gzip"}, "truncated|at most"),
+        ({"encoding": "gzip"}, "damaged"),
+        ({"encoding": "ascii"}, "save it as raw or gzip"),
+        ({"space units": '"m" "m" "m"'}, "'m'; needed mm"),
+        (
+            {"space": None, "space directions": None, "space origin": None, "units": '"m" "m" "m"'},
+            "needed mm",
+        ),
+        ({"space": "scanner-xyz"}, "space is 'scanner-xyz'"),
+        ({"space directions": "(nan,0,0) (0,2,0) (0,0,3)"}, "finite"),
+        ({"space directions": "(0,0,0) (0,2,0) (0,0,3)"}, "no length"),
+        ({"space directions": "(1,0,0) (0,2,0)"}, "space directions"),
+        ({"space directions": "(1e300,0,0) (0,2,0) (0,0,3)"}, "finite numbers below"),
+        ({"space origin": "(inf,0,0)"}, "finite"),
+        ({"space origin": "(1e11,0,0)"}, "check the unit"),
+        ({"kinds": "vector vector domain"}, "kinds"),
+        ({"data file": "/etc/passwd"}, "its own folder"),
+        ({"data file": "../a.raw"}, "its own folder"),
+        ({"data file": "/dev/zero"}, "its own folder"),
+        ({"data file": "%d.raw 0 999999999 1"}, "names 1000000000 files"),
+        ({"data file": "%s%n.raw"}, "does not exist"),
+    ],
+)
+def test_nrrd_headers(tmp_path: Path, changes: dict[str, str | None], sentence: str) -> None:
+    path = nrrd(tmp_path / "a.nrrd", changes)
+    with pytest.raises(UnreadableFileError, match=sentence) as caught:
+        read_volume(path)
+    assert str(tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"NDims": "99"}, "NDims is '99'"),
+        ({"NDims": "-1"}, "NDims is '-1'"),
+        ({"NDims": "4"}, "NDims is 4, DimSize holds 3"),
+        ({"DimSize": "0 3 4"}, "DimSize"),
+        ({"DimSize": "2 3 5"}, "truncated"),
+        ({"DimSize": "2 3 3"}, "longer than its header says"),
+        ({"DimSize": "1024 1024 1024", "CompressedData": "True"}, "truncated"),
+        ({"CompressedData": "True"}, "damaged"),
+        ({"CompressedData": "perhaps"}, "CompressedData"),
+        ({"Offset": "nan 0 0"}, "finite"),
+        ({"Offset": "1e11 0 0"}, "check the unit"),
+        ({"TransformMatrix": "1e300 0 0 0 1 0 0 0 1"}, "finite"),
+        ({"ElementSpacing": "0 1 1"}, "sides of"),
+        ({"ElementSpacing": "nan 1 1"}, "finite"),
+        ({"DistanceUnits": "um"}, "needed mm"),
+        ({"ElementNumberOfChannels": "3"}, r"3-D with 3 value\(s\)"),
+        ({"ElementNumberOfChannels": "999999999"}, "ElementNumberOfChannels"),
+        ({"ElementType": "MET_UCHAR_ARRAY"}, "ElementType"),
+        ({"ElementDataFile": "/etc/passwd"}, "its own folder"),
+        ({"ElementDataFile": "/dev/zero"}, "its own folder"),
+        ({"ElementDataFile": "pipe"}, "is no file"),
+        ({"ElementDataFile": "link"}, "leads out of its folder"),
+        ({"ElementDataFile": "%s%s%s%n.raw 1 4 1"}, "does not exist"),
+        ({"ElementDataFile": "LIST"}, "names 0 files|does not exist|own folder"),
+        ({"ElementDataFile": "a\0b"}, "own folder"),
+        ({"BinaryData": "False"}, "binary"),
+        ({"ObjectType": "Tube"}, "needed an Image"),
+    ],
+)
+def test_metaimage_headers(tmp_path: Path, changes: dict[str, str | None], sentence: str) -> None:
+    folder = tmp_path / "recording"
+    folder.mkdir()
+    os.mkfifo(folder / "pipe")
+    (tmp_path / "outside").write_bytes(VOXELS)
+    (folder / "link").symlink_to(tmp_path / "outside")
+    path = meta(folder / "a.mha", changes)
+    with pytest.raises(UnreadableFileError, match=sentence) as caught:
+        read_volume(path)
+    assert str(folder) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("field", "sentence"),
+    [
+        ((80, "f", 0.0), "finite or zero"),
+        ((80, "f", np.nan), "finite or zero"),
+        ((80, "f", 1e30), "sides of"),
+        ((268, "f", np.nan), "finite"),
+        ((112, "f", np.inf), "finite"),
+        ((123, "b", 1), "length is m"),
+        ((40, "h", 99), "the sizes"),
+        ((42, "h", -2), "the sizes"),
+        ((42, "h", 32000), "truncated"),
+        ((70, "h", 128), "data type"),
+        ((72, "h", 7), "data type"),
+        ((108, "f", -1), "begin at byte"),
+        ((108, "f", np.nan), "begin at byte"),
+        ((268, "f", 1e11), "check the unit"),
+        ((344, "4s", b"ni1\0"), "not marked as NIfTI"),
+    ],
+)
+def test_nifti_headers(tmp_path: Path, field: tuple[int, str, float], sentence: str) -> None:
+    assert read_volume(nifti(tmp_path / "good.nii", 80, "f", 1.0)).values.shape == (2, 3, 4)
+    with pytest.raises(UnreadableFileError, match=sentence):
+        read_volume(nifti(tmp_path / "a.nii", *field))
+
+
+@pytest.mark.parametrize(
+    ("space", "signs"),
+    [
+        ("left-posterior-superior-time", (1, 1, 1)),
+        ("LPST", (1, 1, 1)),
+        ("right-anterior-superior-time", (-1, -1, 1)),
+        ("RAST", (-1, -1, 1)),
+        ("LAST", (1, -1, 1)),
+    ],
+)
+def test_space_and_time_in_other_axes(tmp_path: Path, space: str, signs: tuple[int, ...]) -> None:
+    changes = {
+        "space": space,
+        "space directions": "(1,0,0,0) (0,2,0,0) (0,0,3,0) (0,0,0,40)",
+        "space origin": "(10,20,30,0)",
+    }
+    path = nrrd(tmp_path / "a.nrrd", changes, VOXELS * 2, NRRD_4D)
+    grid = read_volume_series(path).grid
+    corners = [grid.to_mm(np.array(c, dtype=float)) for c in ((0, 0, 0), (1, 2, 3))]
+    low, high = np.minimum(*corners), np.maximum(*corners)
+    far = np.array([11.0, 24.0, 39.0]) * signs
+    near = np.array([10.0, 20.0, 30.0]) * signs
+    np.testing.assert_allclose(low, np.minimum(near, far))
+    np.testing.assert_allclose(high, np.maximum(near, far))
+    mixed = changes | {"space directions": "(1,0,0,1) (0,2,0,0) (0,0,3,0) (0,0,0,40)"}
+    with pytest.raises(UnreadableFileError, match="mixed"):
+        read_volume_series(nrrd(path, mixed, VOXELS * 2, NRRD_4D))
+
+
+@pytest.mark.parametrize("kinds", ["domain domain domain list", "list domain domain domain"])
+@pytest.mark.parametrize("space", ["left-posterior-superior", "right-anterior-superior"])
+def test_a_list_of_values_a_voxel_is_a_series(tmp_path: Path, kinds: str, space: str) -> None:
+    """As 3D Slicer writes sequences; held to SimpleITK, which reads the same file as vectors."""
+    first = kinds.startswith("list")
+    directions = "none (1,0,0) (0,2,0) (0,0,3)" if first else "(1,0,0) (0,2,0) (0,0,3) none"
+    sizes = "2 2 3 4" if first else "2 3 4 2"
+    changes = {"kinds": kinds, "space directions": directions, "sizes": sizes, "space": space}
+    path = nrrd(tmp_path / "a.nrrd", changes, bytes(range(48)), NRRD_4D)
+    assert image_dimension(path) == 4
+    series, image = read_volume_series(path), SimpleITK.ReadImage(str(path))
+    for index in np.ndindex(2, 3, 4):
+        at = series.grid.to_index(np.array(image.TransformIndexToPhysicalPoint(index)))
+        stored = [series.values[(phase, *np.rint(at).astype(int))] for phase in range(2)]
+        assert tuple(stored) == image[index]
+
+
+@pytest.mark.parametrize("kind", ["int8", "int16", "uint32", "int64", "uint64", "float32", "float64"])
+@pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.mhd", "a.nhdr"])
+@pytest.mark.parametrize("compressed", [False, True])
+def test_every_type_as_simpleitk_writes_it(tmp_path: Path, name: str, kind: str, compressed: bool) -> None:
+    array = (np.random.default_rng(1).normal(size=(4, 3, 2)) * 100).astype(kind)
+    image = SimpleITK.GetImageFromArray(array)
+    image.SetSpacing((0.5, 1.5, 2.5))
+    SimpleITK.WriteImage(image, str(tmp_path / name), useCompression=compressed)
+    found = read_volume(tmp_path / name)
+    np.testing.assert_array_equal(found.values, array.T)
+    assert found.values.dtype == np.dtype(kind)
+    assert found.grid.spacing_mm.tolist() == [0.5, 1.5, 2.5]
+
+
+def test_bytes_the_other_way_round(tmp_path: Path) -> None:
+    values = np.arange(24, dtype=">i2")
+    expected = values.reshape(4, 3, 2).T
+    big = nrrd(tmp_path / "a.nrrd", {"type": "short", "endian": "big"}, values.tobytes())
+    np.testing.assert_array_equal(read_volume(big).values, expected)
+    changes = {"ElementType": "MET_SHORT", "BinaryDataByteOrderMSB": "True"}
+    big = meta(tmp_path / "a.mha", changes | {"ElementDataFile": "b.raw"})
+    (tmp_path / "b.raw").write_bytes(values.tobytes())
+    np.testing.assert_array_equal(read_volume(big).values, expected)
+
+
+def test_voxels_in_several_files(tmp_path: Path) -> None:
+    for i in range(4):
+        (tmp_path / f"slice{i:02d}.raw").write_bytes(VOXELS[6 * i : 6 * i + 6])
+    listed = "LIST\n" + "\n".join(f"slice{i:02d}.raw" for i in range(4))
+    for name in ("slice%02d.raw 0 3 1", listed):
+        found = read_volume(meta(tmp_path / "a.mhd", {"ElementDataFile": name}, b""))
+        assert found.values.T.tobytes() == VOXELS
+        found = read_volume(nrrd(tmp_path / "a.nhdr", {"data file": name}, b""))
+        assert found.values.T.tobytes() == VOXELS
+    (tmp_path / "slice02.raw").write_bytes(bytes(5))
+    (tmp_path / "slice03.raw").write_bytes(bytes(7))
+    with pytest.raises(UnreadableFileError, match=r"slice02\.raw is truncated"):
+        read_volume(tmp_path / "a.mhd")
+
+
+def test_a_skipped_beginning(tmp_path: Path) -> None:
+    (tmp_path / "b.raw").write_bytes(b"head" + VOXELS)
+    for skip in ("4", "-1"):
+        found = read_volume(meta(tmp_path / "a.mhd", {"HeaderSize": skip, "ElementDataFile": "b.raw"}, b""))
+        assert found.values.T.tobytes() == VOXELS
+        found = read_volume(nrrd(tmp_path / "a.nhdr", {"byte skip": skip, "data file": "b.raw"}, b""))
+        assert found.values.T.tobytes() == VOXELS
+
+
+def test_packed_voxels_that_unpack_to_more_or_less(tmp_path: Path) -> None:
+    for voxels, sentence in ((bytes(25), "longer"), (bytes(23), "truncated"), (bytes(1 << 25), "longer")):
+        path = meta(tmp_path / "a.mha", {"CompressedData": "True"}, zlib.compress(voxels))
+        with pytest.raises(UnreadableFileError, match=sentence):
+            read_volume(path)
+    path = meta(tmp_path / "a.mha", {"CompressedData": "True"}, zlib.compress(VOXELS)[:-2])
+    with pytest.raises(UnreadableFileError, match="do not end"):
+        read_volume(path)
+
+
+def test_segments_with_damaged_numbers(tmp_path: Path) -> None:
+    path = nrrd(tmp_path / "a.seg.nrrd", {"space origin": "(1,2,3)\nSegment0_LabelValue:=x"})
+    with pytest.raises(UnreadableFileError, match="Segment0_LabelValue is 'x'"):
+        read_label_names(path)
