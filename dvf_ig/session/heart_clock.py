@@ -72,11 +72,12 @@ class HeartClock:
             self._peaks.extend(self._trigger.push(event.t_s))
             self._changes.extend(self._trigger.take_lead_changes())
         elif isinstance(event, EcgSamples) and isinstance(self._source, EcgSource):
-            last_s = event.start_s + (len(event.samples) - 1) / self._source.rate_hz
-            if not len(event.samples) or not self.order.accepts(event.start_s, last_s):
-                return
+            count, leads = event.samples.shape
             if self._ecg is None:
-                self._ecg = RPeakDetector(self._source.rate_hz, event.samples.shape[1])
+                self._ecg = RPeakDetector(self._source.rate_hz, leads)
+            last_s = event.start_s + (count - 1) / self._source.rate_hz
+            if count and leads == self._ecg.leads and not self.order.accepts(event.start_s, last_s):
+                return
             self._peaks.extend(self._ecg.push(event.samples, event.start_s))
             self._changes.extend(self._ecg.take_lead_changes())
         else:

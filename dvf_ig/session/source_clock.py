@@ -43,14 +43,10 @@ class SourceClock:
         self._block_min_s = inf
         self._blocks: deque[float] = deque(maxlen=round(SPAN_S / BLOCK_S))
         self._newest_s = -inf
-        self._ahead = False
+        self.skewed = False
+        """Whether the clock runs away: stamps from the future, or a drift beyond SKEW."""
         self.behind = False
         """Whether the clock went back, and has not come back since."""
-
-    @property
-    def skewed(self) -> bool:
-        """Whether the clock runs away: stamps from the future, or a drift beyond SKEW."""
-        return self._ahead or self._drifts
 
     def local_s(self, t_s: float, arrived_s: float) -> float | None:
         """A stamp on the local clock; None where the sample is to be refused.
@@ -61,8 +57,8 @@ class SourceClock:
         """
         if self._first_s is None:
             self._first_s = self._last_s = self._block_s = arrived_s
-        self._ahead = t_s + self.correction_s - arrived_s > FUTURE_S
-        if self._ahead:
+        if t_s + self.correction_s - arrived_s > FUTURE_S:
+            self.skewed = True
             return arrived_s
         latency_s = arrived_s - t_s
         if self._went_back(t_s, latency_s):
@@ -78,6 +74,7 @@ class SourceClock:
             missing_s = self._least_s - self._reference_s - self.correction_s
             self.correction_s += min(max(missing_s, -reach_s), reach_s)
         self._last_s = arrived_s
+        self.skewed = self._drifts
         return t_s + self.correction_s
 
     def _went_back(self, t_s: float, latency_s: float) -> bool:

@@ -29,8 +29,8 @@ from .injection import (
 from .row import Row, Severity
 from .session_trial import WARM_UP_STEP_S, SessionFault
 
-STEP_S = 0.001
-"""States are a millisecond apart, which each limit includes."""
+STEP_S, SLOW_STEP_S = 0.001, 0.004
+"""States are a millisecond apart, which each limit includes; where it is a second or more, four."""
 FRAME_S, TOOL_ARRIVES_S, FRAME_ARRIVES_S = 0.010, 0.007, 0.035
 """The tool's frame; a pose or an ultrasound frame has arrived so long after its stamp, jitter included."""
 ULTRASOUND_FRAME_S = 1.0 / 12.0
@@ -44,7 +44,9 @@ DETECTED_S = 0.25
 LOST_S = 1.35 * BEAT_S + DETECTED_S
 PHASE_BACK_S = 12.0
 POSE_BACK_S = 16.0
-"""The operator waits so long for the phase, or for a registration that beats confirm."""
+REGULAR_S = 45.0
+"""The operator waits so long for the phase, for a registration that beats confirm, and for the phase after
+fibrillation: forecasts that failed are forgotten by 5 % a beat."""
 
 
 def _tool(label: str, change: ArrivalsChange, seconds: float, limit_s: float) -> Severity:
@@ -52,11 +54,13 @@ def _tool(label: str, change: ArrivalsChange, seconds: float, limit_s: float) ->
 
 
 def _frames(label: str, change: ArrivalsChange, seconds: float, limit_s: float) -> Severity:
-    return Severity(label, SessionFault(Fault(frames=change), seconds, POSE_BACK_S), limit_s)
+    step_s = STEP_S if limit_s < 1.0 else SLOW_STEP_S
+    return Severity(label, SessionFault(Fault(frames=change), seconds, POSE_BACK_S, step_s), limit_s)
 
 
 def _ecg(label: str, change: ArrivalsChange, seconds: float, limit_s: float) -> Severity:
-    return Severity(label, SessionFault(Fault(ecg=change), seconds, PHASE_BACK_S), limit_s)
+    step_s = STEP_S if limit_s < 1.0 else SLOW_STEP_S
+    return Severity(label, SessionFault(Fault(ecg=change), seconds, PHASE_BACK_S, step_s), limit_s)
 
 
 def _drift(label: str, faulty: Callable[[ArrivalsChange], Fault], rate: float) -> Severity:
@@ -235,8 +239,11 @@ def _tool_rows() -> tuple[Row, ...]:
 
 
 def _phase_rows() -> tuple[Row, ...]:
-    def beats(label: str, fault: Fault, seconds: float, limit_s: float) -> Severity:
-        return Severity(label, SessionFault(fault, seconds, PHASE_BACK_S), limit_s)
+    def beats(
+        label: str, fault: Fault, seconds: float, limit_s: float, back_s: float = PHASE_BACK_S
+    ) -> Severity:
+        step_s = STEP_S if limit_s < 1.0 else SLOW_STEP_S
+        return Severity(label, SessionFault(fault, seconds, back_s, step_s), limit_s)
 
     return (
         Row(
@@ -262,7 +269,7 @@ def _phase_rows() -> tuple[Row, ...]:
             (
                 beats("one extrasystole", Fault(beats=early_beats(1)), 2.0, DETECTED_S),
                 beats("three extrasystoles in a row", Fault(beats=early_beats(3)), 4.0, DETECTED_S),
-                beats("fibrillation", Fault(beats=fibrillation), 18.0, 16 * BEAT_S),
+                beats("fibrillation", Fault(beats=fibrillation), 18.0, 16 * BEAT_S, REGULAR_S),
             ),
         ),
     )
@@ -301,7 +308,9 @@ def _pose_rows() -> tuple[Row, ...]:
                 [
                     Severity(
                         f"by {by:g} mm",
-                        SessionFault(Fault(patient=moved_by(by)), 12.0, POSE_BACK_S, by_pose=True),
+                        SessionFault(
+                            Fault(patient=moved_by(by)), 12.0, POSE_BACK_S, SLOW_STEP_S, by_pose=True
+                        ),
                         confirmed_s,
                     )
                     for by in (4.0, 8.0, 15.0)

@@ -20,7 +20,6 @@ from .streams import (
     drawn_beats,
     drawn_ecg,
     drawn_streams,
-    ecg_packets,
 )
 
 BEGIN_S = 15.0
@@ -114,7 +113,7 @@ def _streams(
     if fault.frames is not None:
         streams.frames = fault.frames(streams.frames, when)
     if fault.ecg is not None:
-        streams.ecg = fault.ecg(ecg_packets(samples, child_rng(seed, "link")), when)
+        streams.ecg = fault.ecg(streams.ecg, when)
     return streams, when
 
 

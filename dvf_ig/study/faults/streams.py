@@ -1,7 +1,7 @@
 """The streams of one clean intervention: ECG, tool and probe as stamped, and when each part arrives."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from heapq import merge
 from operator import itemgetter
 
@@ -18,8 +18,6 @@ from dvf_ig.session import EcgSamples, Event, ToolPose, TrackedFrame
 from .patient import ECG_HZ, HOME, TIP
 
 TOOL_HZ, FRAME_HZ = 100.0, 12.0
-ECG_PACKET = 5
-"""Samples that arrive together, every 20 ms."""
 TOOL_LATE_S, FRAME_LATE_S, ECG_LATE_S = 0.003, 0.030, 0.004
 """Least time from a stamp to the arrival; of the ECG, from a packet's last sample."""
 ARRIVAL_JITTER_S = 0.0005
@@ -44,7 +42,8 @@ class InterventionSpec:
 
     Attributes:
         seconds: length.
-        rhythm, ecg: of the heart and its recording.
+        rhythm: of the heart.
+        ecg_packet: samples of the ECG that arrive together; 5 are 20 ms.
         tool: errors of the tool's tracker.
         tip: where the tip moves.
         drift_ppm: by how much the clocks of tool, probe and ECG are fast.
@@ -52,7 +51,7 @@ class InterventionSpec:
 
     seconds: float
     rhythm: RhythmSpec = field(default_factory=RhythmSpec)
-    ecg: EcgSpec = field(default_factory=lambda: EcgSpec(rate_hz=ECG_HZ))
+    ecg_packet: int = 5
     tool: TrackerSpec = TOOL_TRACKER
     tip: TipPath | None = None
     drift_ppm: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -84,8 +83,7 @@ def drawn_beats(spec: InterventionSpec, seed: int) -> Beats:
 
 def drawn_ecg(spec: InterventionSpec, beats: Beats, seed: int) -> FloatArray:
     """(n, leads) mV from time 0 on."""
-    ecg = replace(spec.ecg, rate_hz=ECG_HZ)
-    return synthetic_ecg(beats, spec.seconds, ecg, child_rng(seed, "ecg")).samples
+    return synthetic_ecg(beats, spec.seconds, EcgSpec(rate_hz=ECG_HZ), child_rng(seed, "ecg")).samples
 
 
 def drawn_streams(spec: InterventionSpec, samples: FloatArray, seed: int) -> Streams:
@@ -94,17 +92,16 @@ def drawn_streams(spec: InterventionSpec, samples: FloatArray, seed: int) -> Str
     return Streams(
         _tool(spec, tool_ppm, child_rng(seed, "tool")),
         _frames(spec, frame_ppm, child_rng(seed, "probe")),
-        ecg_packets(samples, child_rng(seed, "link"), ecg_ppm),
+        _ecg(samples, spec.ecg_packet, child_rng(seed, "link"), ecg_ppm),
     )
 
 
-def ecg_packets(samples: FloatArray, rng: np.random.Generator, fast: float = 0.0) -> Arrivals:
-    """Samples as they arrive, packet after packet."""
-    first = np.arange(0, len(samples), ECG_PACKET)
-    arrived = (first + ECG_PACKET - 1) / ECG_HZ + _late(ECG_LATE_S, len(first), rng)
+def _ecg(samples: FloatArray, packet: int, rng: np.random.Generator, fast: float) -> Arrivals:
+    first = np.arange(0, len(samples), packet)
+    arrived = (first + packet - 1) / ECG_HZ + _late(ECG_LATE_S, len(first), rng)
     starts = (1.0 + fast) * first / ECG_HZ
     return [
-        (arrived_s, EcgSamples(start_s, samples[k : k + ECG_PACKET]))
+        (arrived_s, EcgSamples(start_s, samples[k : k + packet]))
         for k, start_s, arrived_s in zip(first.tolist(), starts.tolist(), _in_order(arrived), strict=True)
     ]
 
