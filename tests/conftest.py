@@ -11,7 +11,7 @@ from toy_ball import ball_model
 from toy_sphere import beating_sphere_series, sphere
 
 from data_synth.scenario.presets import ScenarioSpec
-from data_synth.scenario.recording import phantom_scenario
+from data_synth.scenario.recording import ImagedHeart, imaged_heart, phantom_scenario
 from dvf_ig.core import DvfModel, Scenario, SurfaceSeries
 from dvf_ig.io import cached_model, write_scenario
 from dvf_ig.replay import Replay, run_replay
@@ -51,9 +51,16 @@ def data_dir() -> Path:
 
 
 @pytest.fixture(scope="session")
-def scenario() -> Scenario:
+def imaged() -> ImagedHeart:
+    """The heart of `scenario` and its pre-operative images, for other recordings of it."""
+    return imaged_heart(ScenarioSpec(motion="paper5mm", seed=77))
+
+
+@pytest.fixture(scope="session")
+def scenario(imaged: ImagedHeart) -> Scenario:
     """17 s of the synthetic operating room: long enough to register and to touch."""
-    return phantom_scenario(ScenarioSpec(preset="calm", motion="paper5mm", seconds=17.0, seed=77))
+    spec = ScenarioSpec(preset="calm", motion="paper5mm", seconds=17.0, seed=77)
+    return phantom_scenario(spec, imaged=imaged)
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+from dvf_ig.kernels.boundary import UNKNOWNS
 from dvf_ig.registration.boundary.blocks import boundary_blocks
 from dvf_ig.registration.boundary.fit import BoundaryFit, fit_boundary
 from dvf_ig.registration.deformation.blocks import (
@@ -14,7 +15,7 @@ from dvf_ig.registration.deformation.blocks import (
     Blocks,
     blocks_at,
 )
-from dvf_ig.registration.deformation.joint_fit import POSE, UNKNOWNS, joint_fit
+from dvf_ig.registration.deformation.joint_fit import POSE, joint_fit
 from dvf_ig.registration.evidence.covariance import covariance_mm2, placement_covariance_mm2
 from dvf_ig.registration.lc2.blocks import BlockedLc2
 from dvf_ig.registration.lc2.lc2 import Lc2
@@ -62,25 +63,44 @@ def fuse(
     boundary = None
     if data.visible_boundary is not None:
         boundary = fit_boundary(data.visible_boundary, chart.base, data.center_mm)
-    pose, covariance, noise = chart.base, np.full((6, 6), np.nan), np.full((6, 6), np.nan)
+    agreed = None
     if covered.masks.any():
-        blocks = _blocks(data, refined, boundary, options, chart)
-        landmarks, slope = _landmarks(data, chart)
-        curvature = blocks.curvature + landmarks
-        if _definite(curvature):
-            known, known_slope = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
-            known[POSE, POSE], known_slope[POSE] = landmarks, slope
-            known[6, 6] = 1.0 / OFFSET_SIGMA_MM**2
-            fit = joint_fit(blocks.costs, known, known_slope, data.center_mm)
-            pose = chart.pose(fit.step_mm)
-            noise = covariance_from_mm(np.asarray(np.linalg.inv(curvature)))
-            spread = covariance_mm2(blocks, fit)
-            if data.placement is not None:
-                spread = spread + placement_covariance_mm2(
-                    covered, metric_of, chart.base, data.center_mm, curvature, data.placement, data.rr_s
-                )
-            covariance = covariance_from_mm(spread)
-    return Fused(pose, covariance, noise, boundary, covered, metric_of)
+        agreed = _agreed(data, _blocks(data, refined, boundary, options, chart), chart)
+    if agreed is None:
+        unknown = np.full((6, 6), np.nan)
+        return Fused(chart.base, unknown, unknown, boundary, covered, metric_of)
+    spread = agreed.covariance_mm2
+    if data.placement is not None:
+        spread = spread + placement_covariance_mm2(
+            covered, metric_of, chart.base, data.center_mm, agreed.curvature, data.placement, data.rr_s
+        )
+    noise = np.asarray(np.linalg.inv(agreed.curvature))
+    return Fused(
+        agreed.pose, covariance_from_mm(spread), covariance_from_mm(noise), boundary, covered, metric_of
+    )
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class _Agreed:
+    """The pose that blocks agree on, its (6, 6) covariance, and the (6, 6) curvature of LC2 and landmarks."""
+
+    pose: Rigid
+    covariance_mm2: FloatArray
+    curvature: FloatArray
+
+
+def _agreed(data: RegistrationData, blocks: Blocks, chart: PoseChart) -> _Agreed | None:
+    """None where LC2 and landmarks are at no minimum."""
+    landmarks, slope = _landmarks(data, chart)
+    curvature = blocks.curvature + landmarks
+    if not _definite(curvature):
+        return None
+    known, known_slope = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
+    known[POSE, POSE], known_slope[POSE] = landmarks, slope
+    known[6, 6] = 1.0 / OFFSET_SIGMA_MM**2
+    fit = joint_fit(blocks.costs, known, known_slope, data.center_mm)
+    return _Agreed(chart.pose(fit.step_mm), covariance_mm2(blocks, fit), curvature)
 
 
 def _blocks(

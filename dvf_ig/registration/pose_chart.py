@@ -59,6 +59,15 @@ def random_displacements(rng: np.random.Generator, count: int, length_mm: float)
     return directions
 
 
+def rigid_motion(places_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
+    """(n, 3, 6) motion of (n, 3) places with ξ, to first order."""
+    out = np.zeros((len(places_mm), 3, 6))
+    for k, axis in enumerate(np.eye(3)):
+        out[:, :, k] = np.cross(axis, places_mm - center_mm) / HEART_RADIUS_MM
+        out[:, k, 3 + k] = 1.0
+    return out
+
+
 def covariance_to_mm(covariance: FloatArray) -> FloatArray:
     """(6, 6) of ξ in mm², from rotation vector and translation in rad², mm²."""
     unit = np.diag([HEART_RADIUS_MM] * 3 + [1.0] * 3)

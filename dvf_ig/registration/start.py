@@ -4,16 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import (
-    HEART_RADIUS_MM,
-    FloatArray,
-    InvalidInputError,
-    Landmarks,
-    Points,
-    Rigid,
-    read_only_arrays,
-)
+from dvf_ig.core import FloatArray, InvalidInputError, Landmarks, Points, Rigid, read_only_arrays
 from dvf_ig.core.paired import fit_paired_points
+
+from .pose_chart import rigid_motion
 
 MIN_FOR_PRIOR = 5
 LEAST_SIGMA_MM = 0.5
@@ -52,11 +46,7 @@ class LandmarkPrior:
     def normal_equations(self, pose: Rigid, center_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(6, 6) and (6,): curvature and downhill direction of `energy` in the coordinates of `PoseChart`."""
         at = pose.apply(self.source).xyz_mm
-        jacobian = np.zeros((len(at), 3, 6))
-        jacobian[:, :, 3:] = np.eye(3)
-        for axis, turn in enumerate(np.eye(3)):
-            jacobian[:, :, axis] = np.cross(turn, at - center_mm) / HEART_RADIUS_MM
-        flat = jacobian.reshape(-1, 6) / self.sigma_mm
+        flat = rigid_motion(at, center_mm).reshape(-1, 6) / self.sigma_mm
         return flat.T @ flat, flat.T @ (self.target.xyz_mm - at).ravel() / self.sigma_mm
 
 

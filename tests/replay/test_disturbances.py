@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_synth.scenario.presets import ScenarioSpec
-from data_synth.scenario.recording import phantom_scenario
+from data_synth.scenario.recording import ImagedHeart, phantom_scenario
 from dvf_ig.core import BoolArray, DvfModel, Scenario, ScenarioTruth
 from dvf_ig.guidance import Status
 from dvf_ig.guidance.supervisor import FADE_S
@@ -18,19 +18,15 @@ RECOVERED_TRE_MM = 1.85
 """1.3 times the 1.41 mm that this seed has after the patient moved."""
 
 
-def disturbed(preset: str, seconds: float) -> Scenario:
-    return phantom_scenario(ScenarioSpec(preset=preset, motion="paper5mm", seconds=seconds, seed=77))
+def disturbed(imaged: ImagedHeart, preset: str, seconds: float) -> Scenario:
+    spec = ScenarioSpec(preset=preset, motion="paper5mm", seconds=seconds, seed=77)
+    return phantom_scenario(spec, imaged=imaged)
 
 
 @pytest.fixture(scope="module")
-def wrongly_calibrated() -> Scenario:
-    return disturbed("wrong-calibration", 12.5)
-
-
-@pytest.fixture(scope="module")
-def coarse_model(wrongly_calibrated: Scenario) -> DvfModel:
+def coarse_model(imaged: ImagedHeart) -> DvfModel:
     """The patient's fixture with wide knots, quick to build: forces here are there or not, never judged."""
-    return model_from_labels(wrongly_calibrated.preop, options=ModelOptions(knot_spacing_mm=8.0))
+    return model_from_labels(imaged.preop, options=ModelOptions(knot_spacing_mm=8.0))
 
 
 def truth_of(replay: Replay) -> ScenarioTruth:
@@ -54,9 +50,9 @@ def median_tre_mm(replay: Replay, ticks: BoolArray) -> float:
 
 
 def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_again(
-    coarse_model: DvfModel,
+    imaged: ImagedHeart, coarse_model: DvfModel
 ) -> None:
-    replay = run_replay(disturbed("patient-shift", 27.0), model=coarse_model, seed=0)
+    replay = run_replay(disturbed(imaged, "patient-shift", 27.0), model=coarse_model, seed=0)
     end_s = float(replay.ticks.t_s[-1])
     moved_s = truth_of(replay).mr_from_tracker[1][0]
     ((stopped_s, resumed_s),) = suspensions(tuple(replay.history.updates), end_s)
@@ -71,8 +67,10 @@ def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_a
     assert replay.attempts[-1].usable
 
 
-def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(coarse_model: DvfModel) -> None:
-    replay = run_replay(disturbed("probe-slip", 24.0), model=coarse_model, seed=0)
+def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(
+    imaged: ImagedHeart, coarse_model: DvfModel
+) -> None:
+    replay = run_replay(disturbed(imaged, "probe-slip", 24.0), model=coarse_model, seed=0)
     end_s = float(replay.ticks.t_s[-1])
     slipped_s = truth_of(replay).later_probe_from_image[0][0]
     assert replay.ticks.valid[between(replay, 0.0, slipped_s)].any()
@@ -87,9 +85,9 @@ def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(coarse_mode
 
 
 def test_a_wrong_probe_calibration_is_refused_by_touched_landmarks(
-    wrongly_calibrated: Scenario, coarse_model: DvfModel
+    imaged: ImagedHeart, coarse_model: DvfModel
 ) -> None:
-    replay = run_replay(wrongly_calibrated, model=coarse_model, seed=0)
+    replay = run_replay(disturbed(imaged, "wrong-calibration", 12.5), model=coarse_model, seed=0)
     assert replay.attempts
     for attempt in replay.attempts:
         assert attempt.refused is not None

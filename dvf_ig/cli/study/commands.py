@@ -10,6 +10,7 @@ from .distance import distance_maps
 from .faults import faults
 from .gating import gating
 from .hearts import hearts
+from .operators import operators
 from .options import TrialsCommand
 from .pairs import pairs
 from .passivity import passivity
@@ -37,3 +38,4 @@ app.command("calibration", cls=TrialsCommand)(calibration)
 app.command("pairs")(pairs)
 app.command("passivity")(passivity)
 app.command("faults")(faults)
+app.command("operators")(operators)

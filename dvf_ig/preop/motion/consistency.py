@@ -67,7 +67,8 @@ def inconsistency_mm(
     Source: Christensen 2001 (inverse consistency).
     """
     fixed, moving = images
-    moved = np.moveaxis(forward.on_voxels() / forward.grid.spacing_mm, -1, 0)
+    gone_mm = forward.on_voxels()
+    moved = np.moveaxis(gone_mm / forward.grid.spacing_mm, -1, 0)
     there = ndimage.map_coordinates(mask.view(np.uint8), inverse_index(moved), order=0, mode="nearest") > 0
     back = match_images(
         moving,
@@ -81,7 +82,7 @@ def inconsistency_mm(
     returned = [
         ndimage.map_coordinates(w, at, order=1, mode="nearest") for w in np.moveaxis(back.on_voxels(), -1, 0)
     ]
-    off = ((forward.on_voxels() + np.stack(returned, axis=-1)) ** 2).sum(axis=-1)
+    off = ((gone_mm + np.stack(returned, axis=-1)) ** 2).sum(axis=-1)
     return max(float(np.sqrt(off[part].mean())) for part in parts)
 
 

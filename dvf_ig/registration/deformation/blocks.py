@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
+from dvf_ig.kernels.boundary import UNKNOWNS
 from dvf_ig.registration.boundary.blocks import BoundaryBlocks
 from dvf_ig.registration.lc2.blocks import BlockedLc2, BlockGradients
 from dvf_ig.registration.pose_chart import PoseChart
 
-from .joint_fit import POSE, UNKNOWNS, BlockCosts, none_negative
+from .joint_fit import POSE, BlockCosts, none_negative
 
 BLOCK_MM = 30.0
 """Edge of a block: with 20 mm the mean error on tuning hearts 1001–1008 is the same."""

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, read_only_arrays
+from dvf_ig.kernels.boundary import UNKNOWNS
 
 from .prior import deformation_factor
 
-UNKNOWNS = 7
-"""Six coordinates of `PoseChart`, then the uniform offset between boundary and surface."""
 POSE, SHIFT = slice(0, 6), slice(3, 6)
+"""Of the unknowns: the six coordinates of `PoseChart`, its translation. The boundary's offset follows."""
 
 
 @read_only_arrays

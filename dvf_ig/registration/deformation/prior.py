@@ -7,8 +7,10 @@ conditioned on linear functionals).
 """
 
 import numpy as np
+from scipy.linalg.lapack import dpstrf
 
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray
+from dvf_ig.registration.pose_chart import rigid_motion
 
 LENGTH_MM, RMS_MM = 45.0, 1.5
 """Tracked sweeps of tuning hearts 1001–1008, calm, 1.2 mm different over 30 mm: on average 1.68 mm off
@@ -17,16 +19,7 @@ Gated volumes of seeds 101–105, where all of the heart is seen: 0.81 without, 
 NODES = 5
 """Along an edge of the cube over which the change of shape has no rigid part."""
 LEAST_VARIANCE = 1e-3
-"""Components of less than this share of the largest one's variance are left out."""
-
-
-def rigid_motion(places_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
-    """(n, 3, 6) motion of (n, 3) places with the coordinates of `PoseChart`."""
-    out = np.zeros((len(places_mm), 3, 6))
-    for k, axis in enumerate(np.eye(3)):
-        out[:, :, k] = np.cross(axis, places_mm - center_mm) / HEART_RADIUS_MM
-        out[:, k, 3 + k] = 1.0
-    return out
+"""What of a coordinate's variance may be left out, as a share of it."""
 
 
 def deformation_factor(places_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
@@ -44,10 +37,16 @@ def deformation_factor(places_mm: FloatArray, center_mm: FloatArray) -> FloatArr
     with_fit = np.einsum("pb,abi->pia", _alike(places_mm, nodes), fit, optimize=True).reshape(-1, 6)
     covariance = np.kron(_alike(places_mm, places_mm), np.eye(3))
     covariance += rigid @ of_fit @ rigid.T - with_fit @ rigid.T - rigid @ with_fit.T
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    kept = values > LEAST_VARIANCE * values[-1]
-    factor = vectors[:, kept] * (RMS_MM * np.sqrt(values[kept] / 3.0))
+    factor = np.sqrt(RMS_MM**2 / 3.0) * _cholesky(np.asarray(covariance, dtype=np.float64))
     return np.asarray(factor.reshape(len(places_mm), 3, -1))
+
+
+def _cholesky(covariance: FloatArray) -> FloatArray:
+    """(n, k) L with L Lᵀ the covariance but for LEAST_VARIANCE: pivoted, stopped early (LAPACK dpstrf)."""
+    lower, pivots, rank, _ = dpstrf(covariance, tol=LEAST_VARIANCE, lower=1)
+    factor = np.empty((len(covariance), rank))
+    factor[pivots - 1] = np.tril(lower)[:, :rank]
+    return factor
 
 
 def _alike(a_mm: FloatArray, b_mm: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ images, slices share the error of the tracker (Cameron, Gelbach and Miller 2011:
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray
+from dvf_ig.registration.deformation.joint_fit import none_negative
 
 
 def sandwich(influence: FloatArray, cell: IntArray, number: IntArray) -> FloatArray:
@@ -23,8 +24,7 @@ def sandwich(influence: FloatArray, cell: IntArray, number: IntArray) -> FloatAr
     both = np.column_stack([cell, number])
     total = _clustered(influence, cell) - _clustered(influence, both)
     total = total + _clustered(influence, number[:, None])
-    values, vectors = np.linalg.eigh(0.5 * (total + total.T))
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+    return np.asarray(none_negative(total[None])[0])
 
 
 def _clustered(influence: FloatArray, key: IntArray) -> FloatArray:

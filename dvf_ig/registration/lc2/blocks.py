@@ -79,8 +79,9 @@ def _cut(slices: SliceSet, owner: IntArray, corner: IntArray, size: IntArray, ma
     number = owner[:, None, None]
     maps = slices.frame_from_pixel[owner].copy()
     maps[:, :, 2] += maps[:, :, 0] * corner[:, 1, None] + maps[:, :, 1] * corner[:, 0, None]
+    bare = replace(slices, images=slices.images[:, :1, :1], masks=slices.masks[:, :1, :1])
     return replace(
-        slices.subset(owner),
+        bare.subset(owner),
         images=np.ascontiguousarray(images[number, row, column]),
         masks=np.ascontiguousarray(masks[number, row, column]),
         frame_from_pixel=maps,

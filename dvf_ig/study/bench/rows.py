@@ -269,22 +269,25 @@ def _kernel_row(
     error_mm: float | None,
     options: BenchOptions,
 ) -> Row:
+    chunk = batch_of(arguments, tip, phi)
+    spent = time_batches(chunk, len(tip), KERNEL_CALLS, options.repeats)
+    return row(OURS, what, spent, error_mm, calls_per_sample=KERNEL_CALLS)
+
+
+def batch_of(arguments: Sequence[object], tip: FloatArray, phi: FloatArray) -> Callable[[int, int], None]:
+    """Forces at points i to j of a path, into buffers of its own.
+
+    Args:
+        arguments: of `Evaluator.kernel_arguments`.
+        tip: (n, 3) mm; phi: (n,) phases.
+    """
     n = len(tip)
     force, distance, gradient, rate = np.empty((n, 3)), np.empty(n), np.empty((n, 3)), np.empty(n)
     status = np.zeros(n, dtype=np.int64)
     batch: Callable[..., None] = force_batch
 
-    def chunk(i: int, j: int) -> None:
-        batch(
-            *arguments,
-            tip[i:j],
-            phi[i:j],
-            force[i:j],
-            distance[i:j],
-            gradient[i:j],
-            rate[i:j],
-            status[i:j],
-        )
+    def run(i: int, j: int) -> None:
+        out = (force[i:j], distance[i:j], gradient[i:j], rate[i:j], status[i:j])
+        batch(*arguments, tip[i:j], phi[i:j], *out)
 
-    spent = time_batches(chunk, n, KERNEL_CALLS, options.repeats)
-    return row(OURS, what, spent, error_mm, calls_per_sample=KERNEL_CALLS)
+    return run

@@ -14,13 +14,12 @@ from dvf_ig.guidance.device import COMMON_DEVICE
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions
 from dvf_ig.guidance.servo.bound import bind_fixtures, new_scratch
 from dvf_ig.kernels.compiled import kernel
-from dvf_ig.kernels.dynamic import force_batch
 from dvf_ig.kernels.servo.borrowed import borrowed
 from dvf_ig.kernels.servo.tick import ROW, unpacked_tick
 
 from .cpp_floor import compiled_floor
 from .heart import CYCLE_S, RATE_HZ, hand_path, random_points
-from .rows import POSE, steady
+from .rows import POSE, batch_of, steady
 from .servo import TWO_FIXTURES
 from .timing import Row, row
 
@@ -50,9 +49,10 @@ def bench_tick(model: DvfModel, seed: int) -> TickCost:
     phase = (np.arange(POINTS) / (RATE_HZ * CYCLE_S)) % 1.0
     anywhen = rng.uniform(size=POINTS)
     law = Sigmoid()
+    arguments = Evaluator(model, law).kernel_arguments(POSE)
     passes: dict[str, Pass] = {
-        "one force": _one_force(model, law, path, phase),
-        "one force, random": _one_force(model, law, anywhere, anywhen),
+        "one force": batch_of(arguments, path, phase),
+        "one force, random": batch_of(arguments, anywhere, anywhen),
         "servo tick": _ticks(model, path),
     }
     floor = compiled_floor(model, POSE, law)
@@ -96,28 +96,6 @@ def _alternating(passes: dict[str, Pass]) -> dict[str, FloatArray]:
             if what not in best or np.median(spent) < np.median(best[what]):
                 best[what] = spent
     return best
-
-
-def _one_force(model: DvfModel, law: Sigmoid, tip: FloatArray, phi: FloatArray) -> Pass:
-    coefficients, packed = Evaluator(model, law).kernel_arguments(POSE)
-    n = len(tip)
-    force, distance, gradient, rate = np.empty((n, 3)), np.empty(n), np.empty((n, 3)), np.empty(n)
-    status = np.zeros(n, dtype=np.int64)
-
-    def run(i: int, j: int) -> None:
-        force_batch(
-            coefficients,
-            packed,
-            tip[i:j],
-            phi[i:j],
-            force[i:j],
-            distance[i:j],
-            gradient[i:j],
-            rate[i:j],
-            status[i:j],
-        )
-
-    return run
 
 
 def _ticks(model: DvfModel, tip: FloatArray) -> Pass:

@@ -8,7 +8,7 @@ success, and has no other figure.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -175,15 +175,7 @@ def _p95(values: FloatArray, axis: int) -> FloatArray:
 
 def _share(lines: Sequence[Line], true: Callable[[Line], bool]) -> Share:
     """Of trials, with the interval of as many as there are hearts."""
-    count, hearts = sum(map(true, lines)), len({line["heart"] for line in lines})
-    whole = share_of(count, len(lines))
-    if hearts == len(lines):
-        return whole
-    # Wilson's interval at the same share of fewer trials
-    share, z2 = count / len(lines), float(chi2.ppf(COVERAGE, 1))
-    middle = (share + z2 / (2 * hearts)) / (1 + z2 / hearts)
-    half = math.sqrt(z2 * (share * (1 - share) / hearts + z2 / (4 * hearts**2))) / (1 + z2 / hearts)
-    return replace(whole, low=max(0.0, middle - half), high=min(1.0, middle + half))
+    return share_of(sum(map(true, lines)), len(lines), len({line["heart"] for line in lines}))
 
 
 def _is_refused(line: Line) -> bool:

@@ -90,20 +90,29 @@ def press(
     return Pressing(ServoRecord(np.concatenate(rows)), last)
 
 
-def steady_transform(model: DvfModel) -> PoseAndPhase:
-    """A pose that stays, and a heart that beats in the model's own time."""
+def steady_transform(
+    model: DvfModel, *, pose: Rigid | None = None, rr_s: float | None = None, phase_offset: float = 0.0
+) -> PoseAndPhase:
+    """A pose that stays, and a heart that beats evenly.
+
+    Args:
+        pose: mr_from_tracker; None: identity.
+        rr_s: length of a beat; None: of the model's own cycle.
+        phase_offset: phase at time 0, in [0, 1).
+    """
+    length_s = model.timing.rr_s if rr_s is None else rr_s
     beat = PhaseForecast(
         since_s=-1.0,
         until_s=math.inf,
         state=PhaseState.LOCKED,
         state_after=PhaseState.LOST,
         phi=0.0,
-        r_s=0.0,
+        r_s=-phase_offset * length_s,
         cycles=0.0,
-        rr_s=model.timing.rr_s,
+        rr_s=length_s,
         spread=0.05,
         catch_up=3.0,
         r_timing_s=0.005,
     )
-    pose = PoseMotion.still(Rigid.identity(model.frame, "tracker"))
-    return PoseAndPhase(pose, beat, RetimingCurve.uniform(), np.eye(6))
+    still = PoseMotion.still(Rigid.identity(model.frame, "tracker") if pose is None else pose)
+    return PoseAndPhase(still, beat, RetimingCurve.uniform(), np.eye(6))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binomtest, rankdata
+from scipy.stats import norm, rankdata
 
 from dvf_ig.io import plain
 from dvf_ig.study.trials import Line
@@ -214,12 +214,18 @@ def _usable(lines: Sequence[Line]) -> Share | None:
     return share_of(sum(judged), len(lines)) if judged else None
 
 
-def share_of(count: int, of: int) -> Share:
-    """A share and its Wilson 95 % interval."""
+def share_of(count: int, of: int, independent: int | None = None) -> Share:
+    """A share and its Wilson 95 % interval.
+
+    Args:
+        independent: number of trials that varied independently; all without.
+    """
     if of == 0:
         return Share(0, 0, None, None, None)
-    interval = binomtest(count, of).proportion_ci(0.95, method="wilson")
-    return Share(count, of, count / of, float(interval.low), float(interval.high))
+    n, share, z2 = independent or of, count / of, float(norm.ppf(0.975)) ** 2
+    middle = (share + z2 / (2 * n)) / (1 + z2 / n)
+    half = math.sqrt(z2 * (share * (1 - share) / n + z2 / (4 * n**2))) / (1 + z2 / n)
+    return Share(count, of, share, max(0.0, middle - half), min(1.0, middle + half))
 
 
 def capture_of(lines: Iterable[Line]) -> Capture:

@@ -5,7 +5,8 @@ import pytest
 
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray
 from dvf_ig.registration.deformation.joint_fit import BlockCosts, joint_fit, none_negative
-from dvf_ig.registration.deformation.prior import RMS_MM, deformation_factor, rigid_motion
+from dvf_ig.registration.deformation.prior import RMS_MM, deformation_factor
+from dvf_ig.registration.pose_chart import rigid_motion
 
 CENTER_MM = np.array([10.0, -5.0, 30.0])
 STIFFNESS = 25.0

@@ -1,0 +1,182 @@
+"""Dissection of ten pellets from a forbidden organ, through a fulcrum (Ren 2008, Tables III and IV)."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from data_synth.operator.contact_sites import Site, contact_sites
+from data_synth.operator.fulcrum import Fulcrum
+from data_synth.operator.hand import minimum_jerk, perpendicular
+from data_synth.operator.simulated_operator import RATE_HZ, SimulatedOperator
+from data_synth.seeds import child_rng
+from dvf_ig.core import FloatArray, read_only_arrays
+from dvf_ig.guidance import Sigmoid
+
+from .closed_loop import LIMITS, Aim, Loop, Trace, run_task
+from .conditions import Condition
+from .excursions import count_excursions
+from .heart import ACCESS, OperatingHeart
+
+PELLETS = 10
+HEIGHT_MM = 1.0
+"""Of a pellet's centre above the organ's surface, which is the forbidden surface."""
+REACH_MM = 1.0
+REMOVED_AFTER_S = 0.3
+"""A pellet is removed when the tip has stayed so long within so much of its centre."""
+GIVEN_UP_S = 8.0
+"""After so long at a pellet the operator goes on to the next."""
+HOVER_MM = 10.0
+SPEED_MM_S = 25.0
+DOWN_S, UP_S, SHORTEST_S = 1.2, 0.8, 0.8
+ARCH = 0.15
+"""Height of the way from one pellet to the next, over its length: the organ is round."""
+STRAIGHT = np.zeros(3)
+LONGEST_S = 230.0
+LENGTH_MM, INSIDE_MM = 330.0, 140.0
+"""Of the instrument, and of its part inside at the first pellet."""
+CAMERA_RAD = np.deg2rad(30.0)
+"""Between the line of sight and the instrument's way in."""
+WAY, WORK = 0.0, 1.0
+"""Stages; 1 + the number of the pellet while at work there."""
+
+
+class Way(NamedTuple):
+    """A planned motion from rest to rest.
+
+    Attributes:
+        start_mm, end_mm: (3,).
+        begin_s: when it starts.
+        lasts_s: how long it takes.
+        arch_mm: (3,) by which its middle lies off the straight line.
+    """
+
+    start_mm: FloatArray
+    end_mm: FloatArray
+    begin_s: float
+    lasts_s: float
+    arch_mm: FloatArray = STRAIGHT
+
+    def at(self, t_s: float) -> FloatArray:
+        share = float(minimum_jerk(np.array((t_s - self.begin_s) / self.lasts_s)))
+        arch = 4.0 * share * (1.0 - share) * self.arch_mm
+        return np.asarray(self.start_mm + share * (self.end_mm - self.start_mm) + arch)
+
+
+class DissectionTask:
+    """Aims at one pellet after the other: above it, down, stay until it is removed, up again.
+
+    Attributes:
+        removed: of each pellet that the operator has left, whether it was removed.
+    """
+
+    def __init__(self, sites: list[Site]) -> None:
+        self._sites = sites
+        self.removed: list[bool] = []
+        self._ways = [Way(hover_mm(sites[0]), pellet_mm(sites[0]), 0.0, DOWN_S)]
+        self._arrived_s, self._within = DOWN_S, 0
+
+    def __call__(self, t_s: float, tip_mm: FloatArray, operator: SimulatedOperator) -> Aim:
+        here = len(self.removed)
+        if here == PELLETS:
+            return Aim(tip_mm, np.zeros(3), np.zeros(3), -1.0)
+        at_work = t_s >= self._arrived_s
+        if at_work:
+            self._look(t_s, tip_mm, operator.spec.visual_delay_s)
+        while len(self._ways) > 1 and t_s >= self._ways[1].begin_s:
+            del self._ways[0]
+        way = self._ways[0]
+        place = way.at(t_s)
+        planned = (way.at(t_s + 1.0 / RATE_HZ) - place) * RATE_HZ
+        return Aim(place, planned, np.zeros(3), WORK + here if at_work else WAY)
+
+    def _look(self, t_s: float, tip_mm: FloatArray, sees_late_s: float) -> None:
+        """Whether the pellet is removed; then, or after GIVEN_UP_S, on to the next."""
+        pellet = pellet_mm(self._sites[len(self.removed)])
+        needed = round((REMOVED_AFTER_S + sees_late_s) * RATE_HZ)
+        near = float(np.linalg.norm(tip_mm - pellet)) <= REACH_MM
+        if self._within < round(REMOVED_AFTER_S * RATE_HZ):
+            self._within = self._within + 1 if near else 0
+        else:  # removed; the operator has yet to see it
+            self._within += 1
+        if self._within < needed and t_s < self._arrived_s + GIVEN_UP_S:
+            return
+        self.removed.append(self._within >= round(REMOVED_AFTER_S * RATE_HZ))
+        self._within = 0
+        self._leave(t_s)
+
+    def _leave(self, t_s: float) -> None:
+        last = self._sites[len(self.removed) - 1]
+        following = self._sites[len(self.removed) % PELLETS]
+        up, down = hover_mm(last), hover_mm(following)
+        apart_mm = float(np.linalg.norm(down - up))
+        over_s = max(SHORTEST_S, 1.875 * apart_mm / SPEED_MM_S)
+        arch = 0.5 * ARCH * apart_mm * (last.normal + following.normal)
+        self._ways = [
+            Way(pellet_mm(last), up, t_s, UP_S),
+            Way(up, down, t_s + UP_S, over_s, arch),
+            Way(down, pellet_mm(following), t_s + UP_S + over_s, DOWN_S),
+        ]
+        self._arrived_s = t_s + UP_S + over_s + DOWN_S
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class Dissection:
+    """One operator's dissection.
+
+    Attributes:
+        trace: of it.
+        removed: of each pellet whether it was removed.
+        lever: of the instrument at the first pellet.
+    """
+
+    trace: Trace
+    removed: tuple[bool, ...]
+    lever: float
+
+
+def dissect(heart: OperatingHeart, condition: Condition, seed: int) -> Dissection:
+    """One operator's dissection."""
+    sites = contact_sites(heart.truth, ACCESS, PELLETS, child_rng(seed, "pellets"))
+    first = pellet_mm(sites[0])
+    fulcrum = Fulcrum(first + INSIDE_MM * ACCESS, LENGTH_MM)
+    side = perpendicular(ACCESS, np.array([0.0, 0.0, 1.0]))
+    sight = -(np.cos(CAMERA_RAD) * ACCESS + np.sin(CAMERA_RAD) * side)
+    law = dissection_law()
+    task = DissectionTask(sites)
+    loop = Loop(heart, condition, seed, law, hover_mm(sites[0]), sight, -HEIGHT_MM, fulcrum)
+    trace = run_task(loop, task, LONGEST_S)
+    return Dissection(trace, tuple(task.removed), fulcrum.lever(first))
+
+
+def dissection_law() -> Sigmoid:
+    """The steepest forbidden region that the device renders, guarding the organ's surface."""
+    cap_n = Sigmoid().cap_n
+    return Sigmoid((1.0 - 1e-9) * 4.0 * LIMITS.allowed_stiffness_n_per_mm / cap_n, cap_n)
+
+
+def pellet_mm(site: Site) -> FloatArray:
+    return np.asarray(site.point_mm + HEIGHT_MM * site.normal)
+
+
+def hover_mm(site: Site) -> FloatArray:
+    return np.asarray(site.point_mm + (HEIGHT_MM + HOVER_MM) * site.normal)
+
+
+def dissection_measures(dissection: Dissection) -> dict[str, float]:
+    """What the paper's Tables III and IV are about.
+
+    An error is a touch of the forbidden organ: an excursion of the tip into it.
+    """
+    trace = dissection.trace
+    inside = np.maximum(trace.depth_mm, 0.0)
+    return {
+        "removed": float(sum(dissection.removed)),
+        "errors": float(count_excursions(trace.depth_mm, 0.0)),
+        "violation_mm": float(inside.max()),
+        "inside_s": float((inside > 0.0).sum() / RATE_HZ),
+        "time_s": float(len(trace.t_s) / RATE_HZ),
+        "largest_force_n": float(trace.force_n.max()),
+        "withheld_s": trace.withheld_s,
+    }

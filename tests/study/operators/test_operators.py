@@ -1,0 +1,191 @@
+"""Operators on a small beating ball: the force keeps them out; what is wrong with it leads them astray."""
+
+import numpy as np
+import pytest
+from toy_sphere import sphere
+
+from data_synth.operator.contact import MovingSurface
+from data_synth.operator.contact_sites import Site
+from dvf_ig.core import CycleTiming, FloatArray, SurfaceSeries
+from dvf_ig.guidance import Gaussian, Sigmoid
+from dvf_ig.preop import ModelOptions, model_from_surfaces
+from dvf_ig.report.study.operators import Compared, Curve, Interval, OperatorsFigure, Panel, operators_figure
+from dvf_ig.study.operators import cutting, dissection
+from dvf_ig.study.operators.assumptions import UNKNOWN, assumptions, paper_figures
+from dvf_ig.study.operators.closed_loop import Trace, learnt_force
+from dvf_ig.study.operators.conditions import ABLATIONS, HAPTICS, NO_HAPTICS, TASKS, UNATTENDED, Condition
+from dvf_ig.study.operators.cutting import cut, cutting_measures
+from dvf_ig.study.operators.excursions import count_excursions
+from dvf_ig.study.operators.heart import OperatingHeart
+from dvf_ig.study.operators.moving_line import moving_line
+from dvf_ig.study.operators.summary import difference, summarise_operators
+from dvf_ig.study.operators.tracking import track, tracking_measures
+
+CENTER = np.array([10.0, -5.0, 3.0])
+RADIUS_MM = 45.0
+
+
+class Ball:
+    """Drawn back by up to 3 mm once a cycle."""
+
+    def __init__(self) -> None:
+        self.unit, self.surface_triangles = sphere(1.0, 4)
+
+    def surface_vertices(self, model_phase: float) -> FloatArray:
+        return np.asarray(CENTER + self.unit * (RADIUS_MM - 3.0 * np.sin(np.pi * model_phase) ** 2))
+
+
+@pytest.fixture(scope="module")
+def heart() -> OperatingHeart:
+    ball = Ball()
+    timing = CycleTiming.uniform(8, 0.6)
+    vertices = np.stack([ball.surface_vertices(phase) for phase in timing.fractions])
+    series = SurfaceSeries("EPICARDIAL", "mr", vertices, ball.surface_triangles, timing, "ball")
+    model = model_from_surfaces(series, options=ModelOptions(knot_spacing_mm=6.0, margin_mm=18.0))
+    return OperatingHeart(MovingSurface.of(ball), model)
+
+
+@pytest.fixture(scope="module")
+def cuts(heart: OperatingHeart) -> dict[str, list[dict[str, float]]]:
+    """Two operators cut 12 mm on the beating ball."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cutting, "LENGTH_MM", 12.0)
+        wanted = (*ABLATIONS[:3], Condition("shifted", registration_mm=3.0))
+        return {c.name: [cutting_measures(cut(heart, c, seed)) for seed in (1, 2)] for c in wanted}
+
+
+def test_the_force_keeps_the_cut_at_its_depth(cuts: dict[str, list[dict[str, float]]]) -> None:
+    for without, felt, unattended in zip(cuts[NO_HAPTICS], cuts[HAPTICS], cuts[UNATTENDED], strict=True):
+        assert without["largest_force_n"] == 0.0
+        assert 0.2 < felt["largest_force_n"] <= 0.6
+        assert without["depth_error_mm"] > 0.25
+        assert felt["depth_error_mm"] < 0.4 * without["depth_error_mm"]
+        assert felt["largest_excess_mm"] < 0.6
+        assert felt["depth_error_mm"] < unattended["depth_error_mm"] < without["depth_error_mm"]
+        assert felt["withheld_s"] == 0.0
+
+
+def test_a_shifted_fixture_leads_astray(cuts: dict[str, list[dict[str, float]]]) -> None:
+    shifted, right = (np.mean([m["depth_error_mm"] for m in cuts[c]]) for c in ("shifted", HAPTICS))
+    assert shifted > 3.0 * right
+    assert shifted < 3.5
+
+
+def test_guidance_helps_a_hand_to_follow_the_beat(heart: OperatingHeart) -> None:
+    normal = np.array([0.6, -0.64, 0.48])
+    place = Site(CENTER + RADIUS_MM * normal, normal, np.array([0.0, 0.6, 0.8]))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dvf_ig.study.operators.tracking.CYCLES", 8)
+        alone, helped = (tracking_measures(track(heart, place, c, 3)) for c in TASKS["tracking"][:2])
+    assert helped["mean_mm"] < 0.5 * alone["mean_mm"]
+    assert alone["largest_force_n"] == 0.0
+
+
+def test_pellets_are_removed_through_the_fulcrum(heart: OperatingHeart) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dissection, "PELLETS", 2)
+        done = dissection.dissect(heart, TASKS["dissection"][4], 1)
+    measures = dissection.dissection_measures(done)
+    assert done.lever == pytest.approx(140.0 / 190.0, rel=0.01)
+    assert measures["removed"] == 2.0
+    assert measures["time_s"] < 2 * (8.0 + 4.0)
+    assert done.trace.stage.max() == 2.0, "at work at both"
+
+
+def test_a_line_rides_on_the_surface_at_its_depth(heart: OperatingHeart) -> None:
+    normal = np.array([0.6, -0.64, 0.48])
+    site = Site(CENTER + RADIUS_MM * normal, normal, np.array([0.0, 0.6, 0.8]))
+    line = moving_line(heart.truth, site, 10.0, 5.0)
+    assert line.length_mm == 10.0
+    for phase in (0.0, 0.3, 0.77):
+        place = line.at(4.3, phase)
+        radius = RADIUS_MM - 3.0 * np.sin(np.pi * phase) ** 2 - 5.0
+        assert np.linalg.norm(place - CENTER) == pytest.approx(radius, abs=0.12), "facets lie inside the ball"
+        moved = (line.at(4.3, phase + 1e-3) - line.at(4.3, phase - 1e-3)) / 2e-3
+        np.testing.assert_allclose(line.rate_mm(4.3, phase), moved, atol=0.2)
+    assert line.tangent(3.0) @ site.slide == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_known_force_says_where_the_target_is() -> None:
+    wall = learnt_force(Sigmoid(2.0, 0.6, 5.0), 5.0)
+    assert wall.read(0.3)[0] == pytest.approx(0.0, abs=1e-3), "half of the cap at the guarded depth"
+    assert wall.read(0.3)[1] == pytest.approx(4.0 / (2.0 * 0.6), rel=0.01)
+    deeper = learnt_force(Sigmoid(2.0, 0.6), -1.0)
+    assert deeper.read(0.3)[0] == pytest.approx(1.0, abs=1e-3)
+    pull = learnt_force(Gaussian(1.5, 0.5), 0.0)
+    assert pull.read(0.6 * (1.0 - np.exp(-1.0)))[0] == pytest.approx(1.5, abs=0.01)
+
+
+def test_excursions_are_counted_once_each() -> None:
+    depth = np.array([0.0, 1.1, 0.95, 1.2, 0.7, 1.05, 0.0])
+    assert count_excursions(depth, 1.0) == 2
+    assert count_excursions(depth, 2.0) == 0
+    assert count_excursions(np.array([1.5, 1.5]), 1.0) == 1
+
+
+def test_measures_of_a_cut_are_those_of_its_depth() -> None:
+    stage = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
+    depth = np.array([-8.0, 0.0, 4.5, 5.5, 6.5, 5.0])
+    trace = Trace(np.arange(6) / 100, np.zeros((6, 3)), np.full(6, 0.2), depth, stage, 0.0)
+    found = cutting_measures(trace)
+    assert found["depth_error_mm"] == pytest.approx(0.625)
+    assert found["depth_bias_mm"] == pytest.approx(0.375)
+    assert found["largest_excess_mm"] == pytest.approx(1.5)
+    assert found["perforations"] == 1.0
+    assert found["time_s"] == pytest.approx(0.04)
+
+
+def lines_of(changes: list[float]) -> list[dict[str, dict[str, float]]]:
+    return [{"without": {"errors": 5.0}, "with": {"errors": 5.0 + change}} for change in changes]
+
+
+def test_a_paired_difference_has_its_effect_size() -> None:
+    found = difference("errors", "with", "without", lines_of([-1.0, -2.0, -3.0, -2.0]))
+    assert found.mean.value == pytest.approx(-2.0)
+    assert found.relative == pytest.approx(-0.4)
+    assert found.effect_size.value == pytest.approx(-2.0 / np.std([1, 2, 3, 2], ddof=1))
+    assert (found.better, found.of) == (4, 4)
+    assert found.mean.low is not None
+    assert found.mean.high is not None
+    assert found.mean.low < -2.0 < found.mean.high < 0.0
+    assert difference("errors", "with", "without", lines_of([1.0] * 4)).effect_size.value is None
+
+
+def test_a_summary_pairs_each_condition_with_its_own_heart() -> None:
+    measures = ("depth_error_mm", "largest_excess_mm", "perforations", "time_s")
+    one = {c.name: dict.fromkeys(measures, float(k)) for k, c in enumerate(TASKS["cutting"])}
+    found = summarise_operators("cutting", [{"seed": 1, "conditions": one}, {"seed": 2, "refused": "no"}])
+    assert (found.operators, found.failed) == (1, 1)
+    pairs = {(d.condition, d.reference) for d in found.differences}
+    assert len(pairs) == 4
+    assert all(condition.split(",")[0] == reference.split(",")[0] for condition, reference in pairs)
+    assert {d.mean.value for d in found.differences if d.condition.endswith(UNATTENDED)} == {2.0}
+
+
+def test_assumptions_are_told_and_unknown_figures_of_the_paper_are_not_invented() -> None:
+    for task in TASKS:
+        told = " ".join(assumptions(task))
+        assert "no person took part" in told
+        assert "0.12 kg" in told
+    assert set(paper_figures("cutting").values()) == {UNKNOWN}
+    assert paper_figures("tracking")["automatic"].startswith("0.29")
+
+
+def test_the_figure_says_that_operators_are_simulated() -> None:
+    curve = Curve(0, np.arange(5) / 10, np.linspace(4, 6, 5))
+    shown = OperatorsFigure(
+        title="2 simulated operators: cutting",
+        note="assumed",
+        courses=[("one", [curve, Curve(None, curve.t_s, curve.depth_mm)])],
+        ordinate="depth, mm",
+        depth_limits_mm=(2.0, 8.0),
+        forbidden_mm=5.0,
+        kinds=(NO_HAPTICS, HAPTICS),
+        panels=[Panel("error", [Compared("all", np.array([[1.0, 2.0], [0.5, 0.4]]))], [(0.3, "paper")])],
+        ablations=[Interval("phase", 1.0, 0.8, 1.3)],
+        ablation_label="error, mm",
+    )
+    figure = operators_figure(shown)
+    assert "simulated operators" in figure.get_suptitle()
+    assert len(figure.axes) == 3
+    np.testing.assert_array_equal(figure.axes[0].lines[1].get_ydata(), curve.depth_mm)
