@@ -17,6 +17,8 @@ from .stamp_order import StampOrder
 
 MAX_AGE_S = 0.050
 MAX_AGE_FRAMES = 2.5
+"""A pose is too old at so many frames beyond its usual latency, and at MAX_AGE_S in any case: with the
+latency counted in, a single lost frame of a tracker that is 5 ms late took the force away."""
 VELOCITY_SPAN_S = 0.030
 """Velocity is the tip's displacement over about this long: three frames at 100 Hz."""
 LATE_S = 0.015
@@ -79,7 +81,8 @@ class ToolTracker:
         self._last_matrix: FloatArray | None = None
         self._repeats = 0
         self._velocity = _ZERO
-        self._limit_s = MAX_AGE_S
+        self._frame_s = MAX_AGE_S
+        self._usual_late_s = 0.0
         self._latencies: deque[float] = deque(maxlen=RATE_POSES)
         self._delayed = False
 
@@ -105,11 +108,12 @@ class ToolTracker:
     def _hazard(self, now_s: float, age_s: float) -> Hazard:
         if not self._stamps_s:
             return Hazard.TOOL_LOST
-        if now_s - self._stamps_s[-1] > self._limit_s:
+        limit_s = min(MAX_AGE_S, MAX_AGE_FRAMES * self._frame_s + self._usual_late_s)
+        if now_s - self._stamps_s[-1] > limit_s:
             return Hazard.CLOCK_BACKWARDS if self.order.restarted else Hazard.STALE_TOOL
         if self._newest in (Hazard.NOT_FINITE, Hazard.TOOL_FROZEN):
             return self._newest
-        if age_s > self._limit_s:
+        if age_s > limit_s:
             return Hazard.TOOL_LOST
         return Hazard.LATENCY_JUMP if self._delayed else Hazard.NONE
 
@@ -123,14 +127,15 @@ class ToolTracker:
         """Whether poses now come so much later than is usual that the predicted tip may be far off."""
         if len(self._latencies) <= JUDGED_POSES:
             return False
-        usual_s = sorted(self._latencies)[len(self._latencies) // 2]
+        self._usual_late_s = usual_s = sorted(self._latencies)[len(self._latencies) // 2]
         recent = sorted(list(self._latencies)[-JUDGED_POSES:])
         excess_s = recent[-LATE_POSES] - usual_s
         return excess_s > LATE_S and float(np.linalg.norm(self._velocity)) * excess_s > LATE_MM
 
     def _take(self, pose: ToolPose) -> None:
         self._stamps_s.append(pose.t_s)
-        self._update_limit()
+        if len(self._stamps_s) > 1:
+            self._frame_s = median(after - before for before, after in pairwise(self._stamps_s))
         matrix = pose.tracker_from_tool
         self._newest = self._judged(matrix)
         if matrix is None or self._newest:
@@ -155,11 +160,6 @@ class ToolTracker:
         self._last_matrix = matrix
         return self._repeats >= FROZEN_POSES
 
-    def _update_limit(self) -> None:
-        if len(self._stamps_s) > 1:
-            usual_s = median(after - before for before, after in pairwise(self._stamps_s))
-            self._limit_s = min(MAX_AGE_S, MAX_AGE_FRAMES * usual_s)
-
     def _update_velocity(self) -> None:
         """Backward difference over VELOCITY_SPAN_S or up to twice that; zero where no pose lies there."""
         newest = self._tracked[-1]
@@ -168,7 +168,7 @@ class ToolTracker:
             span_s = newest.t_s - before.t_s
             if span_s > 2 * VELOCITY_SPAN_S:
                 return
-            if span_s > VELOCITY_SPAN_S - 0.2 * self._limit_s:
+            if span_s > VELOCITY_SPAN_S - 0.5 * self._frame_s:
                 self._velocity = (newest.tip_mm - before.tip_mm) / span_s
                 return
 

@@ -6,7 +6,6 @@ in and out of the wall. Left out: pixels (`known_ultrasound`), ectopic beats, lo
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -23,15 +22,15 @@ from .faulty_device import RATE_HZ, FaultyDevice
 from .known_ultrasound import KnownUltrasound, at_rest
 from .patient import HOME, wall_setup
 from .servo_trial import PUBLISH_S
-from .streams import TOOL_TRACKER, Arrivals, InterventionSpec, TipPath, drawn_beats, drawn_ecg, drawn_streams
+from .streams import Arrivals, InterventionSpec, TipPath, drawn_beats, drawn_ecg, drawn_streams
 
 SECONDS = 1200.0
 """Of one intervention."""
 JUST_BEFORE_S = 1e-3
 """A state so long before each pose of the tool, when the last one is oldest, and one at its arrival: the two
 of a session at 1 kHz in which most can be found."""
-DROPOUTS_PER_MIN, DROPOUT_S = 2.0, (0.005, 0.0095)
-"""Of single frames."""
+LOST_PER_MIN = 2.0
+"""Single frames of the tool in which the tracker does not see it."""
 CLOCKS_PPM = 20.0
 ECG_PACKET = 25
 """Samples that arrive together, every 100 ms."""
@@ -75,7 +74,9 @@ def clean_trial(settings: Settings, seed: int) -> Line:
     """
     spec, device_mm = _intervention(seed)
     samples = drawn_ecg(spec, drawn_beats(spec, seed), seed)
-    arrivals = drawn_streams(spec, samples, seed).merged()
+    streams = drawn_streams(spec, samples, seed)
+    _lose_single_frames(streams.tool, child_rng(seed, "lost"))
+    arrivals = streams.merged()
     session_alarms, servo_alarms, given = AlarmCount(), AlarmCount(), 0
     device = FaultyDevice(device_mm, np.zeros(len(device_mm), dtype=np.bool_))
     setup = wall_setup()
@@ -104,6 +105,15 @@ def clean_trial(settings: Settings, seed: int) -> Line:
         "servo": servo_alarms.counts,
         "false_alarms": session_alarms.alarms + _own(servo_alarms, session_alarms),
     }
+
+
+def _lose_single_frames(tool: Arrivals, rng: np.random.Generator) -> None:
+    """Never two of ten in a row."""
+    count = int(rng.poisson(LOST_PER_MIN * SECONDS / 60.0))
+    for k in (10 * rng.choice(len(tool) // 10, count, replace=False)).tolist():
+        arrived_s, pose = tool[k]
+        if isinstance(pose, ToolPose):
+            tool[k] = arrived_s, ToolPose(pose.t_s, None)
 
 
 def _own(servo: AlarmCount, session: AlarmCount) -> int:
@@ -140,10 +150,9 @@ def _intervention(seed: int) -> tuple[InterventionSpec, FloatArray]:
         jitter=float(rng.uniform(0.002, 0.008)),
     )
     tip = _hand(rng)
-    tool = replace(TOOL_TRACKER, dropouts_per_min=DROPOUTS_PER_MIN, dropout_s=DROPOUT_S)
     fast = rng.uniform(-CLOCKS_PPM, CLOCKS_PPM, 3).tolist()
     drift_ppm = (fast[0], fast[1], fast[2])
-    spec = InterventionSpec(SECONDS, rhythm, ECG_PACKET, tool, tip, drift_ppm)
+    spec = InterventionSpec(SECONDS, rhythm, ECG_PACKET, tip, drift_ppm)
     t_s = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
     places = HOME.inverse().apply_array(np.concatenate([tip(part) for part in np.array_split(t_s, 60)]))
     return spec, places + SENSOR_MM * rng.standard_normal(places.shape)

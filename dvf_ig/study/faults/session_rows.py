@@ -36,7 +36,11 @@ FRAME_S, TOOL_ARRIVES_S, FRAME_ARRIVES_S = 0.010, 0.007, 0.035
 ULTRASOUND_FRAME_S = 1.0 / 12.0
 PACKET_S = 0.028
 """A packet of the ECG has arrived so long after its first sample."""
-TOO_OLD_S = 2.5 * FRAME_S + STEP_S
+LATE_FOR_S = 0.15
+"""Of a jump: with half of the last 32 poses it is the usual latency, over which the tip is predicted."""
+USUAL_LATE_S = 0.0045
+"""Median latency of the tool's poses, and the jitter of their stamps."""
+TOO_OLD_S = 2.5 * FRAME_S + USUAL_LATE_S + STEP_S
 BEAT_S = 0.90
 """Longest interval at 72 beats/min with the study's variability."""
 DETECTED_S = 0.25
@@ -154,13 +158,13 @@ def _tool_rows() -> tuple[Row, ...]:
         Row(
             "stale tracking",
             Hazard.STALE_TOOL,
-            "age beyond the smaller of 2.5 frames and 50 ms",
+            "age beyond the smaller of 2.5 frames, above the usual latency, and 50 ms",
             _three([_tool(f"no pose for {name}", missing, s, TOO_OLD_S) for name, s in lengths]),
         ),
         Row(
             "line of sight lost",
             lost,
-            "predicted until 2.5 frames after the last pose that was tracked",
+            "predicted until 2.5 frames, above the usual latency, after the last pose that was tracked",
             _three([_tool(f"status not OK for {name}", not_tracked, s, TOO_OLD_S) for name, s in lengths]),
         ),
         Row(
@@ -181,7 +185,10 @@ def _tool_rows() -> tuple[Row, ...]:
             _three(
                 [
                     _tool(
-                        f"{1000 * by:g} ms later", late(by), 0.6, 3 * FRAME_S + by + TOOL_ARRIVES_S + STEP_S
+                        f"{1000 * by:g} ms later",
+                        late(by),
+                        LATE_FOR_S,
+                        3 * FRAME_S + by + TOOL_ARRIVES_S + STEP_S,
                     )
                     for by in (0.018, 0.040, 0.100)
                 ]

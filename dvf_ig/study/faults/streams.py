@@ -44,7 +44,6 @@ class InterventionSpec:
         seconds: length.
         rhythm: of the heart.
         ecg_packet: samples of the ECG that arrive together; 5 are 20 ms.
-        tool: errors of the tool's tracker.
         tip: where the tip moves.
         drift_ppm: by how much the clocks of tool, probe and ECG are fast.
     """
@@ -52,7 +51,6 @@ class InterventionSpec:
     seconds: float
     rhythm: RhythmSpec = field(default_factory=RhythmSpec)
     ecg_packet: int = 5
-    tool: TrackerSpec = TOOL_TRACKER
     tip: TipPath | None = None
     drift_ppm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -115,8 +113,8 @@ def _tool(spec: InterventionSpec, fast: float, rng: np.random.Generator) -> Arri
         at = tracker_from_mr.apply_array(tip(t_s)) - turn @ TIP.xyz_mm[0]
         return np.broadcast_to(turn, (len(t_s), 3, 3)), at
 
-    true_s, stamp_s = sampling_times(spec.tool, 0.0, spec.seconds, rng)
-    stream = tracked(path, "tracker", "tool", true_s, stamp_s, spec.tool, rng)
+    true_s, stamp_s = sampling_times(TOOL_TRACKER, 0.0, spec.seconds, rng)
+    stream = tracked(path, "tracker", "tool", true_s, stamp_s, TOOL_TRACKER, rng)
     arrived = _in_order(stamp_s + _late(TOOL_LATE_S, len(stamp_s), rng))
     stamps = ((1.0 + fast) * stamp_s).tolist()
     return [
