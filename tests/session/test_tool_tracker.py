@@ -78,7 +78,7 @@ def test_a_pose_that_repeats_bit_by_bit_is_old_whatever_its_status_says() -> Non
 )
 def test_what_is_no_rigid_pose_is_never_used(matrix: FloatArray, hazard: Hazard) -> None:
     poses = [*steady()[:50], ToolPose(0.5, matrix), ToolPose(0.51, matrix), ToolPose(0.52, matrix)]
-    first, later = read(poses, np.array([0.501, 0.52]))
+    *_, first, _, later = read(poses, np.append(np.arange(0.001, 0.4995, 0.01), [0.501, 0.511, 0.5205]))
     assert later.hazard is hazard
     assert first.hazard is (hazard if hazard is Hazard.NOT_FINITE else Hazard.NONE)
     if not first.hazard:
