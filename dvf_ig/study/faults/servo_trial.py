@@ -147,7 +147,7 @@ def _course(record: ServoRecord, device: FaultyDevice) -> Course:
     tick = np.minimum(tick, len(record) - 1)
     wanted_n = np.linalg.norm(record.wanted_n, axis=1)
     return Course(
-        sent[:, 0],
+        np.where(by_tick, record.t_s[tick], sent[:, 0]),
         np.where(by_tick, record.hazards[tick], int(Hazard.MISSED_DEADLINES)),
         np.where(by_tick, record.state[tick], int(SupervisorState.LATCHED)),
         np.linalg.norm(sent[:, 1:], axis=1),
