@@ -12,6 +12,7 @@ from dvf_ig.registration import (
     start_from_surface_points,
     surface_disagreement,
 )
+from dvf_ig.registration.flipped_axes import require_on_model, require_unflipped
 from dvf_ig.session import Heart
 
 NO_START = (
@@ -31,9 +32,14 @@ def start_pose(scenario: Scenario, heart: Heart, seed: int) -> Rigid:
     """The operator's coarse pose, else the landmark fit, else the fit of points touched on the surface.
 
     Raises:
-        InvalidInputError: the scenario holds none of them, or they are too few.
+        InvalidInputError: the scenario holds none of them, they are too few, or one is flipped (RAS for LPS).
         QualityGateError: the touched points leave the pose open.
     """
+    marked, at = scenario.landmarks_mr, scenario.landmarks_tracker
+    if marked is not None:
+        require_on_model(marked, heart.model)
+    if scenario.start is not None and marked is not None and at is not None:
+        require_unflipped(scenario.start, marked, at)
     given = scenario.start if scenario.start is not None else landmark_pose(scenario)
     if given is not None:
         return given

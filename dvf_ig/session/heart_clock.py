@@ -8,6 +8,7 @@ from dvf_ig.cardiac import LeadChange, PhaseClock, RPeak, RPeakDetector, Trigger
 from dvf_ig.core import InvalidInputError, PhaseForecast, Signal, TriggerTimes
 
 from .events import EcgSamples, Trigger
+from .stamp_order import StampOrder
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +38,15 @@ def beat_source_of(recorded: Signal | TriggerTimes) -> BeatSource:
 class HeartClock:
     """Takes samples or pulses as they come, and lets each R peak count from the moment of its detection on.
 
+    Samples or pulses that come twice, or behind later ones, are dropped; where some are missing the phase is
+    lost, as after electrodes that came off.
+
     Args:
         source: of the beats.
     """
 
     def __init__(self, source: BeatSource) -> None:
+        self.order = StampOrder()
         self._source = source
         self._trigger = TriggerDetector(source.delay_s) if isinstance(source, TriggerSource) else None
         self._ecg: RPeakDetector | None = None
@@ -59,14 +64,20 @@ class HeartClock:
         """Take the next samples, or the next pulse.
 
         Raises:
-            InvalidInputError: of another source; another number of leads than before; back in time.
+            InvalidInputError: of another source; another number of leads than before.
         """
         if isinstance(event, Trigger) and self._trigger is not None:
+            if not self.order.accepts(event.t_s):
+                return
             self._peaks.extend(self._trigger.push(event.t_s))
             self._changes.extend(self._trigger.take_lead_changes())
         elif isinstance(event, EcgSamples) and isinstance(self._source, EcgSource):
+            count, leads = event.samples.shape
             if self._ecg is None:
-                self._ecg = RPeakDetector(self._source.rate_hz, event.samples.shape[1])
+                self._ecg = RPeakDetector(self._source.rate_hz, leads)
+            last_s = event.start_s + (count - 1) / self._source.rate_hz
+            if count and leads == self._ecg.leads and not self.order.accepts(event.start_s, last_s):
+                return
             self._peaks.extend(self._ecg.push(event.samples, event.start_s))
             self._changes.extend(self._ecg.take_lead_changes())
         else:

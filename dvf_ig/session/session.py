@@ -37,9 +37,10 @@ from .margins import MarginTracker
 from .pose_tracker import PoseTracker
 from .registration_monitor import RegistrationMonitor
 from .setup import SessionSetup
+from .source_clock import SourceClocks
 from .state import GuidanceState
 from .tool_tracker import ToolReading, ToolTracker
-from .ultrasound_source import ArrivedUltrasound
+from .ultrasound_source import ArrivedUltrasound, UltrasoundSource
 
 REMEMBERED = 200
 """Registrations, beats and updates that a session remembers unless it is given a history of its own."""
@@ -62,6 +63,8 @@ class Session:
         executor: who does the long work; by default the caller does, when its result is due.
         clock: seconds of computing time from any origin, for the record; no estimate depends on it.
         history: is told of every registration, beat and update; by default the last REMEMBERED are kept.
+        ultrasound: what frames and beats say of the pose, made with the buffer of the frames that arrive; by
+            default they are registered and compared by their images.
     """
 
     def __init__(
@@ -71,25 +74,21 @@ class Session:
         executor: Executor | None = None,
         clock: Callable[[], float] = _no_clock,
         history: SessionHistory | None = None,
+        ultrasound: Callable[[FrameBuffer], UltrasoundSource] | None = None,
     ) -> None:
         self.setup = setup
         self.history = history if history is not None else SessionHistory(REMEMBERED)
         self._threads = SliceThreads()
         self._frames = FrameBuffer()
-        source = ArrivedUltrasound(
-            self._frames,
-            setup.heart,
-            setup.calibrations,
-            setup.fan,
-            setup.retiming,
-            setup.seed,
-            clock,
-            self._threads,
-            executor if executor is not None else InCaller(),
-        )
+        if ultrasound is None:
+            work = executor if executor is not None else InCaller()
+            source = self._arrived(clock, work)
+        else:
+            source = ultrasound(self._frames)
         monitor = RegistrationMonitor(setup.heart.center_mm, None)
         self._pose = PoseTracker(source, monitor, setup.start, self.history, setup.calibrations.lag_s)
         self._clock = HeartClock(setup.beat_source)
+        self._sources = SourceClocks(setup.beat_source)
         self._tool = ToolTracker(setup.calibrations.tip)
         fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
         self._fixtures = FixturesOverTime(fixtures)
@@ -115,13 +114,21 @@ class Session:
     ) -> None:
         self._threads.__exit__(kind, error, trace)
 
-    def push(self, event: Event) -> None:
+    def push(self, event: Event, arrived_s: float | None = None) -> None:
         """Take an event; those of one kind in the order in which they came.
 
+        Args:
+            arrived_s: when it came, by the clock that `state` is asked by; with it a source's clock that runs
+                away is found and put right (`source_clock`). None of a recording, which has no arrivals.
         Raises:
-            InvalidInputError: it does not fit those before: another number of leads, another image size, ECG
-                samples or triggers that go back in time, or of an ECG where there is a trigger.
+            InvalidInputError: it does not fit those before: another number of leads, another image size, or
+                of an ECG where there is a trigger.
         """
+        if arrived_s is not None:
+            accepted = self._sources.on_local_clock(event, arrived_s)
+            if accepted is None:
+                return
+            event = accepted
         if isinstance(event, EcgSamples | Trigger):
             self._clock.push(event)
         elif isinstance(event, ToolPose):
@@ -147,6 +154,7 @@ class Session:
         stepped_s, self._now_s = self._now_s, now_s
         self._advance(now_s, stepped_s)
         self._frames.advance(now_s)
+        self._clock.order.advance(now_s)
         self._update_transform(now_s)
         tool = self._tool.at(now_s)
         hazards = self._hazards(now_s, tool.hazard)
@@ -247,11 +255,27 @@ class Session:
             found |= Hazard.POSE_MOVING
         if transform.phase.state is not PhaseState.LOCKED or now_s > transform.phase.until_s:
             found |= Hazard.NO_PHASE
-        if self._frames.order.restarted:
+        if self._frames.order.restarted or self._clock.order.restarted or self._sources.behind:
             found |= Hazard.CLOCK_BACKWARDS
-        if self._frames.order.disordered or self._tool.order.disordered:
+        if any(one.order.disordered for one in (self._frames, self._tool, self._clock)):
             found |= Hazard.REORDERED_STAMPS
+        if self._sources.skewed:
+            found |= Hazard.CLOCK_SKEW
         return found
+
+    def _arrived(self, clock: Callable[[], float], executor: Executor) -> UltrasoundSource:
+        setup = self.setup
+        return ArrivedUltrasound(
+            self._frames,
+            setup.heart,
+            setup.calibrations,
+            setup.fan,
+            setup.retiming,
+            setup.seed,
+            clock,
+            self._threads,
+            executor,
+        )
 
     def _evaluate(self, now_s: float, tool: ToolReading) -> tuple[Status, FloatArray]:
         """Fill the place with pose and phase; the fixtures' output there, read-only."""

@@ -25,10 +25,15 @@ class StampOrder:
         self._dropped: deque[bool] = deque(maxlen=WINDOW)
         self._dropped_in_a_row = 0
 
-    def accepts(self, t_s: float) -> bool:
-        """Whether a sample stamped `t_s` is later than all before it."""
+    def accepts(self, t_s: float, last_s: float | None = None) -> bool:
+        """Whether a sample stamped `t_s` is later than all before it.
+
+        Args:
+            last_s: stamp of the last of several samples that came together; None of a single one.
+        """
         later, back = t_s > self.newest_s, t_s < self.newest_s - JITTER_S
-        self.newest_s = max(t_s, self.newest_s)
+        if later:
+            self.newest_s = t_s if last_s is None else last_s
         self._dropped_in_a_row = 0 if later else self._dropped_in_a_row + 1
         if self._dropped_in_a_row <= WINDOW:
             self._waiting.append(_Arrival(self.newest_s, later, back))

@@ -2,7 +2,8 @@
 
 from collections import deque
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from itertools import pairwise
+from math import inf
 from statistics import median
 
 import numpy as np
@@ -16,6 +17,8 @@ from .stamp_order import StampOrder
 
 MAX_AGE_S = 0.050
 MAX_AGE_FRAMES = 2.5
+"""A pose is too old at so many frames beyond its usual latency, and at MAX_AGE_S in any case: with the
+latency counted in, a single lost frame of a tracker that is 5 ms late took the force away."""
 VELOCITY_SPAN_S = 0.030
 """Velocity is the tip's displacement over about this long: three frames at 100 Hz."""
 LATE_S = 0.015
@@ -49,15 +52,19 @@ class ToolReading:
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class _Sample:
+class _Tracked:
+    """A pose that may be used."""
+
     t_s: float
     tip_mm: FloatArray
     rotation: FloatArray
-    hazard: Hazard
 
 
 class ToolTracker:
     """Takes the tool's poses and predicts the tip by constant velocity (docs/theory/safety.md).
+
+    A pose that is not OK, or not rigid, is left out: the tip is predicted from those before it until they are
+    too old, and then the tool is lost. One that is not finite, or frozen, counts at once.
 
     Args:
         tip: tool tip, one point in frame "tool".
@@ -67,12 +74,15 @@ class ToolTracker:
         self.order = StampOrder()
         self._tip_mm = tip.xyz_mm[0]
         self._waiting: deque[ToolPose] = deque()
-        self._samples: deque[_Sample] = deque(maxlen=RATE_POSES)
+        self._tracked: deque[_Tracked] = deque(maxlen=RATE_POSES)
+        self._stamps_s: deque[float] = deque(maxlen=RATE_POSES)
+        self._newest = Hazard.TOOL_LOST
+        """Of the newest pose."""
         self._last_matrix: FloatArray | None = None
         self._repeats = 0
-        self._tracked_s = float("-inf")
-        self._velocity = np.zeros(3)
-        self._limit_s = MAX_AGE_S
+        self._velocity = _ZERO
+        self._frame_s = MAX_AGE_S
+        self._usual_late_s = 0.0
         self._latencies: deque[float] = deque(maxlen=RATE_POSES)
         self._delayed = False
 
@@ -86,22 +96,26 @@ class ToolTracker:
         self.order.advance(now_s)
         if self._waiting and self._waiting[0].t_s <= now_s:
             self._take_until(now_s)
-        hazard = self._hazard(now_s)
-        age_s = now_s - self._tracked_s
+        age_s = now_s - self._tracked[-1].t_s if self._tracked else inf
+        hazard = self._hazard(now_s, age_s)
         if hazard:
             return ToolReading(hazard, _ZERO, _IDENTITY, age_s)
-        newest = self._samples[-1]
+        newest = self._tracked[-1]
         tip_mm = newest.tip_mm + self._velocity * age_s
         tip_mm.setflags(write=False)
         return ToolReading(hazard, tip_mm, newest.rotation, age_s)
 
-    def _hazard(self, now_s: float) -> Hazard:
-        if not self._samples:
+    def _hazard(self, now_s: float, age_s: float) -> Hazard:
+        if not self._stamps_s:
             return Hazard.TOOL_LOST
-        newest = self._samples[-1]
-        if now_s - newest.t_s > self._limit_s:
+        limit_s = min(MAX_AGE_S, MAX_AGE_FRAMES * self._frame_s + self._usual_late_s)
+        if now_s - self._stamps_s[-1] > limit_s:
             return Hazard.CLOCK_BACKWARDS if self.order.restarted else Hazard.STALE_TOOL
-        return newest.hazard or (Hazard.LATENCY_JUMP if self._delayed else Hazard.NONE)
+        if self._newest in (Hazard.NOT_FINITE, Hazard.TOOL_FROZEN):
+            return self._newest
+        if age_s > limit_s:
+            return Hazard.TOOL_LOST
+        return Hazard.LATENCY_JUMP if self._delayed else Hazard.NONE
 
     def _take_until(self, now_s: float) -> None:
         while self._waiting and self._waiting[0].t_s <= now_s:
@@ -113,29 +127,31 @@ class ToolTracker:
         """Whether poses now come so much later than is usual that the predicted tip may be far off."""
         if len(self._latencies) <= JUDGED_POSES:
             return False
-        usual_s = sorted(self._latencies)[len(self._latencies) // 2]
+        self._usual_late_s = usual_s = sorted(self._latencies)[len(self._latencies) // 2]
         recent = sorted(list(self._latencies)[-JUDGED_POSES:])
         excess_s = recent[-LATE_POSES] - usual_s
         return excess_s > LATE_S and float(np.linalg.norm(self._velocity)) * excess_s > LATE_MM
 
     def _take(self, pose: ToolPose) -> None:
-        matrix, hazard = pose.tracker_from_tool, Hazard.NONE
-        if matrix is None:
-            hazard = Hazard.TOOL_LOST
-        elif not np.isfinite(matrix).all():
-            hazard = Hazard.NOT_FINITE
-        elif not is_rigid(matrix):
-            hazard = Hazard.TOOL_LOST
-        elif self._repeated(matrix):
-            hazard = Hazard.TOOL_FROZEN
-        if matrix is None or hazard not in (Hazard.NONE, Hazard.TOOL_FROZEN):
-            self._samples.append(_Sample(pose.t_s, _ZERO, _IDENTITY, hazard))
+        self._stamps_s.append(pose.t_s)
+        if len(self._stamps_s) > 1:
+            self._frame_s = median(after - before for before, after in pairwise(self._stamps_s))
+        matrix = pose.tracker_from_tool
+        self._newest = self._judged(matrix)
+        if matrix is None or self._newest:
             return
         rotation = matrix[:3, :3]
-        self._samples.append(_Sample(pose.t_s, rotation @ self._tip_mm + matrix[:3, 3], rotation, hazard))
-        if not hazard:
-            self._tracked_s = pose.t_s
-        self._update_motion()
+        self._tracked.append(_Tracked(pose.t_s, rotation @ self._tip_mm + matrix[:3, 3], rotation))
+        self._update_velocity()
+
+    def _judged(self, matrix: FloatArray | None) -> Hazard:
+        if matrix is None:
+            return Hazard.TOOL_LOST
+        if not np.isfinite(matrix).all():
+            return Hazard.NOT_FINITE
+        if not is_rigid(matrix):
+            return Hazard.TOOL_LOST
+        return Hazard.TOOL_FROZEN if self._repeated(matrix) else Hazard.NONE
 
     def _repeated(self, matrix: FloatArray) -> bool:
         """Whether the pose has been the same, bit by bit, for FROZEN_POSES."""
@@ -144,19 +160,17 @@ class ToolTracker:
         self._last_matrix = matrix
         return self._repeats >= FROZEN_POSES
 
-    def _update_motion(self) -> None:
-        """Velocity as backward difference over VELOCITY_SPAN_S; zero where the span holds an invalid pose."""
+    def _update_velocity(self) -> None:
+        """Backward difference over VELOCITY_SPAN_S or up to twice that; zero where no pose lies there."""
+        newest = self._tracked[-1]
         self._velocity = _ZERO
-        if len(self._samples) < 2:
-            return
-        rate_hz = 1.0 / median(after.t_s - before.t_s for before, after in pairwise(self._samples))
-        self._limit_s = min(MAX_AGE_S, MAX_AGE_FRAMES / rate_hz)
-        steps = max(1, round(VELOCITY_SPAN_S * rate_hz))
-        span = list(islice(reversed(self._samples), steps + 1))[::-1]
-        span_s = span[-1].t_s - span[0].t_s
-        clean = not any(sample.hazard for sample in span)
-        if len(span) == steps + 1 and clean and span_s <= 2 * VELOCITY_SPAN_S:
-            self._velocity = (span[-1].tip_mm - span[0].tip_mm) / span_s
+        for before in reversed(self._tracked):
+            span_s = newest.t_s - before.t_s
+            if span_s > 2 * VELOCITY_SPAN_S:
+                return
+            if span_s > VELOCITY_SPAN_S - 0.5 * self._frame_s:
+                self._velocity = (newest.tip_mm - before.tip_mm) / span_s
+                return
 
 
 _ZERO, _IDENTITY = np.zeros(3), np.eye(3)

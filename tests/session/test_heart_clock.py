@@ -84,5 +84,21 @@ def test_samples_that_do_not_fit_are_refused() -> None:
     clock = pushed(ecg_of(0.0, 2.0))
     with pytest.raises(InvalidInputError, match=r"shape \(3, 2\); needed \(n, 1\)"):
         clock.push(EcgSamples(2.0, np.zeros((3, 2))))
-    with pytest.raises(InvalidInputError, match="in order of time and once only"):
-        clock.push(EcgSamples(1.0, np.zeros((3, 1))))
+
+
+def test_samples_that_come_twice_or_behind_others_are_dropped_and_counted() -> None:
+    whole = ecg_events(ecg_of(0.0, 12.0), chunk=5)
+    expected = pushed(ecg_of(0.0, 12.0))
+    stepped(expected, 12.0)
+    clock = HeartClock(EcgSource(ECG_HZ))
+    for event in whole:
+        clock.push(event)
+        clock.push(event)
+    stepped(clock, 12.0)
+    clock.order.advance(12.0)
+    assert clock.order.disordered
+    assert not clock.order.restarted
+    assert clock.forecast(12.0) == expected.forecast(12.0)
+    clock.push(EcgSamples(10.0, np.zeros((5, 1))))
+    clock.order.advance(12.0)
+    assert clock.order.restarted

@@ -43,13 +43,13 @@ def test_steady_motion_is_predicted_exactly() -> None:
     assert max(r.age_s for r in readings) < 0.0101
 
 
-def test_lost_tracking_is_not_bridged_and_stale_poses_expire() -> None:
+def test_lost_tracking_is_bridged_for_two_and_a_half_frames_and_stale_poses_expire() -> None:
     poses = steady()
     poses[100:110] = [ToolPose(pose.t_s, None) for pose in poses[100:110]]
     times = np.arange(0.0, 2.2, 0.001)
     readings = read(poses, times)
     for t_s, reading in zip(times.tolist(), readings, strict=True):
-        if 1.0 <= t_s < 1.0995:
+        if 1.0155 <= t_s < 1.0995:
             assert reading.hazard is Hazard.TOOL_LOST
             assert not reading.tip_tracker_mm.any()
         if t_s > 1.99 + 0.0255:
@@ -77,9 +77,22 @@ def test_a_pose_that_repeats_bit_by_bit_is_old_whatever_its_status_says() -> Non
     ],
 )
 def test_what_is_no_rigid_pose_is_never_used(matrix: FloatArray, hazard: Hazard) -> None:
-    poses = [*steady()[:50], ToolPose(0.5, matrix)]
-    (reading,) = read(poses, np.array([0.501]))
-    assert reading.hazard is hazard
+    poses = [*steady()[:50], ToolPose(0.5, matrix), ToolPose(0.51, matrix), ToolPose(0.52, matrix)]
+    *_, first, _, later = read(poses, np.append(np.arange(0.001, 0.4995, 0.01), [0.501, 0.511, 0.5205]))
+    assert later.hazard is hazard
+    assert first.hazard is (hazard if hazard is Hazard.NOT_FINITE else Hazard.NONE)
+    if not first.hazard:
+        np.testing.assert_allclose(first.tip_tracker_mm, TURN @ TIP.xyz_mm[0] + 0.501 * VELOCITY, atol=1e-9)
+
+
+def test_a_single_lost_frame_is_predicted_over() -> None:
+    poses = steady()
+    poses[60::25] = [ToolPose(pose.t_s, None) for pose in poses[60::25]]
+    times = np.arange(0.1, 1.9, 0.001)
+    readings = read(poses, times)
+    assert not any(reading.hazard for reading in readings)
+    expected = TURN @ TIP.xyz_mm[0] + np.outer(times, VELOCITY)
+    np.testing.assert_allclose([r.tip_tracker_mm for r in readings], expected, atol=1e-9)
 
 
 def test_a_clock_that_restarts_is_refused_and_small_disorder_is_dropped() -> None:

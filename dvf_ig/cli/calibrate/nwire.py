@@ -76,9 +76,12 @@ def _chosen(variants: "NWireVariants", method: str | None) -> "NWireResult":
 
 
 def _result(found: "NWireResult", checked: "CalibrationErrors | None") -> dict[str, Any]:
+    from dvf_ig.calibration.probe.known_points import known_points_refusals
+
+    refusals = (*found.refusals, *(() if checked is None else known_points_refusals(checked)))
     return {
         "kind": "probe",
-        **verdict(found.refusals),
+        **verdict(refusals),
         **image_fields(found.probe_from_image),
         "phantom": "nwire",
         "calibration": error_fields(found.calibration),

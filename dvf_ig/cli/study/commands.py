@@ -7,6 +7,7 @@ from .calibration import calibration
 from .cines import cines
 from .constants import constants
 from .distance import distance_maps
+from .faults import faults
 from .gating import gating
 from .hearts import hearts
 from .margins import margins
@@ -38,4 +39,5 @@ add_registration_commands(app)
 app.command("calibration", cls=TrialsCommand)(calibration)
 app.command("pairs")(pairs)
 app.command("passivity")(passivity)
+app.command("faults")(faults)
 app.command("operators")(operators)

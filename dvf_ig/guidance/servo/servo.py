@@ -109,7 +109,7 @@ class Servo:
             self._histogram,
             self.options.period_ns,
             0,
-            0,
+            np.zeros(0, dtype=np.int64),
         )
         if self._watchdog:
             arguments = (self._functions, self.device.context, self._numbers, WATCHDOG_NS, CHECK_NS)
@@ -194,7 +194,7 @@ class Servo:
             histogram,
             self.options.period_ns,
             1,
-            WARM_UP_TICKS,
+            np.zeros(WARM_UP_TICKS, dtype=np.int64),
         )
         kernel.copy_rows(ring, numbers, 0, np.empty((1, tick_kernel.ROW)))
         numbers[kernel.STOP] = 1

@@ -1,8 +1,9 @@
-"""The servo's ticks in simulated time, exactly a period apart: for tests, studies and simulated operators."""
+"""The servo's ticks in simulated time, a period apart: for tests, studies and simulated operators."""
 
 import numpy as np
 
-from dvf_ig.core import InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core.arrays import check_shape
 from dvf_ig.guidance.device import COMMON_DEVICE, DeviceLimits
 from dvf_ig.guidance.devices.protocol import HapticDevice
 from dvf_ig.guidance.fixtures import Fixtures
@@ -16,6 +17,7 @@ from .bound import REARM_ANSWERS, bind_fixtures, new_scratch
 from .inputs import ServoInputs
 from .options import ServoOptions
 from .record import ServoRecord
+from .servo import LATE_NS, WATCHDOG_NS
 
 START_NS = 1_000_000_000
 
@@ -40,6 +42,7 @@ class SimulatedServo:
         self._scratch = tuple(new_scratch(len(fixtures.parts)))
         self._functions = np.array(device.functions, dtype=np.int64)
         self._numbers, self._counter = np.zeros(kernel.NUMBERS, dtype=np.int64), shared.new_counter()
+        self._numbers[kernel.LATE_NS], self._numbers[kernel.WATCHDOG_NS] = LATE_NS, WATCHDOG_NS
         self._shared, self._histogram = np.zeros(INPUT_SIZE), np.zeros(1, dtype=np.int64)
         self._ticks = 0
 
@@ -48,15 +51,21 @@ class SimulatedServo:
         """Time of the next tick, in the session's clock."""
         return self._ticks * self.options.period_ns * 1e-9
 
-    def run(self, inputs: ServoInputs, ticks: int) -> ServoRecord:
+    def run(self, inputs: ServoInputs, ticks: int, late_s: FloatArray | None = None) -> ServoRecord:
         """So many ticks with what a session published; the session's clock begins with the first tick of all.
 
+        Args:
+            late_s: (ticks,) by which each tick wakes late; None: all on time. Deadlines that pass meanwhile
+                are skipped, and the watchdog trips, as in real time. Late ticks are counted within one call.
         Raises:
-            InvalidInputError: no tick.
+            InvalidInputError: no tick, or lateness of another number of them.
         """
         if ticks < 1:
             raise InvalidInputError(f"{ticks} ticks asked for; needed at least 1")
+        late = np.zeros(ticks) if late_s is None else late_s
+        check_shape(late, "lateness of the ticks", (ticks,))
         rows = np.zeros((ticks, ROW))
+        skipped = self._numbers[kernel.SKIPPED]
         self._numbers[kernel.HEAD] = 0
         shared.publish(self._counter, self._shared, inputs.packed(START_NS * 1e-9 + inputs.now_s))
         kernel.run_servo(
@@ -71,10 +80,15 @@ class SimulatedServo:
             self._histogram,
             self.options.period_ns,
             START_NS + self._ticks * self.options.period_ns,
-            ticks,
+            np.round(1e9 * late).astype(np.int64),
         )
-        self._ticks += ticks
+        self._ticks += ticks + int(self._numbers[kernel.SKIPPED] - skipped)
         return ServoRecord(rows)
+
+    @property
+    def watchdog_tripped(self) -> bool:
+        """No tick had ended for 10 ms at some time: no force is sent any more."""
+        return bool(self._numbers[kernel.TRIPPED])
 
     def ask_rearm(self) -> None:
         """An operator's request to leave LATCHED, answered in the next tick (`rearmed`)."""

@@ -34,7 +34,9 @@ SKIPPED = 56
 WORST_NS = 64
 LATE_NS = 72
 """Set before the start: what counts as late."""
-NUMBERS = 80
+WATCHDOG_NS = 80
+"""Set before a start in simulated time: how long the watchdog waits; 0 without one."""
+NUMBERS = 88
 
 LATE_TICKS = 3
 LATE_WITHIN = 100
@@ -84,6 +86,13 @@ def _write(device: Any, context: Any, numbers: Any, now_ns: int, force: FloatArr
 
 
 @kernel
+def _trip(device: Any, context: Any, numbers: Any, now_ns: int, zero: FloatArray) -> None:
+    """It trips before it sends: a servo that wakes up meanwhile sends no force either (`_write`)."""
+    store_ordered(numbers, TRIPPED, 1)
+    call_device(device[1], context, now_ns, zero)
+
+
+@kernel
 def run_servo(
     bound: Any,
     scratch: Any,
@@ -96,9 +105,9 @@ def run_servo(
     histogram: Any,
     period_ns: int,
     start_ns: int,
-    simulated_ticks: int,
+    simulated_late_ns: Any,
 ) -> int:
-    """Tick once a period until STOP, then send no force; or so many ticks in simulated time.
+    """Tick once a period until STOP, then send no force; or a number of ticks in simulated time.
 
     Args:
         bound, scratch: of `servo_tick`.
@@ -106,8 +115,8 @@ def run_servo(
         counter, shared: what the session publishes, under a sequence lock.
         numbers: (NUMBERS,) int64 shared with Python and the watchdog.
         ring: (n, ROW) record; histogram: (b,) int64 counts of lateness in µs.
-        start_ns: time of the first tick in simulated time, which stands still between ticks.
-        simulated_ticks: 0 in real time.
+        start_ns: deadline of the first tick in simulated time, in which a tick takes none.
+        simulated_late_ns: (n,) int64 lateness of each tick in simulated time; (0,) in real time.
     Returns:
         ticks that ran.
     """
@@ -121,11 +130,18 @@ def run_servo(
     missed = codes[MISSED_DEADLINES]
     wake_exactly()
     seen = read_shared(counter, shared, -1, inputs, read_work)
-    ticks, overran = 0, False
+    ticks, overran, done = 0, False, 0
+    simulated_ticks = len(simulated_late_ns)
     simulated, limit_ns = simulated_ticks > 0, load_ordered(numbers, LATE_NS)
     target = start_ns if simulated else monotonic_ns(timespec) + SETTLE_NS
     while load_ordered(numbers, STOP) == 0 and not (simulated and ticks == simulated_ticks):
-        now = target if simulated else sleep_until(target, timespec)
+        if simulated:
+            now = max(target, done) + simulated_late_ns[ticks]
+            limit = load_ordered(numbers, WATCHDOG_NS)
+            if ticks > 0 and 0 < limit < now - done and load_ordered(numbers, TRIPPED) == 0:
+                _trip(device, context, numbers, done + limit, zero)
+        else:
+            now = sleep_until(target, timespec)
         late = now - target
         histogram[min(late // BIN_NS, len(histogram) - 1)] += 1
         if late > load_ordered(numbers, WORST_NS):
@@ -146,7 +162,7 @@ def run_servo(
         record_row(ring, numbers, row)
         ticks += 1
         target += period_ns
-        overran = not simulated and done - target > limit_ns
+        overran = done - target > limit_ns
         while target < done - period_ns:
             target += period_ns
             numbers[SKIPPED] += 1
@@ -157,10 +173,7 @@ def run_servo(
 
 @kernel
 def watch(device: Any, context: Any, numbers: Any, limit_ns: int, check_ns: int) -> None:
-    """The watchdog: where no tick has ended for `limit_ns`, no force, at once, until a new servo is started.
-
-    It trips before it sends: a servo that wakes up meanwhile sends no force either (`_write`).
-    """
+    """The watchdog: no tick has ended for `limit_ns`: no force, at once, until a new servo is started."""
     timespec, zero = np.zeros(2, dtype=np.int64), np.zeros(3)
     target = monotonic_ns(timespec)
     while load_ordered(numbers, STOP) == 0:
@@ -168,8 +181,7 @@ def watch(device: Any, context: Any, numbers: Any, limit_ns: int, check_ns: int)
         now = sleep_until(target, timespec)
         last = load_ordered(numbers, HEARTBEAT_NS)
         if last > 0 and now - last > limit_ns and load_ordered(numbers, TRIPPED) == 0:
-            store_ordered(numbers, TRIPPED, 1)
-            call_device(device[1], context, now, zero)
+            _trip(device, context, numbers, now, zero)
 
 
 @kernel

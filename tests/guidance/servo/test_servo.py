@@ -9,7 +9,7 @@ from numba import carray
 from dvf_ig.core import InvalidInputError, Rigid
 from dvf_ig.guidance import Fixtures, FixtureSet, Hazard, RearmAnswer, SupervisorState
 from dvf_ig.guidance.devices import RecordedDevice
-from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions
+from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions, SimulatedServo
 from dvf_ig.guidance.servo import servo as servo_module
 from dvf_ig.guidance.servo.deadlines import BINS, deadlines_of
 from dvf_ig.kernels.servo.clock import monotonic_ns, sleep_until
@@ -175,3 +175,33 @@ def test_lateness_is_counted_in_whole_microseconds():
     assert [found.percentile_us(p) for p in (50.0, 99.0, 100.0)] == [11.0, 56.0, 3e5]
     with pytest.raises(InvalidInputError, match="no tick"):
         Deadlines(np.zeros(BINS, dtype=np.int64), 0.0, 0).percentile_us(50.0)
+
+
+@pytest.mark.parametrize(
+    ("count", "by_s", "latches"), [(2, 0.0021, False), (3, 0.0019, False), (3, 0.0021, True)]
+)
+def test_late_ticks_latch_in_simulated_time_too(ball, steady_ball, count, by_s, latches):
+    device = RecordedDevice(np.tile([10.0, -20.0, 30.0], (1000, 1)), 1000.0)
+    servo = SimulatedServo(Fixtures(ball, FixtureSet()), device)
+    late_s = np.zeros(300)
+    late_s[100 : 100 + 45 * count : 45] = by_s
+    inputs = ServoInputs(steady_ball, 0.0, Rigid.identity("tracker", "device"), valid_for_s=9.0)
+    record = servo.run(inputs, 300, late_s)
+    assert ((record.hazards & Hazard.MISSED_DEADLINES) != 0).any() == latches
+    assert (record.state[-1] == LATCHED) == latches
+    np.testing.assert_allclose(record.lateness_us[late_s > 0.0], 1e6 * by_s)
+    skipped = round(1000.0 * record.t_s[-1]) + 1 - len(record)
+    assert skipped == (count if by_s > 0.002 else 0), "a deadline more than a period before the tick's end"
+    assert servo.now_s == pytest.approx(record.t_s[-1] + 0.001)
+
+
+@pytest.mark.parametrize(("by_s", "trips"), [(0.0085, False), (0.0095, True)])
+def test_the_watchdog_trips_in_simulated_time_too(ball, steady_ball, by_s, trips):
+    """No tick has ended for so long and a period."""
+    device = RecordedDevice(np.tile([10.0, -20.0, 30.0], (1000, 1)), 1000.0)
+    servo = SimulatedServo(Fixtures(ball, FixtureSet()), device)
+    late_s = np.zeros(200)
+    late_s[100] = by_s
+    inputs = ServoInputs(steady_ball, 0.0, Rigid.identity("tracker", "device"), valid_for_s=9.0)
+    servo.run(inputs, 200, late_s)
+    assert servo.watchdog_tripped == trips

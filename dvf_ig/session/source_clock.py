@@ -1,0 +1,136 @@
+"""Clocks of the sources against the local one: a running minimum of arrival less stamp, and what it says.
+
+The latency of a link is never below its least; what the least seems to do over minutes, the source's clock
+does. With L the least of arrival − stamp over the last blocks, and L₀ that of the first REFERENCE_S,
+
+    stamp on the local clock = stamp + (L − L₀)
+
+follows a clock that is fast or slow by up to LARGEST_RATE. A sudden rise of L may be a link that has become
+slow: it is followed at that rate too, and until then the samples are what they seem, late. Where stamps go
+back the clock did: samples are refused until they are no later than usual again.
+Source: clock filter of NTP (Mills, RFC 5905): the sample of least delay is the best one.
+"""
+
+from collections import deque
+from dataclasses import replace
+from math import inf
+
+from .events import EcgSamples, Event, ToolPose, TrackedFrame, Trigger
+from .heart_clock import BeatSource, EcgSource
+from .stamp_order import JITTER_S
+
+REFERENCE_S = 5.0
+BLOCK_S = 2.0
+"""Least latencies are kept for blocks of this length."""
+SPAN_S = 60.0
+SKEW = 100e-6
+"""A clock that gains or loses more than this over SPAN_S runs away (docs/theory/safety.md)."""
+FUTURE_S = 0.005
+"""A stamp this far behind its arrival is wrong whatever the drift: its sample is stamped with its arrival."""
+LARGEST_RATE = 500e-6
+"""No crystal is off by more; a faster change is followed so fast and no faster."""
+
+
+class SourceClock:
+    """The clock of one source; samples in the order in which they came."""
+
+    def __init__(self) -> None:
+        self.correction_s = 0.0
+        """What is added to stamps now."""
+        self._reference_s = inf
+        self._first_s: float | None = None
+        self._last_s = self._block_s = 0.0
+        self._block_min_s = inf
+        self._blocks: deque[float] = deque(maxlen=round(SPAN_S / BLOCK_S))
+        self._newest_s = -inf
+        self.skewed = False
+        """Whether the clock runs away: stamps from the future, or a drift beyond SKEW."""
+        self.behind = False
+        """Whether the clock went back, and has not come back since."""
+
+    def local_s(self, t_s: float, arrived_s: float) -> float | None:
+        """A stamp on the local clock; None where the sample is to be refused.
+
+        Args:
+            t_s: as the source stamped it, of the newest that came together.
+            arrived_s: on the local clock, not before the last one.
+        """
+        if self._first_s is None:
+            self._first_s = self._last_s = self._block_s = arrived_s
+        if t_s + self.correction_s - arrived_s > FUTURE_S:
+            self.skewed = True
+            return arrived_s
+        latency_s = arrived_s - t_s
+        if self._went_back(t_s, latency_s):
+            return None
+        if arrived_s - self._block_s >= BLOCK_S:
+            self._blocks.append(self._block_min_s)
+            self._block_s, self._block_min_s = arrived_s, inf
+        self._block_min_s = min(self._block_min_s, latency_s)
+        if arrived_s - self._first_s < REFERENCE_S:
+            self._reference_s = min(self._reference_s, latency_s)
+        else:
+            reach_s = LARGEST_RATE * (arrived_s - self._last_s)
+            missing_s = self._least_s - self._reference_s - self.correction_s
+            self.correction_s += min(max(missing_s, -reach_s), reach_s)
+        self._last_s = arrived_s
+        self.skewed = self._drifts
+        return t_s + self.correction_s
+
+    def _went_back(self, t_s: float, latency_s: float) -> bool:
+        if t_s < self._newest_s - JITTER_S or self.behind:
+            self.behind = latency_s > self._least_s + JITTER_S
+        self._newest_s = max(self._newest_s, t_s)
+        return self.behind
+
+    @property
+    def _least_s(self) -> float:
+        """Least latency of the running block and the one before."""
+        return min(self._block_min_s, self._blocks[-1] if self._blocks else inf)
+
+    @property
+    def _drifts(self) -> bool:
+        if len(self._blocks) < 2:
+            return False
+        return abs(self._least_s - min(self._blocks[0], self._blocks[1])) > SKEW * SPAN_S
+
+
+class SourceClocks:
+    """One clock a kind of event; what an operator does is stamped by the local clock.
+
+    Args:
+        beats: ECG samples are stamped by their first, and arrive after their last.
+    """
+
+    def __init__(self, beats: BeatSource) -> None:
+        self._ecg_step_s = 1.0 / beats.rate_hz if isinstance(beats, EcgSource) else 0.0
+        self._clocks: dict[type, SourceClock] = {}
+
+    @property
+    def skewed(self) -> bool:
+        """Whether any source's clock runs away."""
+        return any(clock.skewed for clock in self._clocks.values())
+
+    @property
+    def behind(self) -> bool:
+        """Whether any source's clock went back."""
+        return any(clock.behind for clock in self._clocks.values())
+
+    def on_local_clock(self, event: Event, arrived_s: float) -> Event | None:
+        """The event, its stamp put right; None where it is to be refused."""
+        if isinstance(event, EcgSamples):
+            length_s = (len(event.samples) - 1) * self._ecg_step_s
+            last_s = event.start_s + length_s
+            local_s = self._of(event).local_s(last_s, arrived_s)
+            if local_s is None or local_s == last_s:
+                return event if local_s is not None else None
+            return replace(event, start_s=local_s - length_s)
+        if isinstance(event, ToolPose | TrackedFrame | Trigger):
+            local_s = self._of(event).local_s(event.t_s, arrived_s)
+            if local_s is None or local_s == event.t_s:
+                return event if local_s is not None else None
+            return replace(event, t_s=local_s)
+        return event
+
+    def _of(self, event: Event) -> SourceClock:
+        return self._clocks.setdefault(type(event), SourceClock())

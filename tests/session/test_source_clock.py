@@ -1,0 +1,80 @@
+"""Clocks of the sources: small drifts are put right, larger ones told, stamps from the future replaced."""
+
+import numpy as np
+import pytest
+
+from dvf_ig.core import FloatArray
+from dvf_ig.session import EcgSamples, EcgSource, Landmark, ToolPose
+from dvf_ig.session.source_clock import LARGEST_RATE, SourceClock, SourceClocks
+
+LATENCY_S = 0.004
+
+
+def stamps(
+    clock: SourceClock, seconds: float, rate: float, *, seed: int = 1, late_s: float = 0.0
+) -> FloatArray:
+    """(n, 3) arrival, stamp on the local clock, whether skewed; 100 Hz, fast by `rate`."""
+    rng, rows = np.random.default_rng(seed), []
+    for t_s in (np.arange(round(100 * seconds)) / 100).tolist():
+        arrived_s = t_s + LATENCY_S + float(rng.exponential(0.0005)) + (late_s if t_s > 30.0 else 0.0)
+        local_s = clock.local_s(t_s * (1.0 + rate), arrived_s)
+        rows.append((arrived_s, np.nan if local_s is None else local_s, clock.skewed))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("rate", [30e-6, -30e-6])
+def test_a_crystal_is_followed_without_a_word(rate: float) -> None:
+    clock = SourceClock()
+    rows = stamps(clock, 600.0, rate)
+    assert not rows[:, 2].any()
+    true_s = np.arange(len(rows)) / 100
+    assert np.abs(rows[:, 1] - true_s)[1000:].max() < 0.0006
+    assert clock.correction_s == pytest.approx(-600.0 * rate, abs=0.0006)
+
+
+@pytest.mark.parametrize("rate", [150e-6, -150e-6])
+def test_a_drift_beyond_100_ppm_is_told_and_followed(rate: float) -> None:
+    rows = stamps(SourceClock(), 120.0, rate)
+    assert 35.0 < rows[np.flatnonzero(rows[:, 2])[0], 0] < 50.0
+    assert np.abs(rows[:, 1] - np.arange(len(rows)) / 100)[1000:].max() < 0.001
+
+
+def test_a_stamp_from_the_future_is_replaced_by_its_arrival() -> None:
+    clock = SourceClock()
+    stamps(clock, 10.0, 0.0)
+    assert clock.local_s(10.02, 10.01) == 10.01
+    assert clock.skewed
+    assert clock.local_s(10.02, 10.024) == pytest.approx(10.02, abs=1e-3)
+    assert not clock.skewed
+
+
+def test_samples_of_a_clock_that_went_back_are_refused_until_it_is_back() -> None:
+    clock = SourceClock()
+    stamps(clock, 10.0, 0.0)
+    assert clock.local_s(9.7, 10.004) is None
+    assert clock.local_s(9.99, 10.294) is None, "later than all before, and 0.3 s off"
+    assert clock.behind
+    assert clock.local_s(10.3, 10.304) == pytest.approx(10.3, abs=1e-3)
+    assert not clock.behind
+
+
+def test_a_link_that_becomes_slow_is_not_taken_for_a_clock_at_once() -> None:
+    rows = stamps(SourceClock(), 40.0, 0.0, late_s=0.02)
+    moved_s = rows[:, 1] - np.arange(len(rows)) / 100
+    assert 0.5 * LARGEST_RATE * 10.0 < moved_s[-1] <= LARGEST_RATE * 10.0
+    assert rows[-1, 2]
+
+
+def test_each_kind_of_event_has_its_own_clock_and_an_operators_action_none() -> None:
+    clocks = SourceClocks(EcgSource(500.0))
+    ahead = clocks.on_local_clock(ToolPose(1.5, None), 1.0)
+    assert isinstance(ahead, ToolPose)
+    assert ahead.t_s == 1.0
+    assert clocks.skewed
+    packet = EcgSamples(0.9, np.zeros((50, 1)))
+    assert clocks.on_local_clock(packet, 1.01) is packet
+    ahead_s = clocks.on_local_clock(EcgSamples(2.0, np.zeros((50, 1))), 1.11)
+    assert isinstance(ahead_s, EcgSamples)
+    assert ahead_s.start_s == pytest.approx(1.11 - 49 / 500)
+    landmark = Landmark(1.0, "apex", np.zeros(3), np.zeros(3))
+    assert clocks.on_local_clock(landmark, 5.0) is landmark
