@@ -25,7 +25,7 @@ REQUIRED = (
     "jsonschema",
     "matplotlib",
 )
-EXTRAS = {"wfdb": "ecg", "edfio": "ecg"}
+EXTRAS = {"wfdb": "ecg"}
 SYSTEM_LIBRARIES = {
     "EGL": "libegl1",
     "GL": "libgl1",

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from dvf_ig.cli.main import app
 from dvf_ig.core import OutputError, PhaseTrack, Rigid
 from dvf_ig.guidance import Hazard, Status, SupervisorState
+from dvf_ig.io.atomic_folder import LISTING
 from dvf_ig.replay import Replay, validate
 from dvf_ig.replay.outputs import COLUMNS, NAMES, require_own_outputs, ticks_csv, write_outputs
 from dvf_ig.replay.ticks import Ticks
@@ -121,6 +122,7 @@ def test_the_command_writes_all_files_and_says_what_it_read(
     assert result == json.loads(done.stdout)
     listed = {one["file"]: one for one in result["inputs"]}
     files = {p.relative_to(written).as_posix(): p for p in written.rglob("*") if p.is_file()}
+    del files[LISTING]
     assert listed.keys() == files.keys()
     for name, one in listed.items():
         data = files[name].read_bytes()

@@ -6,7 +6,7 @@ from toy_session import ECG_HZ, RR_S, ecg_events, ecg_of
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, InvalidInputError, PhaseState
-from dvf_ig.session import EcgSamples, EcgSource
+from dvf_ig.session import EcgSamples, EcgSource, Trigger, TriggerSource
 from dvf_ig.session.heart_clock import HeartClock
 
 
@@ -102,3 +102,14 @@ def test_samples_that_come_twice_or_behind_others_are_dropped_and_counted() -> N
     clock.push(EcgSamples(10.0, np.zeros((5, 1))))
     clock.order.advance(12.0)
     assert clock.order.restarted
+
+
+def test_a_trigger_behind_the_last_one_is_dropped() -> None:
+    expected, clock = HeartClock(TriggerSource()), HeartClock(TriggerSource())
+    for k in range(10):
+        expected.push(Trigger(0.8 * k))
+        clock.push(Trigger(0.8 * k))
+        clock.push(Trigger(0.8 * k - 0.05))
+    stepped(expected, 8.0)
+    stepped(clock, 8.0)
+    assert clock.forecast(8.0) == expected.forecast(8.0)

@@ -66,12 +66,8 @@ def test_an_event_of_the_other_source_is_refused() -> None:
     with Session(toy_setup()) as session, pytest.raises(InvalidInputError, match="Trigger came to a session"):
         session.push(Trigger(1.0))
     setup = replace(toy_setup(), beat_source=TriggerSource())
-    with Session(setup) as session:
-        with pytest.raises(InvalidInputError, match="EcgSamples came to a session"):
-            session.push(EcgSamples(0.0, ecg_of(0.0, 1.0)))
-        session.push(Trigger(1.0))
-        with pytest.raises(InvalidInputError, match="feed them in order"):
-            session.push(Trigger(0.5))
+    with Session(setup) as session, pytest.raises(InvalidInputError, match="EcgSamples came to a session"):
+        session.push(EcgSamples(0.0, ecg_of(0.0, 1.0)))
     with pytest.raises(InvalidInputError, match="is it in ms"):
         Session(replace(toy_setup(), beat_source=TriggerSource(30.0)))
     with pytest.raises(InvalidInputError, match="finite time"):

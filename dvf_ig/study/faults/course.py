@@ -6,7 +6,7 @@ from math import inf
 import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, read_only_arrays
-from dvf_ig.guidance import HAZARD_RULES, WITHHOLDING, Hazard, Latch, Response, SupervisorState
+from dvf_ig.guidance import HAZARD_RULES, Hazard, Latch, Response, SupervisorState, withholding
 from dvf_ig.guidance.supervisor import FADE_S, FAST_FADE_S, LATCH_AFTER_S, SLOW_SLEW_N_PER_S
 
 NEAR_S = 0.05
@@ -105,7 +105,7 @@ def judge(
     before = course.has(~Hazard.POSE_MOVING)[t < begin_s - NEAR_S].any()
     gone = _gone_within(course, expected, first)
     error_n = error_s = None
-    if found & WITHHOLDING:
+    if found & withholding(walls=True):  # without a phase the wall stays
         wrong = (t > begin_s + limit_s + gone) & (t <= end_s)
         if by_pose:
             wrong &= course.pose_error_mm > POSE_OFF_MM

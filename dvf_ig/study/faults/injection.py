@@ -7,7 +7,7 @@ from statistics import median
 import numpy as np
 
 from data_synth.signals.rhythm import Beats
-from dvf_ig.core import FloatArray
+from dvf_ig.core import FloatArray, read_only_arrays
 from dvf_ig.session import EcgSamples, Event, ToolPose, TrackedFrame
 
 from .known_ultrasound import Coordinates
@@ -40,6 +40,7 @@ TipChange = Callable[[When], TipPath]
 PatientChange = Callable[[When, np.random.Generator], Coordinates]
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True)
 class Fault:
     """What a fault does to each stream; None leaves it alone.

@@ -12,7 +12,7 @@ from data_synth.seeds import child_rng
 from data_synth.signals.ecg import EcgSpec, synthetic_ecg
 from data_synth.signals.rhythm import Beats, RhythmSpec, beat_series
 from data_synth.signals.tracker import TrackerSpec, sampling_times, tracked
-from dvf_ig.core import FloatArray, PoseStream
+from dvf_ig.core import FloatArray, PoseStream, read_only_arrays
 from dvf_ig.session import EcgSamples, Event, ToolPose, TrackedFrame
 
 from .patient import ECG_HZ, HOME, TIP
@@ -36,6 +36,7 @@ TipPath = Callable[[FloatArray], FloatArray]
 """Times (n,) to the tip (n, 3) in the model, mm."""
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True)
 class InterventionSpec:
     """What is recorded.

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.guidance.margins.margin import LARGEST_MARGIN_MM
 from dvf_ig.session.margins import SHAPE_SIGMA_MM, TIP_SIGMA_MM, TOOL_SIGMA_MM
 from dvf_ig.study.hearts.summary import LEAST_HEARTS, RESAMPLES, Estimate, bootstrap
@@ -98,6 +98,7 @@ class MarginSummary:
         return next(width for width in self.widths if width.quantile == STATED_QUANTILE)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Heart:
     error_mm: FloatArray
