@@ -105,7 +105,7 @@ def test_samples_that_come_twice_or_behind_others_are_dropped_and_counted() -> N
 
 
 def test_a_trigger_behind_the_last_one_is_dropped() -> None:
-    expected, clock = HeartClock(TriggerSource()), HeartClock(TriggerSource())
+    expected, clock = HeartClock(TriggerSource(0.02)), HeartClock(TriggerSource(0.02))
     for k in range(10):
         expected.push(Trigger(0.8 * k))
         clock.push(Trigger(0.8 * k))
