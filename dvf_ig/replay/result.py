@@ -277,15 +277,16 @@ def _errors(replay: Replay) -> dict[str, Any]:
         out["model_phase_error_mm"] = {"mean": score.surface_mm_mean, "p95": score.surface_mm_p95}
     distance, true_force = true_contact(replay)
     contact = distance >= CONTACT_MM
-    known = np.zeros_like(ticks.force_n) if true_force is None else true_force
-    force = score_force(ticks.force_n, valid & ticks.guided, known, contact)
+    given = ticks.guided & ticks.force_n.any(axis=1)
     out["contact"] = {
         "ticks": int(contact.sum()),
         "share": float(contact.mean()),
-        "served_share": force.force_ticks / force.contact_ticks if force else 0.0,
+        "served_share": float(given[contact].mean()) if contact.any() else 0.0,
     }
-    if force is not None and true_force is not None:
-        out["force_error_n"] = {"median": force.error_n_median, "p95": force.error_n_p95}
+    if true_force is not None:
+        force = score_force(ticks.force_n, valid & ticks.guided, true_force, contact)
+        if force is not None:
+            out["force_error_n"] = {"median": force.error_n_median, "p95": force.error_n_p95}
     return out
 
 

@@ -36,12 +36,10 @@ class PhaseScore:
 
 @dataclass(frozen=True, slots=True)
 class ForceScore:
-    """Force error over ticks in contact with valid state, and how many ticks in contact gave a force."""
+    """Force error over ticks in contact with valid state."""
 
     error_n_median: float
     error_n_p95: float
-    contact_ticks: int
-    force_ticks: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,9 +136,7 @@ def score_force(
     if not with_force.any():
         return None
     error = np.linalg.norm(force_n[with_force] - true_force_n[with_force], axis=1)
-    return ForceScore(
-        float(np.median(error)), float(np.percentile(error, 95)), int(contact.sum()), int(with_force.sum())
-    )
+    return ForceScore(float(np.median(error)), float(np.percentile(error, 95)))
 
 
 def score_hazard(force_n: FloatArray, pose_error_mm: FloatArray, tick_s: float) -> HazardScore:
