@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data_synth.seeds import child_rng
-from dvf_ig.core import FloatArray
+from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.session import GuidanceState, Rearm, Session, SessionHistory
 
 from .course import Course
@@ -24,6 +24,8 @@ from .streams import (
 
 BEGIN_S = 15.0
 """The pose is in use from about 13 s on; the fault begins within a second from here on."""
+BEFORE_REGISTRATION_S = 1.0
+"""The session asks for its second registration 16 s after its start at the latest."""
 WARM_UP_STEP_S, STEP_S, AFTER_STEP_S = 0.02, 0.001, 0.01
 AFTER_S = 0.5
 """Steps are short from AFTER_S before the fault until as long after it."""
@@ -42,7 +44,8 @@ class SessionFault:
         seconds: how long.
         comes_back_s: the operator waits so long for the force before drawing the tool back to re-arm.
         step_s: of the states during the fault.
-        on_registration: the fault begins when the registration of its frames is taken.
+        on_registration: the fault begins when the registration of its frames is taken. It is put in
+            BEFORE_REGISTRATION_S earlier, before the session asks for one.
         from_start: it is there from the first sample on.
         by_pose: the force is wrong while the pose is off, whenever that is over.
     """
@@ -73,6 +76,7 @@ class SessionRun:
 def run_session_fault(given: SessionFault, seed: int) -> SessionRun:
     """Put a fault into an intervention and run it."""
     begin_s = 0.0 if given.from_start else BEGIN_S + float(child_rng(seed, "begin").uniform())
+    begin_s -= BEFORE_REGISTRATION_S if given.on_registration else 0.0
     when = When(begin_s, begin_s + given.seconds)
     out_s = when.end_s + given.comes_back_s
     rearm_s = out_s + REARM_AFTER_S
@@ -90,8 +94,10 @@ def run_session_fault(given: SessionFault, seed: int) -> SessionRun:
         times = _times(when, until_s, WARM_UP_STEP_S if given.from_start else given.step_s)
         course = _run(session, streams, patient, times, (when.begin_s, rearm_s))
     if given.on_registration:
-        taken = next((a.ready_s for a in history.attempts if a.asked_s > when.begin_s), when.begin_s)
-        when = replace(when, begin_s=taken)
+        taken = [a.ready_s for a in history.attempts if when.begin_s <= a.asked_s < when.end_s]
+        if not taken:
+            raise InvalidInputError("no registration was asked for while the fault lasted; give it longer")
+        when = replace(when, begin_s=taken[0])
     return SessionRun(course, when.begin_s, when.end_s, rearm_s)
 
 
