@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, UnreadableFileError, read_only_arrays
+from dvf_ig.core import CycleTiming, FloatArray, UnreadableFileError, read_only_arrays
+from dvf_ig.guidance import PathTarget
 from dvf_ig.io import read_json, write_sidecar
 
 from .engine import Replay
@@ -30,6 +31,7 @@ class ViewFile:
 
     Attributes:
         recording: scenario folder or SESSION.yaml that was replayed.
+        paths: of each fixture, in order; None of one on the surface.
         model: file of the model; None where the recording names it or it was built.
         r_peaks_s: (k,) R peaks that were detected.
         pose_t_s: (m,) times of the poses, tracker clock.
@@ -38,6 +40,7 @@ class ViewFile:
 
     recording: Path
     model: Path | None
+    paths: tuple[PathTarget | None, ...]
     r_peaks_s: FloatArray
     pose_t_s: FloatArray
     mr_from_tracker: FloatArray
@@ -67,6 +70,7 @@ def write_view_file(replay: Replay, folder: Path, run: Path, recording: Path, mo
     content = {
         "recording": _relative(recording, run),
         "model": None if model is None else _relative(model, run),
+        "paths": [_path(one.path) for one in replay.setup.fixtures.fixtures],
         "r_peaks_s": [round(peak.t_s, 6) for peak in replay.history.peaks],
         "poses": {"t_s": t_s.round(6), "mr_from_tracker": rows},
     }
@@ -91,12 +95,31 @@ def read_view_file(run: Path) -> ViewFile:
         return ViewFile(
             recording=run / content["recording"],
             model=None if content["model"] is None else run / content["model"],
+            paths=tuple(None if one is None else _path_target(one) for one in content["paths"]),
             r_peaks_s=_floats(content["r_peaks_s"]),
             pose_t_s=_floats(content["poses"]["t_s"]),
             mr_from_tracker=_floats(rows).reshape(-1, 3, 4),
         )
     except (KeyError, TypeError, ValueError) as exc:
         raise UnreadableFileError(f"{path} is damaged ({exc}); replay again") from exc
+
+
+def _path(path: PathTarget | None) -> dict[str, Any] | None:
+    if path is None:
+        return None
+    timing = path.timing
+    return {
+        "frame": path.frame,
+        "points_mm": path.points_mm,
+        "fractions": None if timing is None else timing.fractions,
+        "rr_s": None if timing is None else timing.rr_s,
+    }
+
+
+def _path_target(content: dict[str, Any]) -> PathTarget:
+    moving = content["fractions"] is not None
+    timing = CycleTiming(_floats(content["fractions"]), content["rr_s"]) if moving else None
+    return PathTarget(content["frame"], _floats(content["points_mm"]), timing)
 
 
 def _floats(values: Any) -> FloatArray:

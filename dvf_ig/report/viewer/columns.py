@@ -4,6 +4,7 @@ from __future__ import annotations
 
 AXES = "xyz"
 TIP = tuple(f"tip_mr_{axis}_mm" for axis in AXES)
+SHAFT = tuple(f"shaft_mr_{axis}" for axis in AXES)
 FORCE_TRACKER = tuple(f"force_tracker_{axis}_n" for axis in AXES)
 FORCE_MR = tuple(f"force_mr_{axis}_n" for axis in AXES)
 
@@ -14,6 +15,7 @@ STEPS: dict[str, float] = {
     "model_phase": 1e-6,
     "rr_s": 1e-6,
     **dict.fromkeys(TIP, 1e-4),
+    **dict.fromkeys(SHAFT, 1e-3),
     "distance_mm": 1e-4,
     **dict.fromkeys(FORCE_TRACKER, 1e-6),
     **dict.fromkeys(FORCE_MR, 1e-5),
@@ -24,4 +26,4 @@ STEPS: dict[str, float] = {
     "tre_bound_mm": 1e-3,
     "margin_mm": 1e-4,
 }
-"""As in `ticks.csv`, whose numbers are so kept exactly; `force_mr` is not in it."""
+"""As in `ticks.csv`, whose numbers are so kept exactly; `force_mr` and `shaft_mr` are not in it."""
