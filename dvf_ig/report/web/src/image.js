@@ -53,11 +53,18 @@ export class ImagePanel {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     this.canvas.width = Math.max(1, Math.round(width * ratio));
     this.canvas.height = Math.max(1, Math.round(height * ratio));
-    const { columns, rows, pixel_mm } = this.shape;
-    const zoom = Math.min((width - 44) / (columns * pixel_mm[0]), (height - 40) / (rows * pixel_mm[1]));
+    const { columns, rows, pixel_mm, fan_px } = this.shape;
+    const corners = fan_px ?? [[0, 0], [columns - 1, rows - 1]];
+    const [left, top, right, bottom] = [
+      ...[0, 1].map((a) => Math.max(-0.5, Math.min(...corners.map((one) => one[a])) - 1)),
+      ...[0, 1].map((a) => Math.min((a ? rows : columns) - 0.5, Math.max(...corners.map((one) => one[a])) + 1)),
+    ];
+    const zoom = Math.min((width - 56) / ((right - left) * pixel_mm[0]), (height - 48) / ((bottom - top) * pixel_mm[1]));
     this.pixels_per_mm = zoom;
     this.scale = [zoom * pixel_mm[0], zoom * pixel_mm[1]];
-    this.offset = [(width - columns * this.scale[0]) / 2, (height - rows * this.scale[1]) / 2];
+    this.offset = [width / 2, height / 2 - 2].map(
+      (middle, a) => middle - (([left, top][a] + [right, bottom][a]) / 2 + 0.5) * this.scale[a],
+    );
     this.ratio = ratio;
   }
 

@@ -1,7 +1,7 @@
 // The page's elements, and the numbers that it shows.
 
 import { COLORS } from "./colors.js";
-import { NUMBER } from "./strips.js";
+import { united } from "./strips.js";
 
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 export const VIEWS = [
@@ -16,6 +16,7 @@ const KEYS = [
   ["Home End", "begin, end"],
   ["− +", "slower, faster"],
   ["1 … 6", "views"],
+  ["C", "heart cut open at the ultrasound plane, or whole"],
   ["T", "dark, light"],
   ["? H", "this help"],
 ];
@@ -30,12 +31,12 @@ const PAGE = `
 </header>
 <main>
   <section id="space" aria-label="Scene in space">
-    <div class="over top" id="views" role="group" aria-label="Views"></div>
+    <div class="over top"><div id="views" role="group" aria-label="Views"></div><button id="cut" title="Cut the heart open at the ultrasound plane (C)">Cut</button></div>
     <p class="over" id="unknown" hidden></p>
-    <div class="over" id="legend"></div>
     <div class="over" id="scale"><span></span><i></i></div>
     <span class="over" id="newton" hidden></span>
   </section>
+  <div id="legend"></div>
   <aside>
     <section id="image"><canvas aria-label="Ultrasound with the model's contour"></canvas><p id="frame"></p></section>
     <section id="numbers" aria-live="off"></section>
@@ -45,9 +46,9 @@ const PAGE = `
 <footer>
   <canvas id="overview" role="slider" tabindex="0" aria-label="Time"></canvas>
   <div id="transport">
-    <button id="beat-back" title="Heartbeat before (↑)">⏮ beat</button>
+    <button id="beat-back" title="Heartbeat before (↑)">‹ beat</button>
     <button id="play" title="Play, pause (Space)">▶</button>
-    <button id="beat-on" title="Heartbeat after (↓)">beat ⏭</button>
+    <button id="beat-on" title="Heartbeat after (↓)">beat ›</button>
     <output id="time"></output>
     <label>speed <select id="speed"></select></label>
     <label>strips <select id="span"><option value="4">4 s</option><option value="8" selected>8 s</option>
@@ -97,15 +98,15 @@ export function numberRows(values, scene) {
   const tip = ["x", "y", "z"].map((axis) => values[`tip_mr_${axis}_mm`]);
   const place = tip.some((one) => one === null) ? "–" : tip.map((one, a) => sided(one, ["RL", "AP", "IS"][a])).join("  ");
   const rate = values.rr_s ? `${(60 / values.rr_s).toFixed(0)} /min` : "–";
-  const margin = values.margin_mm ? ` (margin ${NUMBER(values.margin_mm, 1)} mm)` : "";
+  const margin = values.margin_mm ? ` (margin ${united(values.margin_mm, 1, "mm")})` : "";
   const rows = [
-    ["force", `${NUMBER(values.force_n, 3)} N`, "big"],
-    ["distance", `${NUMBER(values.distance_mm, 2)} mm${margin}`, "big"],
-    ["phase", values.phase_valid ? `${NUMBER(100 * values.phi, 1)} % of the beat` : "not locked", ""],
-    ["in the model", values.model_phase === null ? "–" : `${NUMBER(100 * values.model_phase, 1)} % of its cycle`, ""],
+    ["force", united(values.force_n, 3, "N"), "big"],
+    ["distance", united(values.distance_mm, 2, "mm") + margin, "big"],
+    ["phase", values.phase_valid ? united(100 * values.phi, 1, "% of the beat") : "not locked", ""],
+    ["in the model", values.model_phase === null ? "–" : united(100 * values.model_phase, 1, "% of its cycle"), ""],
     ["heart rate", rate, ""],
-    ["TRE bound", values.tre_bound_mm === null ? "–" : `< ${NUMBER(values.tre_bound_mm, 1)} mm (95 %)`, ""],
-    ["pose age", values.pose_age_s === null ? "–" : `${NUMBER(values.pose_age_s, 2)} s`, ""],
+    ["TRE bound", values.tre_bound_mm === null ? "–" : `< ${united(values.tre_bound_mm, 1, "mm")} (95 %)`, ""],
+    ["pose age", values.pose_age_s === null ? "–" : united(values.pose_age_s, 2, "s"), ""],
     ["tip, mm", place, ""],
   ];
   const told = scene.words.hazards.filter((one) => values.hazards.includes(one.name)).map((one) => one.sentence);

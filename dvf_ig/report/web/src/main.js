@@ -92,6 +92,7 @@ class Viewer {
   picture(frame, moment) {
     const bitmap = frame < 0 ? null : this.pictures.ready(frame);
     this.image.draw({ ...moment, bitmap: bitmap ?? this.lastBitmap ?? null });
+    if (moment.plane) this.space.contours(this.image.contours, moment.plane);
     if (bitmap) {
       if (this.lastBitmap !== bitmap) this.space.picture(bitmap);
       this.lastBitmap = bitmap;
@@ -110,11 +111,11 @@ class Viewer {
     $("overview").setAttribute("aria-valuemin", series.begin.toFixed(3));
     $("overview").setAttribute("aria-valuemax", series.end.toFixed(3));
     const phase = frame < 0 ? null : series.frames.model_phase[frame];
-    const seen = frame < 0 ? "no ultrasound yet" : `seen at ${series.frames.event_s[frame].toFixed(2)} s`;
+    const seen = frame < 0 ? "no ultrasound yet" : `frame seen at ${series.frames.event_s[frame].toFixed(2)} s`;
     const cycle = phase === null ? "" : `, ${(100 * phase).toFixed(0)} % of the cycle`;
     $("frame").textContent = `${seen}${cycle}${plane || frame < 0 ? "" : " · no pose: the model is not placed"}`;
     const mark = series.marks.findLast((one) => one.t_s <= this.t && this.t < (one.until_s ?? one.t_s + 4));
-    $("event").textContent = mark ? `${mark.t_s.toFixed(1)} s: ${mark.text}` : "";
+    $("event").textContent = mark ? `${mark.t_s.toFixed(1)} s: ${mark.text}` : series.live ? "" : "bar above: force, ▾ registrations, state of the supervisor";
     const why = [];
     if (values.tip_mr_x_mm === null) why.push("No pose in use: tool and ultrasound are not placed.");
     if (values.model_phase === null) why.push("Phase not locked: the heart stands still.");
@@ -170,7 +171,10 @@ class Viewer {
     };
     $("theme").onclick = () => this.applyTheme(this.theme === "dark" ? "light" : "dark", true);
     $("help").onclick = () => $("keys").showModal();
-    for (const button of $("views").children) button.onclick = () => this.space.preset(button.dataset.view);
+    for (const button of $("views").children) button.onclick = () => this.view(button.dataset.view);
+    $("cut").onclick = () => this.cut(!this.space.open);
+    $("cut").hidden = !this.scene.image;
+    this.cut(Boolean(this.scene.image));
     this.drag($("overview"), (x) => this.overview.timeAt(x));
     this.drag(this.strips.canvas, (x, from) => this.strips.timeAt(x, from));
     if (this.series.live) document.body.classList.add("live");
@@ -192,6 +196,19 @@ class Viewer {
       canvas.onpointermove = canvas === this.strips.canvas ? (one) => !this.series.live && place(one) : move;
     };
     canvas.onpointerup = canvas.onpointercancel = () => (canvas.onpointermove = null);
+  }
+
+  view(name) {
+    if (name === "tool") this.cut(false);
+    if (name === "plane" && this.scene.image) this.cut(true);
+    this.space.preset(name);
+  }
+
+  /** The heart cut open at the ultrasound plane, or whole. */
+  cut(open) {
+    this.space.open = open;
+    this.space.dirty = true;
+    this.$("cut").setAttribute("aria-pressed", open);
   }
 
   play(on) {
@@ -231,11 +248,12 @@ class Viewer {
       End: () => this.seek(series.end),
       "-": () => this.faster(-1),
       "+": () => this.faster(1),
+      c: () => this.cut(!this.space.open),
       t: () => this.$("theme").click(),
       h: () => this.$("keys").showModal(),
       "?": () => this.$("keys").showModal(),
     };
-    VIEWS.forEach(([name], i) => (actions[i + 1] = () => this.space.preset(name)));
+    VIEWS.forEach(([name], i) => (actions[i + 1] = () => this.view(name)));
     addEventListener("keydown", (event) => {
       if (event.target.matches("select, input") || event.ctrlKey || event.metaKey || event.altKey) return;
       const action = actions[event.key] ?? actions[event.key.toLowerCase()];
@@ -298,7 +316,7 @@ async function start() {
     play: () => viewer.play(true),
     pause: () => viewer.play(false),
     theme: (name) => viewer.applyTheme(name),
-    view: (name) => viewer.space.preset(name),
+    view: (name) => viewer.view(name),
     viewer,
   };
   dispatchEvent(new Event("dvf-ready"));

@@ -1,9 +1,9 @@
 // The scene in space: beating heart, ultrasound plane, tool, force, fixture, sides of the patient, millimetre scale.
 
 import {
-  AmbientLight, BackSide, BufferAttribute, BufferGeometry, CanvasTexture, Color, ConeGeometry, CylinderGeometry,
-  DirectionalLight, DoubleSide, FrontSide, Group, Line, LineBasicMaterial, LineLoop, Mesh, MeshBasicMaterial,
-  MeshLambertMaterial, PerspectiveCamera, Plane, Quaternion, Scene, SphereGeometry, Sprite, SpriteMaterial, SRGBColorSpace,
+  BackSide, BufferAttribute, BufferGeometry, CanvasTexture, Color, ConeGeometry, CylinderGeometry,
+  DirectionalLight, DoubleSide, FrontSide, Group, HemisphereLight, Line, LineBasicMaterial, LineLoop, LineSegments, Mesh, MeshBasicMaterial,
+  MeshLambertMaterial, MeshPhongMaterial, PerspectiveCamera, Plane, Quaternion, Scene, SphereGeometry, Sprite, SpriteMaterial, SRGBColorSpace,
   Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
@@ -31,8 +31,10 @@ export class Space {
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
     this.controls.target.copy(this.center);
     this.controls.addEventListener("change", () => (this.dirty = true));
-    this.radius = extent(heart, this.center);
-    this.shown = { organ: true, blood: true, fixture: false, plane: true, field: true };
+    this.half = halfExtents(heart, this.center);
+    this.radius = Math.hypot(this.half[0], this.half[1], this.half[2]) / 1.25;
+    this.shown = { organ: true, blood: true, fixture: true, plane: true, field: true };
+    this.open = true;
     this.cutPlane = new Plane(new Vector3(0, 0, 1), 0);
     this.light();
     this.surfaces = heart.surfaces.map((surface) => this.surfaceMeshes(surface));
@@ -47,8 +49,10 @@ export class Space {
   }
 
   light() {
-    this.scene.add(new AmbientLight(0xffffff, 1.15));
-    this.lamp = new DirectionalLight(0xffffff, 2.0);
+    const sky = new HemisphereLight(0xffffff, 0x40322c, 1.0);
+    sky.position.set(0, -0.4, 1);
+    this.scene.add(sky);
+    this.lamp = new DirectionalLight(0xffffff, 2.1);
     this.scene.add(this.lamp, this.lamp.target);
     this.lamp.target.position.copy(this.center);
   }
@@ -64,16 +68,17 @@ export class Space {
     const blood = surface.role === "blood";
     const solid = new Mesh(
       geometry,
-      new MeshLambertMaterial({
-        color, side: blood ? FrontSide : DoubleSide, transparent: fixture, opacity: fixture ? 0.18 : 1, depthWrite: !fixture,
+      new MeshPhongMaterial({
+        color, side: fixture ? BackSide : DoubleSide, transparent: fixture, opacity: fixture ? 0.3 : 1, depthWrite: !fixture,
+        shininess: 35, specular: fixture ? 0 : 0x2a2a2a,
       }),
     );
     const veil = new Mesh(
       geometry,
-      new MeshLambertMaterial({ color, side: FrontSide, transparent: true, opacity: fixture ? 0.1 : blood ? 0.22 : 0.2, depthWrite: false }),
+      new MeshLambertMaterial({ color, side: FrontSide, transparent: true, opacity: 0.2, depthWrite: false }),
     );
     veil.renderOrder = blood ? 3 : 4;
-    solid.renderOrder = fixture ? 5 : 0;
+    solid.renderOrder = fixture ? -1 : 0;
     const group = new Group();
     group.add(solid, veil);
     this.scene.add(group);
@@ -97,7 +102,7 @@ export class Space {
     const texture = new CanvasTexture(canvas);
     texture.colorSpace = SRGBColorSpace;
     texture.anisotropy = 4;
-    const sheet = new Mesh(geometry, new MeshBasicMaterial({ map: texture, side: DoubleSide }));
+    const sheet = new Mesh(geometry, new MeshBasicMaterial({ map: texture, side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2 }));
     sheet.renderOrder = 1;
     const edge = new BufferGeometry();
     edge.setAttribute("position", new BufferAttribute(new Float32Array(3 * count), 3));
@@ -105,9 +110,36 @@ export class Space {
     border.renderOrder = 6;
     const group = new Group();
     group.add(sheet, border);
+    for (const role of ["blood", "organ"]) group.add(this.outline(role));
     group.visible = false;
     this.scene.add(group);
     return { group, geometry, edge, canvas, texture, context: canvas.getContext("2d") };
+  }
+
+  /** Where a surface meets the plane, drawn in space. */
+  outline(role) {
+    const lines = new LineSegments(new BufferGeometry(), new LineBasicMaterial({ color: COLORS[role] }));
+    lines.renderOrder = 2;
+    lines.frustumCulled = false;
+    this.outlines = { ...this.outlines, [role]: lines };
+    return lines;
+  }
+
+  /** Takes the contours of the image: pairs of (column, row). */
+  contours(list, plane) {
+    if (!this.outlines) return;
+    for (const [role, lines] of Object.entries(this.outlines)) {
+      lines.visible = this.shown[role];
+      const flat = list.filter((one) => one.role === role).flatMap((one) => one.segments);
+      const out = new Float32Array((flat.length / 2) * 3);
+      for (let i = 0; i < flat.length; i += 2)
+        for (let a = 0; a < 3; a++)
+          out[(i / 2) * 3 + a] = plane.origin[a] + flat[i] * plane.right[a] + flat[i + 1] * plane.down[a];
+      lines.geometry.dispose();
+      lines.geometry = new BufferGeometry();
+      lines.geometry.setAttribute("position", new BufferAttribute(out, 3));
+    }
+    this.dirty = true;
   }
 
   pathLine(fixture) {
@@ -165,8 +197,9 @@ export class Space {
     const canvas = document.createElement("canvas");
     canvas.width = canvas.height = 64;
     const sprite = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), depthTest: false, transparent: true, sizeAttenuation: false }));
-    sprite.position.copy(this.center).addScaledVector(new Vector3(...direction), 1.18 * this.radius);
-    sprite.scale.setScalar(0.035);
+    const axis = direction.findIndex((one) => one !== 0);
+    sprite.position.copy(this.center).addScaledVector(new Vector3(...direction), this.half[axis] + 14);
+    sprite.scale.setScalar(0.028);
     sprite.renderOrder = 9;
     this.scene.add(sprite);
     return { letter, canvas, sprite };
@@ -182,6 +215,7 @@ export class Space {
 
   retheme() {
     this.scene.background = new Color(themeColor("space"));
+    this.veil = Number(themeColor("veil"));
     for (const { letter, canvas, sprite } of this.sides) {
       const draw = canvas.getContext("2d");
       draw.clearRect(0, 0, 64, 64);
@@ -264,12 +298,12 @@ export class Space {
     const { plane, tip, force } = this.moment ?? {};
     let direction = new Vector3(...(toward[name] ?? toward.front)).normalize();
     const target = this.center.clone();
-    let distance = 1.32 * this.radius;
+    let distance = 1.1 * this.radius;
     if (name === "plane" && plane) {
       direction = new Vector3(...plane.normal);
       if (direction.y > 0) direction.negate();
       direction.addScaledVector(new Vector3(...plane.down).normalize(), -0.12).normalize();
-      distance = 1.15 * this.radius;
+      distance = 1.05 * this.radius;
     }
     if (name === "tool" && tip) {
       const away = new Vector3(...tip).sub(this.center).normalize();
@@ -278,7 +312,7 @@ export class Space {
       direction.addScaledVector(away, 0.45).addScaledVector(this.camera.up, 0.25).normalize();
       target.set(...tip);
       if (force) target.addScaledVector(new Vector3(...force), 12);
-      distance = 0.5 * this.radius;
+      distance = 0.48 * this.radius;
     }
     this.controls.target.copy(target);
     const half = Math.tan((this.camera.fov * Math.PI) / 360) * Math.min(1, this.camera.aspect);
@@ -314,17 +348,21 @@ export class Space {
     this.dirty = false;
     const eye = this.camera.position;
     this.lamp.position.copy(eye).addScaledVector(this.camera.up, 0.4 * this.radius);
-    const plane = this.shown.plane ? this.moment?.plane : null;
+    const plane = this.open && this.shown.plane ? this.moment?.plane : null;
     if (plane) {
       this.cutPlane.setFromNormalAndCoplanarPoint(new Vector3(...plane.normal), new Vector3(...plane.origin));
       if (this.cutPlane.distanceToPoint(eye) > 0) this.cutPlane.negate();
     }
+    const view = eye.clone().sub(this.controls.target).normalize();
+    // a letter towards the eye would lie over the heart and name no side of what is seen
+    this.sides.forEach(({ sprite }, i) => (sprite.visible = Math.abs(view.dot(new Vector3(...SIDES[i][1]))) < 0.7));
     for (const { surface, solid, veil } of this.surfaces) {
-      const whole = surface.role === "fixture";
-      solid.visible = Boolean(plane) || whole;
-      solid.material.clippingPlanes = plane && !whole ? [this.cutPlane] : null;
-      veil.visible = !whole;
-      veil.material.opacity = plane ? (surface.role === "blood" ? 0.16 : 0.15) : surface.role === "blood" ? 0.5 : 0.38;
+      const shell = surface.role === "fixture";
+      const blood = surface.role === "blood";
+      solid.visible = Boolean(plane) || shell || !blood || !this.shown.organ;
+      solid.material.clippingPlanes = plane ? [this.cutPlane] : null;
+      veil.visible = surface.role === "organ" && Boolean(plane);
+      veil.material.opacity = this.veil;
     }
     this.renderer.render(this.scene, this.camera);
     return true;
@@ -343,12 +381,10 @@ function moved(fixture, geometry, phase) {
   geometry.computeBoundingSphere();
 }
 
-/** Radius of the heart about its centre. */
-function extent(heart, center) {
-  let most = 30;
+/** How far the organ reaches from its centre along each axis. */
+function halfExtents(heart, center) {
   const organ = heart.surfaces.find((one) => one.role === "organ");
-  const p = organ.at(0);
-  for (let i = 0; i < p.length; i += 3)
-    most = Math.max(most, Math.hypot(p[i] - center.x, p[i + 1] - center.y, p[i + 2] - center.z));
-  return most;
+  const out = [20, 20, 20];
+  organ?.at(0).forEach((value, i) => (out[i % 3] = Math.max(out[i % 3], Math.abs(value - center.getComponent(i % 3)))));
+  return out;
 }

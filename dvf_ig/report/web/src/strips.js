@@ -3,11 +3,18 @@
 import { COLORS, STATES, themeColor } from "./colors.js";
 import { lastBefore } from "./series.js";
 
-const LEFT = 104;
+const LEFT = 132;
+const NAMES = 30;
 const RIGHT = 96;
 const BOTTOM = 20;
 const GAP = 6;
-export const NUMBER = (value, digits) => (value === null || value === undefined ? "–" : value.toFixed(digits));
+
+/** A number with so many digits and its unit; a dash where it is not known. */
+export function united(value, digits, unit = "") {
+  if (value === null || value === undefined) return "–";
+  return `${value.toFixed(digits).replace("-", "−")} ${unit}`.trim();
+}
+
 
 export class Strips {
   constructor(canvas, scene, series) {
@@ -25,14 +32,14 @@ export class Strips {
       if (signals[name])
         rows.push({ name: signals[name].label, unit: signals[name].unit, weight: 1.3, signal: name, color: "ink" });
     rows.push(
-      { name: "phase", unit: "% of the beat", weight: 0.9, value: column("phi"), range: [0, 1], jump: 0.5, color: "blue",
-        shown: (v) => (v.phase_valid ? `${NUMBER(100 * v.phi, 1)} %` : "not locked"), faint: (i) => !this.series.columns.phase_valid[i] },
+      { name: "phase", unit: "% of the beat", weight: 0.9, value: column("phi"), range: [0, 1], percent: true, jump: 0.5, color: "blue",
+        shown: (v) => (v.phase_valid ? united(100 * v.phi, 1, "%") : "not locked"), faint: (i) => !this.series.columns.phase_valid[i] },
       { name: "force", unit: "N", weight: 1.3, value: (i) => this.series.force(i), range: [0, 1.06 * cap], line: cap, color: "force",
-        shown: (v) => `${NUMBER(v.force_n, 3)} N` },
+        shown: (v) => united(v.force_n, 3, "N") },
       { name: "distance", unit: "mm, inside > 0", weight: 1.3, value: column("distance_mm"), range: [-12, 4], line: 0, color: "organ",
-        shown: (v) => `${NUMBER(v.distance_mm, 2)} mm` },
-      { name: "TRE bound", unit: "mm, 95 %", weight: 0.9, value: column("tre_bound_mm"), range: [0, 8], color: "plane",
-        shown: (v) => (v.tre_bound_mm === null ? "–" : `< ${NUMBER(v.tre_bound_mm, 1)} mm`) },
+        shown: (v) => united(v.distance_mm, 2, "mm") },
+      { name: "TRE bound", unit: "mm, 95 %", weight: 0.9, value: column("tre_bound_mm"), range: [0, 4], fit: "tre_bound_mm", color: "plane",
+        shown: (v) => (v.tre_bound_mm === null ? "–" : `< ${united(v.tre_bound_mm, 1, "mm")}`) },
       { name: "supervisor", unit: "", weight: 0.6, states: true, shown: (v) => v.supervisor },
     );
     return rows;
@@ -49,10 +56,18 @@ export class Strips {
     const weights = this.rows.reduce((sum, row) => sum + row.weight, 0);
     let y = 2;
     for (const row of this.rows) {
+      if (row.fit) row.range = [0, this.upTo(row.fit, row.range[1])];
       row.height = (room * row.weight) / weights;
       row.top = y;
       y += row.height + GAP;
     }
+  }
+
+  /** A round number above all values of a column. */
+  upTo(name, least) {
+    let most = least;
+    for (const value of this.series.columns[name] ?? []) if (value > most) most = value;
+    return 2 * Math.ceil(most / 2);
   }
 
   /** Times shown: around the cursor, within the recording; of a live session those before the newest. */
@@ -99,7 +114,7 @@ export class Strips {
       draw.fillText(time.toFixed(step < 1 ? 1 : 0), x(time), this.height - 5);
     }
     draw.textAlign = "right";
-    draw.fillText("time, s", LEFT - 10, this.height - 5);
+    draw.fillText("time, s", LEFT - NAMES, this.height - 5);
   }
 
   row(row, first, last, x, values) {
@@ -114,10 +129,11 @@ export class Strips {
     draw.fillStyle = themeColor("ink");
     draw.font = "600 12px system-ui, sans-serif";
     const two = row.unit && row.height > 27;
-    draw.fillText(two || !row.unit ? row.name : `${row.name}, ${row.unit.split(",")[0]}`, LEFT - 10, middle - (two ? 7 : 0), LEFT - 14);
+    draw.fillText(two || !row.unit ? row.name : `${row.name}, ${row.unit.split(",")[0]}`, LEFT - NAMES, middle - (two ? 7 : 0), LEFT - NAMES - 4);
     draw.font = "11px system-ui, sans-serif";
     draw.fillStyle = themeColor("faint");
-    if (two) draw.fillText(row.unit, LEFT - 10, middle + 8, LEFT - 14);
+    if (two) draw.fillText(row.unit, LEFT - NAMES, middle + 8, LEFT - NAMES - 4);
+    if (row.range) this.ends(row);
     draw.save();
     draw.beginPath();
     draw.rect(LEFT, row.top, this.width - LEFT - RIGHT, row.height);
@@ -151,6 +167,20 @@ export class Strips {
     this.trace(row, from, to, (i) => times[i], row.value, x, y);
   }
 
+  /** The range of the strip, where there is room. */
+  ends(row) {
+    if (row.height < 26) return;
+    const draw = this.context;
+    draw.font = "10px system-ui, sans-serif";
+    draw.textAlign = "right";
+    draw.fillStyle = themeColor("faint");
+    draw.textBaseline = "top";
+    draw.fillText(row.percent ? "100" : String(+row.range[1].toFixed(1)).replace("-", "−"), LEFT - 4, row.top + 1);
+    draw.textBaseline = "bottom";
+    draw.fillText(String(row.range[0]).replace("-", "−"), LEFT - 4, row.top + row.height);
+    draw.textBaseline = "middle";
+  }
+
   guide(row, y) {
     if (row.line === undefined) return;
     const draw = this.context;
@@ -166,7 +196,7 @@ export class Strips {
 
   trace(row, from, to, time, value, x, y) {
     const draw = this.context;
-    draw.strokeStyle = row.color === "force" || row.color === "organ" || row.color === "plane" ? themeColor(row.color) : themeColor(row.color);
+    draw.strokeStyle = themeColor(row.color);
     draw.lineWidth = 1.4;
     draw.lineJoin = "round";
     draw.beginPath();
