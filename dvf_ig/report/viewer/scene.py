@@ -23,7 +23,7 @@ from dvf_ig.guidance import (
 )
 
 from .packing import packed, packed_exactly
-from .surfaces import CycleSurface, cycle_surface, fixture_surface, shown_level_mm
+from .surfaces import SHARE_OF_CAP, CycleSurface, cycle_surface, fixture_surface, shown_level_mm
 
 SCHEMA = "dvf_ig.view/1"
 ORGAN_PITCH_MM, BLOOD_PITCH_MM = 4.0, 3.5
@@ -159,7 +159,7 @@ def _fixture_surfaces(model: DvfModel, fixtures: FixtureSet, organ: CycleSurface
             continue
         level = shown_level_mm(one.law)
         aim = isinstance(one.law, Gaussian)
-        label = "guidance aims here" if aim else f"{0.1 * one.law.cap_n:.2g} N, a tenth of the cap"
+        label = "aim" if aim else f"from {SHARE_OF_CAP * one.law.cap_n:.2g} N"
         surface = fixture_surface(organ, Evaluator(model, one.law), level)
         name = one.name or ("guidance" if aim else "forbidden region")
         out.append(_surface(name, "fixture", surface, level_mm=round(level, 3), label=label, fixture=number))

@@ -90,6 +90,8 @@ def _merged(mesh: Mesh, pitch_mm: float) -> tuple[FloatArray, IntArray]:
     corners = places[mesh.triangles]
     a, b, c = corners.T
     corners = corners[(a != b) & (b != c) & (c != a)]
+    if len(corners) == 0:
+        return mesh.vertices_mm, mesh.triangles
     first = corners.argmin(axis=1)
     turned = np.take_along_axis(corners, (first[:, None] + np.arange(3)) % 3, axis=1)
     triangles = np.unique(turned, axis=0)
