@@ -67,7 +67,9 @@ def round_ball(ball: DvfModel) -> DvfModel:
     """The ball with its surface, whose triangles differ from phase to phase, and a chamber within."""
     centers = zip(RADII, CENTERS, (4, 3, 4, 4), strict=True)
     outer = tuple(Mesh("mr", *sphere(radius, n, center)) for radius, center, n in centers)
-    inner = tuple(Mesh("mr", *sphere(radius / 2, 3, center)) for radius, center in zip(RADII, CENTERS, strict=True))
+    inner = tuple(
+        Mesh("mr", *sphere(radius / 2, 3, center)) for radius, center in zip(RADII, CENTERS, strict=True)
+    )
     caps = tuple(np.zeros(len(mesh.triangles), dtype=bool) for mesh in outer)
     return replace(ball, reference=outer, reference_caps=caps, chambers=(Chamber("lv_blood", inner),))
 
@@ -117,7 +119,9 @@ def test_codes_of_states_are_places_in_their_lists() -> None:
     told = words()
     assert [Status(i).name.lower() for i in range(len(Status))] == told["status"]
     assert [SupervisorState(i).name.lower() for i in range(len(SupervisorState))] == told["supervisor"]
-    assert [1 << i for i in range(len(told["hazards"]))] == [int(Hazard[h["name"].upper()]) for h in told["hazards"]]
+    assert [1 << i for i in range(len(told["hazards"]))] == [
+        int(Hazard[h["name"].upper()]) for h in told["hazards"]
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +129,9 @@ def scene(round_ball: DvfModel) -> dict[str, Any]:
     targets = Landmarks(("apex",), Points("mr", np.array([[1.0, 2.0, 3.0]])))
     shape = image_shape(300, 400, (0.5, 0.4), None, 200)
     fixtures = FixtureSet((FixtureOptions(), FixtureOptions(Gaussian(), name="aim")))
-    return scene_payload(SceneInput("live", "toy", round_ball, fixtures, shape, ("II", "mV"), targets=targets))
+    return scene_payload(
+        SceneInput("live", "toy", round_ball, fixtures, shape, ("II", "mV"), targets=targets)
+    )
 
 
 def test_every_field_stands_in_the_description(scene: dict[str, Any]) -> None:
@@ -171,6 +177,7 @@ def test_an_event_says_what_the_state_says(monkeypatch: pytest.MonkeyPatch) -> N
     last = states[-1]
     assert (state["t_s"], state["status"]) == (last.now_s, last.status.name.lower())
     assert state["phase_valid"] == (last.phase.state is PhaseState.LOCKED) == 1
+    assert last.transform.pose is not None
     pose = last.transform.pose.at(last.now_s)
     tip = pose.apply_array(last.tool.tip_tracker_mm)
     np.testing.assert_allclose([state[f"tip_mr_{a}_mm"] for a in "xyz"], tip, atol=1e-4)

@@ -2,6 +2,7 @@
 
 import "./style.css";
 import { loadScene } from "./payload.js";
+import { forceAt } from "./field.js";
 import { Heart, planeOf } from "./heart.js";
 import { seriesOf } from "./series.js";
 import { Space } from "./space.js";
@@ -317,6 +318,7 @@ async function start() {
     pause: () => viewer.play(false),
     theme: (name) => viewer.applyTheme(name),
     view: (name) => viewer.view(name),
+    forceAt: (phase, x, y, z) => forceAt(heart.distance, scene.fixtures, scene.fixtures_cap_n, phase, x, y, z),
     viewer,
   };
   dispatchEvent(new Event("dvf-ready"));
