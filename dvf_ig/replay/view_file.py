@@ -23,7 +23,7 @@ KIND = "view"
 POSE_STEP_S = 0.05
 """Poses move at 10 mm/s at most and steadily: between two of these they are interpolated."""
 _AT = 0.01
-"""Nearer than this share of the way to a pose that is kept, it holds: where a pose begins, there is none before."""
+"""Nearer than this share of the way to a pose that is kept, it holds: none is there before the first."""
 
 
 @read_only_arrays
@@ -88,8 +88,8 @@ def read_view_file(run: Path) -> ViewFile:
     path = run / VIEW
     if not path.is_file():
         raise UnreadableFileError(
-            f"{run} has no {VIEW}, which says what was replayed; replay again with this version (dvf-ig replay "
-            f"… -o {run})"
+            f"{run} has no {VIEW}, which says what was replayed; replay again with this version "
+            f"(dvf-ig replay … -o {run})"
         )
     content = read_json(path, "a replay's view file")
     try:

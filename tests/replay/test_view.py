@@ -4,6 +4,7 @@ browser shows (skipped where Chromium is absent)."""
 import csv
 import json
 import shutil
+import sys
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -65,7 +66,8 @@ def opened(window: Page, page_file: Path) -> Page:
     began = perf_counter()
     window.open(page_file.as_uri())
     ready_ms = window.until("return window.dvf && (window.dvf.ready_ms || window.dvf.error)")
-    print(f"\nviewer ready after {ready_ms:.0f} ms ({perf_counter() - began:.2f} s with the driver)")
+    told = f"viewer ready after {ready_ms:.0f} ms ({perf_counter() - began:.2f} s with the driver)"
+    sys.stdout.write(f"\n{told}\n")
     return window
 
 
@@ -167,7 +169,7 @@ def test_values_at_the_cursor_are_those_of_the_table(opened: Page, run: Path) ->
         assert f"{force:.3f} N" in text
     result = json.loads((run / "result.json").read_text())
     largest = opened.run(
-        "const s = dvf.viewer.series; let m = 0; for (let i = 0; i < s.t.length; i++) m = Math.max(m, s.force(i)); return m"
+        "const s = dvf.viewer.series; return s.t.reduce((most, _, i) => Math.max(most, s.force(i)), 0)"
     )
     assert largest == pytest.approx(result["force_n"]["max"], abs=2e-6)
 
@@ -208,9 +210,12 @@ def model(replay: Replay) -> DvfModel:
 def test_keys_step_from_beat_to_beat_and_play(opened: Page, run: Path) -> None:
     peaks = read_run(run).view.r_peaks_s
     opened.run("dvf.seek(arguments[0])", float(peaks[6]) + 0.2)
-    press = "dispatchEvent(new KeyboardEvent('keydown', {key: arguments[0], bubbles: true})); return dvf.state().cursor_s"
+    press = (
+        "document.body.dispatchEvent(new KeyboardEvent('keydown', {key: arguments[0], bubbles: true}));"
+        "return dvf.state().cursor_s"
+    )
     for key, peak in (("ArrowUp", peaks[6]), ("ArrowUp", peaks[5]), ("ArrowDown", peaks[6])):
-        shown = opened.run(press.replace("dispatchEvent", "document.body.dispatchEvent"), key)
+        shown = opened.run(press, key)
         assert shown == pytest.approx(peak, abs=1e-9)
     opened.run("dvf.play()")
     opened.until(f"return dvf.state().cursor_s > {peaks[6] + 0.05}")
