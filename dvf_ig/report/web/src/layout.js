@@ -71,6 +71,7 @@ export function layOut(scene) {
   $("keys").innerHTML = `<h2>Keyboard</h2><table>${rows}</table><p>In the scene: drag turns, right drag or two fingers move, wheel
     zooms. On the strips and the bar below: drag seeks.</p><form method="dialog"><button>Close</button></form>`;
   $("image").hidden = !scene.image;
+  for (const button of $("views").querySelectorAll('[data-view="tool"]')) button.hidden = Boolean(scene.planes);
   return $;
 }
 
@@ -84,7 +85,8 @@ export function legendRows(scene) {
     has("blood") && ["blood", COLORS.blood, "blood in the chambers"],
     scene.image && ["plane", COLORS.plane, "ultrasound plane"],
     fixture && ["fixture", COLORS.fixture, `${fixture.name}, ${fixture.label}`],
-    ["field", COLORS.force, `force (field: longest ${cap} N)`],
+    !scene.planes && ["field", COLORS.force, `force (field: longest ${cap} N)`],
+    scene.targets.length > 0 && ["targets", COLORS.force, scene.bound_mm ? `targets, error < ${scene.bound_mm.toFixed(1)} mm` : "targets"],
   ].filter(Boolean);
 }
 
