@@ -12,6 +12,21 @@ const TIP_NEAR_MM = 20;
 const SCALE_MM = 20;
 const SQUARE_MM = 14;
 
+const LIT = 8;
+
+/** First and last column of each row in which a picture is not black; what lies between was insonified. */
+export function litRows({ data, width, height }) {
+  return Array.from({ length: height }, (_, r) => {
+    let [first, last] = [width, -1];
+    for (let c = 0; c < width; c++) {
+      if (data[4 * (r * width + c)] < LIT) continue;
+      first = Math.min(first, c);
+      last = c;
+    }
+    return [first, last];
+  });
+}
+
 /** Frames decoded when they are needed; the last ones are kept. */
 export class Pictures {
   constructor(frames) {
@@ -84,7 +99,7 @@ export class ImagePanel {
       const { columns, rows } = this.shape;
       draw.imageSmoothingQuality = "high";
       draw.drawImage(bitmap, ...this.offset, columns * this.scale[0], rows * this.scale[1]);
-      if (other && this.mix && this.mix.mode !== "us") this.squares(other);
+      if (other && this.mix && this.mix.mode !== "us") this.squares(other, bitmap);
     }
     this.contours = [];
     if (plane && phase !== null) {
@@ -100,7 +115,7 @@ export class ImagePanel {
   }
 
   /** The other picture whole, or in every second square. */
-  squares(other) {
+  squares(other, bitmap) {
     const draw = this.context;
     const { columns, rows } = this.shape;
     const [width, height] = [columns * this.scale[0], rows * this.scale[1]];
@@ -111,10 +126,30 @@ export class ImagePanel {
       for (let j = -1; j * side < height; j++)
         for (let i = -3; i * side < width; i++)
           if ((i + j) % 2 === 0) path.rect(this.offset[0] + (i + this.mix.shift) * side, this.offset[1] + j * side, side, side);
+      draw.clip(this.insonified(bitmap));
       draw.clip(path);
     }
     draw.drawImage(other, ...this.offset, width, height);
     draw.restore();
+  }
+
+  /** Outline of what a picture shows. */
+  insonified(bitmap) {
+    const { columns, rows } = this.shape;
+    if (this.litBitmap !== bitmap) {
+      const canvas = new OffscreenCanvas(columns, rows);
+      const context = canvas.getContext("2d");
+      context.drawImage(bitmap, 0, 0, columns, rows);
+      this.lit = litRows(context.getImageData(0, 0, columns, rows));
+      this.litBitmap = bitmap;
+    }
+    const path = new Path2D();
+    this.lit.forEach(([first, last], r) => {
+      if (last < first) return;
+      const [x, y] = this.at(first - 0.5, r - 0.5);
+      path.rect(x, y, (last + 1 - first) * this.scale[0], this.scale[1] + 0.5);
+    });
+    return path;
   }
 
   /** Where the balls of the targets' bound meet the plane. */
@@ -129,7 +164,7 @@ export class ImagePanel {
       this.context.arc(x, y, Math.sqrt(bound ** 2 - off ** 2) * this.pixels_per_mm, 0, 7);
       this.stroke2(CASING, 3.5);
       this.stroke2(COLORS.force, 1.6);
-      this.label(name, x, y - bound * this.pixels_per_mm - 9);
+      this.label(name.replaceAll("_", " "), x, y - bound * this.pixels_per_mm - 9);
     }
   }
 
