@@ -90,7 +90,7 @@ export class ImagePanel {
   }
 
   /** Draws a frame; `moment` has bitmap, plane, phase, tip and force, null for what is not known. */
-  draw({ bitmap, plane, phase, tip, force, other = null }) {
+  draw({ bitmap, plane, phase, tip, force, margin = 0, other = null }) {
     const draw = this.context;
     draw.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     draw.fillStyle = "#000";
@@ -103,7 +103,7 @@ export class ImagePanel {
     }
     this.contours = [];
     if (plane && phase !== null) {
-      if (this.shown.field && this.heart.distance && this.scene.fixtures.length) this.field(plane, phase);
+      if (this.shown.field && this.heart.distance && this.scene.fixtures.length) this.field(plane, phase, margin);
       for (const role of ["fixture", "blood", "organ"]) if (this.shown[role]) this.outlines(role, plane, phase);
     }
     if (plane) {
@@ -204,7 +204,7 @@ export class ImagePanel {
   }
 
   /** Arrows of the force that a tool would feel there, by what lies in the plane. */
-  field(plane, phase) {
+  field(plane, phase, margin) {
     const draw = this.context;
     const { columns, rows, pixel_mm } = this.shape;
     const { distance } = this.heart;
@@ -222,7 +222,7 @@ export class ImagePanel {
       for (let c = step[0] / 2; c < columns; c += step[0]) {
         if (this.fan && !draw.isPointInPath(this.fanAt(), ...this.at(c, r).map((one) => one * this.ratio))) continue;
         const p = [0, 1, 2].map((a) => plane.origin[a] + c * plane.right[a] + r * plane.down[a]);
-        const force = forceAt(distance, this.scene.fixtures, cap, phase, ...p);
+        const force = forceAt(distance, this.scene.fixtures, cap, phase, ...p, margin);
         if (!force || Math.hypot(...force) < LEAST_SHARE * cap) continue;
         const [x, y] = this.at(c, r);
         this.arrow(x, y, (dot(force, right) / cap) * longest, (dot(force, down) / cap) * longest);

@@ -152,7 +152,7 @@ export class Space {
     const line = new Line(geometry, new LineBasicMaterial({ color: COLORS.fixture, depthTest: false }));
     line.renderOrder = 7;
     this.scene.add(line);
-    return { fixture, geometry };
+    return { fixture, geometry, line };
   }
 
   /** A ball at the tip, the shaft behind it; a pale copy shows through what hides them. */
@@ -262,7 +262,10 @@ export class Space {
       geometry.computeVertexNormals();
     }
     for (const one of this.targets) one.visible = this.shown.targets !== false;
-    for (const { fixture, geometry } of this.paths) moved(fixture, geometry, known ? phase : 0);
+    for (const { fixture, geometry, line } of this.paths) {
+      line.visible = this.shown.path !== false;
+      moved(fixture, geometry, known ? phase : 0);
+    }
     this.placePlane(plane);
     this.tool.visible = tip !== null;
     if (tip) {
