@@ -179,6 +179,8 @@ export class Strips {
     draw.textBaseline = "bottom";
     draw.fillText(String(row.range[0]).replace("-", "−"), LEFT - 4, row.top + row.height);
     draw.textBaseline = "middle";
+    const [low, high] = row.range;
+    if (row.line > low && row.line < 0.9 * high) draw.fillText(String(row.line), LEFT - 4, row.top + (row.height * (high - row.line)) / (high - low));
   }
 
   guide(row, y) {
