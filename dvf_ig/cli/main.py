@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 import dvf_ig
-from dvf_ig.cli import bench, config, doctor, evaluate, force, gate, replay
+from dvf_ig.cli import bench, config, doctor, evaluate, force, gate, replay, view
 from dvf_ig.cli.calibrate import commands as calibrate
 from dvf_ig.cli.examples import show_examples
 from dvf_ig.cli.inspect import command as inspect
@@ -33,6 +33,7 @@ app.command("gate")(gate.gate)
 app.command("register", cls=RegisterCommand)(register.register)
 app.command("evaluate")(evaluate.evaluate)
 app.command("replay")(replay.replay)
+app.command("view")(view.view)
 app.add_typer(config.app, name="config")
 app.add_typer(study.app, name="study")
 app.command("bench")(bench.bench)
