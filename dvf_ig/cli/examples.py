@@ -30,6 +30,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dvf-ig replay demo -o run --law guidance --delta 3 --m 1 --retiming uniform",
     ),
     "bench": ("dvf-ig bench", "dvf-ig bench --servo 60"),
+    "view": ("dvf-ig view run", "dvf-ig view run -o run.html --recording demo"),
     "synth scenario": (
         "dvf-ig synth scenario --preset calm --motion paper5mm --seconds 60 --seed 1 -o demo",
         "dvf-ig synth scenario --preset lost-ultrasound --heart varied --seed 2 -o demo",

@@ -75,4 +75,8 @@ def _moved(what: str, place: Path, run: Path, option: str) -> str:
 def _read(source: Path) -> "SessionRecordings":
     from dvf_ig.io import SessionRecordings, read_scenario, read_session
 
-    return SessionRecordings(read_scenario(source), None, None, None) if source.is_dir() else read_session(source)
+    return (
+        SessionRecordings(read_scenario(source), None, None, None)
+        if source.is_dir()
+        else read_session(source)
+    )

@@ -70,8 +70,7 @@ def read_ticks(path: Path) -> dict[str, AnyArray]:
         raise UnreadableFileError(f"{path} has rows of other lengths than its first line; replay again")
     try:
         return {
-            name: _column(name, column)
-            for name, column in zip(names, zip(*cells, strict=True), strict=True)
+            name: _column(name, column) for name, column in zip(names, zip(*cells, strict=True), strict=True)
         }
     except (KeyError, ValueError) as exc:
         raise UnreadableFileError(f"{path} is damaged ({exc}); replay again") from exc

@@ -46,7 +46,9 @@ def cycle_surface(phases: Sequence[Mesh], pitch_mm: float) -> CycleSurface:
     out = [vertices]
     for before, mesh in zip(phases, phases[1:], strict=False):
         moved = out[-1]
-        if np.array_equal(mesh.triangles, first.triangles) and np.array_equal(before.triangles, first.triangles):
+        if np.array_equal(mesh.triangles, first.triangles) and np.array_equal(
+            before.triangles, first.triangles
+        ):
             moved = moved + mesh.vertices_mm[nearest] - before.vertices_mm[nearest]
         out.append(_onto(moved, mesh, cKDTree(mesh.vertices_mm), _normals(mesh)))
     return CycleSurface(np.stack(out), triangles)
