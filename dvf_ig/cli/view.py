@@ -27,9 +27,11 @@ def view(
     as_json: JsonFlag = False,
     threads: ThreadsOption = None,
 ) -> None:
-    """Write a replay as one HTML file that plays in a browser, without a network: heart, ultrasound, tool, force.
+    """Write a replay as one HTML file that plays in a browser, without a network.
 
-    Every number that it shows is one of ticks.csv in RUN.
+    It shows the beating heart, ultrasound, tool, force and signals; its numbers are those of RUN/ticks.csv.
+
+        dvf-ig view RUN -o replay.html
     """
     with command(threads):
         from dvf_ig.io import provenance_fields, refuse_foreign, write_text

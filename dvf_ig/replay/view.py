@@ -97,8 +97,8 @@ def require_replayed(run: RunFolder, inputs: list[dict[str, Any]], recording: Pa
         name = Path(one["file"]).name
         if name in before and before[name] != one["sha256"]:
             raise InvalidInputError(
-                f"{recording} is not the recording that {run.folder} replayed: {name} differs; replay it again, "
-                "or say where the old one is with --recording"
+                f"{recording} is not the recording that {run.folder} replayed: {name} differs; replay "
+                "it again, or say where the old one is with --recording"
             )
 
 

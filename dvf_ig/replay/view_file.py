@@ -22,6 +22,8 @@ VIEW = "view.json"
 KIND = "view"
 POSE_STEP_S = 0.05
 """Poses move at 10 mm/s at most and steadily: between two of these they are interpolated."""
+_AT = 0.01
+"""Nearer than this share of the way to a pose that is kept, it holds: none is there before the first."""
 
 
 @read_only_arrays
@@ -50,9 +52,9 @@ class ViewFile:
         right = np.clip(np.searchsorted(self.pose_t_s, t_s), 1, len(self.pose_t_s) - 1)
         first, last = self.pose_t_s[right - 1], self.pose_t_s[right]
         weight = np.clip((t_s - first) / (last - first), 0.0, 1.0)[:, None, None]
-        return np.asarray(
-            (1 - weight) * self.mr_from_tracker[right - 1] + weight * self.mr_from_tracker[right]
-        )
+        before, after = self.mr_from_tracker[right - 1], self.mr_from_tracker[right]
+        between = (1 - weight) * before + weight * after
+        return np.asarray(np.where(weight < _AT, before, np.where(weight > 1 - _AT, after, between)))
 
 
 def write_view_file(replay: Replay, folder: Path, run: Path, recording: Path, model: Path | None) -> None:
@@ -86,8 +88,8 @@ def read_view_file(run: Path) -> ViewFile:
     path = run / VIEW
     if not path.is_file():
         raise UnreadableFileError(
-            f"{run} has no {VIEW}, which says what was replayed; replay again with this version (dvf-ig replay "
-            f"… -o {run})"
+            f"{run} has no {VIEW}, which says what was replayed; replay again with this version "
+            f"(dvf-ig replay … -o {run})"
         )
     content = read_json(path, "a replay's view file")
     try:

@@ -10,6 +10,7 @@ const FIELD_STEP_MM = 6;
 const LEAST_SHARE = 0.03;
 const TIP_NEAR_MM = 20;
 const SCALE_MM = 20;
+const SQUARE_MM = 14;
 
 /** Frames decoded when they are needed; the last ones are kept. */
 export class Pictures {
@@ -74,7 +75,7 @@ export class ImagePanel {
   }
 
   /** Draws a frame; `moment` has bitmap, plane, phase, tip and force, null for what is not known. */
-  draw({ bitmap, plane, phase, tip, force }) {
+  draw({ bitmap, plane, phase, tip, force, other = null }) {
     const draw = this.context;
     draw.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     draw.fillStyle = "#000";
@@ -83,17 +84,53 @@ export class ImagePanel {
       const { columns, rows } = this.shape;
       draw.imageSmoothingQuality = "high";
       draw.drawImage(bitmap, ...this.offset, columns * this.scale[0], rows * this.scale[1]);
+      if (other && this.mix && this.mix.mode !== "us") this.squares(other);
     }
     this.contours = [];
     if (plane && phase !== null) {
-      if (this.shown.field && this.heart.distance) this.field(plane, phase);
+      if (this.shown.field && this.heart.distance && this.scene.fixtures.length) this.field(plane, phase);
       for (const role of ["fixture", "blood", "organ"]) if (this.shown[role]) this.outlines(role, plane, phase);
     }
     if (plane) {
       if (tip) this.tip(plane, tip, force);
+      if (this.shown.targets !== false) this.targets(plane);
       this.edges(plane);
     }
     this.ruler();
+  }
+
+  /** The other picture whole, or in every second square. */
+  squares(other) {
+    const draw = this.context;
+    const { columns, rows } = this.shape;
+    const [width, height] = [columns * this.scale[0], rows * this.scale[1]];
+    draw.save();
+    if (this.mix.mode === "board") {
+      const side = SQUARE_MM * this.pixels_per_mm;
+      const path = new Path2D();
+      for (let j = -1; j * side < height; j++)
+        for (let i = -3; i * side < width; i++)
+          if ((i + j) % 2 === 0) path.rect(this.offset[0] + (i + this.mix.shift) * side, this.offset[1] + j * side, side, side);
+      draw.clip(path);
+    }
+    draw.drawImage(other, ...this.offset, width, height);
+    draw.restore();
+  }
+
+  /** Where the balls of the targets' bound meet the plane. */
+  targets(plane) {
+    const bound = this.scene.bound_mm ?? 3;
+    for (const { name, xyz_mm } of this.scene.targets) {
+      const away = xyz_mm.map((one, a) => one - plane.origin[a]);
+      const off = dot(away, plane.normal);
+      if (Math.abs(off) > bound) continue;
+      const [x, y] = this.at(dot(away, plane.right) / dot(plane.right, plane.right), dot(away, plane.down) / dot(plane.down, plane.down));
+      this.context.beginPath();
+      this.context.arc(x, y, Math.sqrt(bound ** 2 - off ** 2) * this.pixels_per_mm, 0, 7);
+      this.stroke2(CASING, 3.5);
+      this.stroke2(COLORS.force, 1.6);
+      this.label(name, x, y - bound * this.pixels_per_mm - 9);
+    }
   }
 
   outlines(role, plane, phase) {

@@ -71,6 +71,7 @@ export function layOut(scene) {
   $("keys").innerHTML = `<h2>Keyboard</h2><table>${rows}</table><p>In the scene: drag turns, right drag or two fingers move, wheel
     zooms. On the strips and the bar below: drag seeks.</p><form method="dialog"><button>Close</button></form>`;
   $("image").hidden = !scene.image;
+  for (const button of $("views").querySelectorAll('[data-view="tool"]')) button.hidden = Boolean(scene.planes);
   return $;
 }
 
@@ -83,8 +84,9 @@ export function legendRows(scene) {
     has("organ") && ["organ", COLORS.organ, `${words(has("organ").name)} surface`],
     has("blood") && ["blood", COLORS.blood, "blood in the chambers"],
     scene.image && ["plane", COLORS.plane, "ultrasound plane"],
-    fixture && ["fixture", COLORS.fixture, `${fixture.name}: ${fixture.label}`],
-    ["field", COLORS.force, `force; in the image, longest = ${cap} N`],
+    fixture && ["fixture", COLORS.fixture, `${fixture.name}, ${fixture.label}`],
+    !scene.planes && ["field", COLORS.force, `force (field: longest ${cap} N)`],
+    scene.targets.length > 0 && ["targets", COLORS.force, scene.bound_mm ? `targets, error < ${scene.bound_mm.toFixed(1)} mm` : "targets"],
   ].filter(Boolean);
 }
 
@@ -102,12 +104,12 @@ export function numberRows(values, scene) {
   const rows = [
     ["force", united(values.force_n, 3, "N"), "big"],
     ["distance", united(values.distance_mm, 2, "mm") + margin, "big"],
-    ["phase", values.phase_valid ? united(100 * values.phi, 1, "% of the beat") : "not locked", ""],
-    ["in the model", values.model_phase === null ? "–" : united(100 * values.model_phase, 1, "% of its cycle"), ""],
+    ["phase of the beat", values.phase_valid ? united(100 * values.phi, 1, "%") : "not locked", ""],
+    ["of the model", values.model_phase === null ? "–" : united(100 * values.model_phase, 1, "%"), ""],
     ["heart rate", rate, ""],
-    ["TRE bound", values.tre_bound_mm === null ? "–" : `< ${united(values.tre_bound_mm, 1, "mm")} (95 %)`, ""],
+    ["TRE bound, 95 %", values.tre_bound_mm === null ? "–" : `< ${united(values.tre_bound_mm, 1, "mm")}`, ""],
     ["pose age", values.pose_age_s === null ? "–" : united(values.pose_age_s, 2, "s"), ""],
-    ["tip, mm", place, ""],
+    ["tip, mm", place, "wide"],
   ];
   const told = scene.words.hazards.filter((one) => values.hazards.includes(one.name)).map((one) => one.sentence);
   const because = told.length ? told.join("; ") : values.status === "ok" ? "" : words(values.status);

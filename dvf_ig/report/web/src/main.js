@@ -2,10 +2,12 @@
 
 import "./style.css";
 import { loadScene } from "./payload.js";
+import { forceAt } from "./field.js";
 import { Heart, planeOf } from "./heart.js";
 import { seriesOf } from "./series.js";
 import { Space } from "./space.js";
 import { ImagePanel, Pictures } from "./image.js";
+import { anatomyPictures, mixControls, outcomeRows, planesAsSeries } from "./registration.js";
 import { Overview, Strips } from "./strips.js";
 import { layOut, legendRows, numberRows, SPEEDS, VIEWS } from "./layout.js";
 import { listen } from "./live.js";
@@ -20,6 +22,8 @@ class Viewer {
     this.image = scene.image && new ImagePanel(this.$("image").querySelector("canvas"), scene, heart);
     this.strips = new Strips(this.$("strips").querySelector("canvas"), scene, series);
     this.overview = new Overview(this.$("overview"), series, scene.fixtures_cap_n);
+    this.registration = scene.kind === "registration";
+    if (this.registration) this.asRegistration();
     this.legend();
     this.controls();
     this.keyboard();
@@ -27,7 +31,19 @@ class Viewer {
     new ResizeObserver(() => this.resize()).observe(this.$("space"));
     this.resize();
     this.space.preset("front");
+    if (this.registration) this.show();
+    if (this.registration) this.view("plane");
     requestAnimationFrame((now) => this.tick(now));
+  }
+
+  asRegistration() {
+    document.body.classList.add("registration");
+    this.anatomy = anatomyPictures(this.scene);
+    mixControls(this);
+    this.$("beat-back").textContent = "‹ plane";
+    this.$("beat-on").textContent = "plane ›";
+    this.$("beat-back").title = "Plane before (↑)";
+    this.$("beat-on").title = "Plane after (↓)";
   }
 
   get frame() {
@@ -35,7 +51,7 @@ class Viewer {
   }
 
   seek(t) {
-    this.t = Math.min(this.series.end, Math.max(this.series.begin, t));
+    this.t = Math.min(this.series.end, Math.max(this.series.begin, this.registration ? Math.round(t) : t));
     this.changed = true;
     return this.t;
   }
@@ -82,16 +98,22 @@ class Viewer {
     const shaft = series.vector(values, "shaft_mr", "");
     this.values = values;
     this.space.show({ phase: values.model_phase, plane, tip, shaft, force });
-    this.strips.draw(this.t, values);
-    this.overview.draw(this.t);
-    this.$("numbers").innerHTML = numberRows(values, this.scene);
-    this.texts(values, frame, plane);
+    if (this.registration) {
+      this.planeTexts(frame);
+    } else {
+      this.strips.draw(this.t, values);
+      this.overview.draw(this.t);
+      this.$("numbers").innerHTML = numberRows(values, this.scene);
+      this.texts(values, frame, plane);
+    }
     if (this.image) this.picture(frame, { plane, tip, force, phase: frame < 0 ? null : series.frames.model_phase[frame] });
   }
 
   picture(frame, moment) {
     const bitmap = frame < 0 ? null : this.pictures.ready(frame);
-    this.image.draw({ ...moment, bitmap: bitmap ?? this.lastBitmap ?? null });
+    const other = this.anatomy?.ready(frame) ?? null;
+    if (this.anatomy && !other) this.anatomy.get(frame).then(() => (this.changed = true));
+    this.image.draw({ ...moment, other, bitmap: bitmap ?? this.lastBitmap ?? null });
     if (moment.plane) this.space.contours(this.image.contours, moment.plane);
     if (bitmap) {
       if (this.lastBitmap !== bitmap) this.space.picture(bitmap);
@@ -101,6 +123,14 @@ class Viewer {
     }
     for (let next = frame + 1; this.playing && next < Math.min(frame + 6, this.series.frames.images.length); next++)
       this.pictures.get(next);
+  }
+
+  planeTexts(frame) {
+    const plane = this.scene.planes[frame];
+    this.$("time").textContent = `plane ${frame + 1} of ${this.scene.planes.length}`;
+    this.$("frame").textContent = [plane.name, plane.place, plane.moment].filter(Boolean).join(" · ");
+    if (!this.told) this.$("numbers").innerHTML = outcomeRows(this.scene);
+    this.told = true;
   }
 
   texts(values, frame, plane) {
@@ -147,6 +177,7 @@ class Viewer {
       const button = document.createElement("button");
       button.innerHTML = `<i style="background:${color}"></i>`;
       button.append(text);
+      this.space.shown[role] ??= true;
       const on = () => this.space.shown[role];
       button.setAttribute("aria-pressed", on());
       button.onclick = () => {
@@ -235,9 +266,9 @@ class Viewer {
 
   keyboard() {
     const { series } = this;
-    const step = (event) => (event.shiftKey ? 1 : 0.1);
+    const step = (event) => (event.shiftKey || this.registration ? 1 : 0.1);
     const actions = {
-      " ": () => this.play(!this.playing),
+      " ": () => !this.registration && this.play(!this.playing),
       ArrowLeft: (event) => this.seek(this.t - step(event)),
       ArrowRight: (event) => this.seek(this.t + step(event)),
       ArrowUp: () => this.beat(-1),
@@ -304,6 +335,7 @@ function remember(theme) {
 async function start() {
   const scene = await loadScene();
   const [heart, series] = await Promise.all([Heart.of(scene), seriesOf(scene)]);
+  if (scene.planes) planesAsSeries(scene, series);
   const viewer = new Viewer(scene, heart, series);
   if (series.live) listen(viewer);
   viewer.show();
@@ -317,6 +349,7 @@ async function start() {
     pause: () => viewer.play(false),
     theme: (name) => viewer.applyTheme(name),
     view: (name) => viewer.view(name),
+    forceAt: (phase, x, y, z) => forceAt(heart.distance, scene.fixtures, scene.fixtures_cap_n, phase, x, y, z),
     viewer,
   };
   dispatchEvent(new Event("dvf-ready"));

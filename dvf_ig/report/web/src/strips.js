@@ -153,7 +153,7 @@ export class Strips {
     const signal = this.series[row.signal];
     if (!signal || !values) return "–";
     const value = signal.values[Math.max(0, lastBefore(signal.t, values.t_s))];
-    return Number.isNaN(value) || value === undefined ? "–" : `${value.toFixed(2)} ${row.unit}`;
+    return united(Number.isNaN(value) ? null : value, 2, row.unit);
   }
 
   /** A curve as its least and greatest value in each pixel column. */
