@@ -7,6 +7,7 @@ import typer
 import dvf_ig
 from dvf_ig.cli import bench, config, doctor, evaluate, force, gate, replay
 from dvf_ig.cli.calibrate import commands as calibrate
+from dvf_ig.cli.export import commands as export
 from dvf_ig.cli.inspect import command as inspect
 from dvf_ig.cli.model import commands as model
 from dvf_ig.cli.register import command as register
@@ -33,6 +34,7 @@ app.command("gate")(gate.gate)
 app.command("register", cls=RegisterCommand)(register.register)
 app.command("evaluate")(evaluate.evaluate)
 app.command("replay")(replay.replay)
+app.add_typer(export.app, name="export")
 app.add_typer(config.app, name="config")
 app.add_typer(study.app, name="study")
 app.command("bench")(bench.bench)

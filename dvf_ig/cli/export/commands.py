@@ -1,0 +1,8 @@
+"""`dvf-ig export`: what was recorded and found, for other programs."""
+
+import typer
+
+from .slicer import slicer
+
+app = typer.Typer(help="Write a run or a registration for other programs.", no_args_is_help=True)
+app.command("slicer")(slicer)
