@@ -10,8 +10,8 @@ import numpy as np
 from dvf_ig.core import (
     BoolArray,
     FloatArray,
-    IntArray,
     ImageMap,
+    IntArray,
     InvalidInputError,
     Points,
     Rigid,
