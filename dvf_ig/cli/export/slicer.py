@@ -30,7 +30,7 @@ def slicer(
         from dvf_ig.io.atomic_folder import atomic_folder
         from dvf_ig.replay.slicer_scene import SCENE, write_slicer_scene
 
-        found, built = read_source(run, recording, model)
+        found, built, _ = read_source(run, recording, model)
         with atomic_folder(out) as new:
             frames = write_slicer_scene(found, built, new)
         result = {"scene": str(out / SCENE), "files": frames}

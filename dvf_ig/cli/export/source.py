@@ -1,7 +1,7 @@
 """The run that is exported, and the recording that it was made from."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -22,8 +22,16 @@ ModelOption = Annotated[
 ]
 
 
-def read_source(run: Path, recording: Path, model: Path | None) -> "tuple[RunFolder, DvfModel]":
-    """The run with its recording, and the patient's model."""
+class Source(NamedTuple):
+    """What is exported."""
+
+    run: "RunFolder"
+    model: "DvfModel"
+    given: "DvfModel | None"
+
+
+def read_source(run: Path, recording: Path, model: Path | None) -> "Source":
+    """The run with its recording, the patient's model, and that model where a file gave it."""
     from dvf_ig.io import SessionRecordings, read_scenario, read_session
     from dvf_ig.replay.run_folder import read_run
 
@@ -38,4 +46,4 @@ def read_source(run: Path, recording: Path, model: Path | None) -> "tuple[RunFol
 
     found = read_run(run, scenario)
     built, _ = patient_model(found.scenario.preop, read[0].model or model)
-    return found, built
+    return Source(found, built, built if read[0].model is not None or model is not None else None)
