@@ -1,157 +1,113 @@
-"""What `replay` or `register` left in a folder, with the recording that it was made from: for exports."""
+"""A replay's folder read back: result, ticks and what was replayed."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import (
-    BoolArray,
-    FloatArray,
-    ImageMap,
-    IntArray,
-    InvalidInputError,
-    Points,
-    Rigid,
-    Scenario,
-    UnreadableFileError,
-)
-from dvf_ig.core.frames import RAS_FROM_LPS
-from dvf_ig.io import provenance_fields, read_json, read_sequence
-from dvf_ig.session import UltrasoundCalibration
+from dvf_ig.core import InvalidInputError, UnreadableFileError, read_only_arrays
+from dvf_ig.core.arrays import AnyArray
+from dvf_ig.guidance import Hazard, Status, SupervisorState
+from dvf_ig.io import read_json
 
-from .calibrations import calibrate
-from .outputs import POSES
+from .outputs import COLUMNS, TICKS
+from .result import SCHEMA
+from .view_file import ViewFile, read_view_file
 
 RESULT = "result.json"
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RunFolder:
-    """A run, or a registration, of a recorded intervention.
+    """What `dvf-ig replay` left.
 
     Attributes:
-        scenario: what was recorded.
-        ultrasound: calibration in use.
-        tip: tool tip in frame "tool"; None where it is not known.
-        poses: (time from which it was in use, mr_from_tracker); a registration has one, from minus infinity.
-        suspended_s: spans in which no pose was in use.
-        bound_mm: below which the last usable registration's error lies over the heart, with 95 %
-            probability; None where none was stated.
-        result: the content of result.json.
+        folder: where it stands.
+        result: of `result.json`.
+        ticks: columns of `ticks.csv` by name; words as their codes, hazards as bits, empty cells as NaN.
+        view: of `view.json`.
     """
 
-    scenario: Scenario
-    ultrasound: UltrasoundCalibration
-    tip: Points | None
-    poses: tuple[tuple[float, Rigid], ...]
-    suspended_s: tuple[tuple[float, float], ...]
-    bound_mm: float | None
+    folder: Path
     result: dict[str, Any]
-
-    def pose_numbers(self, t_s: FloatArray) -> IntArray:
-        """(n,) which of `poses` places what happened at `t_s`; before the first it is the first."""
-        begin = np.array([from_s for from_s, _ in self.poses])
-        return np.maximum(np.searchsorted(begin, t_s, side="right") - 1, 0).astype(np.int64)
-
-    def suspended(self, t_s: FloatArray) -> BoolArray:
-        """(n,) whether the pose was suspended at `t_s`."""
-        inside = np.zeros(len(t_s), dtype=np.bool_)
-        for begin_s, end_s in self.suspended_s:
-            inside |= (t_s >= begin_s) & (t_s < end_s)
-        return inside
+    ticks: dict[str, AnyArray]
+    view: ViewFile
 
 
-def read_run(folder: Path, read_recording: Callable[[], Scenario]) -> RunFolder:
-    """Read the folder that `dvf-ig replay` or `dvf-ig register` wrote, and its recording.
+def read_run(folder: Path) -> RunFolder:
+    """Read a replay's folder.
+
+    Raises:
+        UnreadableFileError: no such folder, or a file of it is missing, damaged or of another version.
+    """
+    if not (folder / RESULT).is_file():
+        raise UnreadableFileError(
+            f"{folder} holds no {RESULT}; give the folder that dvf-ig replay … -o wrote"
+        )
+    result = read_json(folder / RESULT, "a replay's result")
+    if not isinstance(result, dict) or result.get("schema") != SCHEMA:
+        raise UnreadableFileError(f"{folder / RESULT} is not of a replay ({SCHEMA})")
+    return RunFolder(folder, result, read_ticks(folder / TICKS), read_view_file(folder))
+
+
+def require_same_recording(result: dict[str, Any], folder: Path, inputs: Sequence[Mapping[str, Any]]) -> None:
+    """Raise InvalidInputError where a file of the recording is not the one that the result was made from.
 
     Args:
-        read_recording: reads the recording that the folder was made from; its files are compared with the
-            SHA-256 that the result lists where a record of inputs is open.
-    Raises:
-        UnreadableFileError: no such folder, or a damaged one.
-        InvalidInputError: no usable pose, a registration of a pair of images, or another recording.
+        result: of the folder.
+        inputs: what was read of the recording: file and SHA-256.
     """
-    path = folder / RESULT
-    if not path.is_file():
-        raise UnreadableFileError(
-            f"{folder} has no {RESULT}; give the folder that `dvf-ig replay` or `dvf-ig register` wrote"
-        )
-    result = read_json(path, "a result")
-    if not isinstance(result, dict) or "moving_from_fixed" in result:
-        raise InvalidInputError(
-            f"{folder} is no run or registration of a recorded intervention; a pair of images needs no "
-            "scene: load both and the .tfm (guide, 3D Slicer)"
-        )
-    before = _inputs()
-    scenario = read_recording()
-    _require_same_recording(result, folder, _inputs()[len(before) :])
-    try:
-        if "mr_from_tracker" in result:
-            return _registration(folder, result, scenario)
-        return _replayed(folder, result, scenario)
-    except (KeyError, TypeError, AttributeError) as exc:
-        raise UnreadableFileError(f"{path} is damaged or of another version ({exc}); run again") from exc
-
-
-def _replayed(folder: Path, result: dict[str, Any], scenario: Scenario) -> RunFolder:
-    found, usable = result["estimates"], [one for one in result["registrations"] if one["usable"]]
-    if not usable:
-        raise InvalidInputError(f"{folder} holds no usable registration, so that nothing can be placed")
-    image = ImageMap.from_matrix(found["probe_from_image"], "probe")
-    return RunFolder(
-        scenario,
-        UltrasoundCalibration(image, float(found["lag_s"])),
-        Points("tool", np.array([found["tip_mm"]])),
-        _poses(folder / POSES),
-        tuple((float(begin), float(end)) for begin, end in result["doubts_s"]),
-        usable[-1]["tre_bound_mm"],
-        result,
-    )
-
-
-def _registration(folder: Path, result: dict[str, Any], scenario: Scenario) -> RunFolder:
-    if not result["stop"] == "CONVERGED":
-        raise InvalidInputError(f"{folder}: the registration must not be used: {result['reason']}")
-    found = calibrate(replace(scenario, tip=None), int(result["seed"]))
-    pose = Rigid.from_matrix(np.array(result["mr_from_tracker"]), "mr", "tracker")
-    bound = result["tre_bound_mm"]
-    return RunFolder(scenario, found.ultrasound, None, ((-np.inf, pose),), (), bound, result)
-
-
-def _poses(path: Path) -> tuple[tuple[float, Rigid], ...]:
-    """(time, mr_from_tracker) of `poses.seq.mha`; whatever PLUS calls the tracker there."""
-    streams = list(read_sequence(path).poses.values())
-    if len(streams) != 1 or streams[0].target != "ras":
-        raise UnreadableFileError(f"{path} is not the pose sequence of a replay; replay again")
-    stream = streams[0]
-    matrices = np.tile(np.eye(4), (len(stream), 1, 1))
-    matrices[:, :3, :3], matrices[:, :3, 3] = stream.rotations, stream.translations_mm
-    return tuple(
-        (t_s, Rigid.from_matrix(RAS_FROM_LPS @ matrix, "mr", "tracker"))
-        for t_s, matrix in zip(stream.t_s.tolist(), matrices, strict=True)
-    )
-
-
-def _inputs() -> list[dict[str, Any]]:
-    """Files that were read so far; none where no record of them is open."""
-    found: list[dict[str, Any]] = provenance_fields().get("inputs", [])
-    return found
-
-
-def _require_same_recording(
-    result: dict[str, Any], folder: Path, recording: Sequence[Mapping[str, Any]]
-) -> None:
-    """Raise InvalidInputError where a file of the recording is none of those that the result lists."""
-    listed = result.get("inputs")
-    if not isinstance(listed, list):
-        return
-    known = {one.get("sha256") for one in listed if isinstance(one, dict)}
-    for one in recording:
-        if one["sha256"] not in known:
+    before = {Path(one["file"]).name: one["sha256"] for one in result.get("inputs", [])}
+    for one in inputs:
+        name = Path(one["file"]).name
+        if name in before and before[name] != one["sha256"]:
             raise InvalidInputError(
-                f"{folder} was not made from this recording: {one['file']} was not read then, or has "
-                "changed; give the recording that it was made from"
+                f"the recording is not the one that {folder} was made from: {name} differs; run it again, or "
+                "say where the old one is with --recording"
             )
+
+
+def read_ticks(path: Path) -> dict[str, AnyArray]:
+    """Columns of `ticks.csv` by name.
+
+    Raises:
+        UnreadableFileError: absent, damaged, or written by another version.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as exc:
+        raise UnreadableFileError(f"cannot read {path}: {exc}; replay again") from exc
+    names = [name for name, _ in COLUMNS]
+    if not lines or lines[0].split(",") != names or len(lines) < 2:
+        raise UnreadableFileError(f"{path} does not hold the columns of this version; replay again")
+    cells = [line.split(",") for line in lines[1:]]
+    if any(len(row) != len(names) for row in cells):
+        raise UnreadableFileError(f"{path} has rows of other lengths than its first line; replay again")
+    try:
+        return {
+            name: _column(name, column) for name, column in zip(names, zip(*cells, strict=True), strict=True)
+        }
+    except (KeyError, ValueError) as exc:
+        raise UnreadableFileError(f"{path} is damaged ({exc}); replay again") from exc
+
+
+def _column(name: str, cells: tuple[str, ...]) -> AnyArray:
+    if name == "status":
+        return _codes(cells, lambda word: int(Status[word.upper()]))
+    if name == "supervisor":
+        return _codes(cells, lambda word: int(SupervisorState[word.upper()]))
+    if name == "hazards":
+        return _codes(cells, _bits)
+    return np.array([cell or "nan" for cell in cells]).astype(np.float64)
+
+
+def _codes(cells: tuple[str, ...], code: Any) -> AnyArray:
+    table = {word: code(word) for word in set(cells)}
+    return np.array([table[word] for word in cells], dtype=np.float64)
+
+
+def _bits(words: str) -> int:
+    return sum(int(Hazard[word.upper()]) for word in words.split("|") if word)

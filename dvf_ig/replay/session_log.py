@@ -6,7 +6,7 @@ seconds and poses in mm as they were recorded, since metres, quaternions and nan
 and `preop/…`, attached, hold the rest. The truth of a synthetic recording is not in a log.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from heapq import merge
 from operator import itemgetter
 from pathlib import Path
@@ -22,6 +22,8 @@ from dvf_ig.core import (
     Scenario,
     TriggerTimes,
 )
+from dvf_ig.core.arrays import AnyArray
+from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.io.model import model_bytes
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.log_file import LogWriter, written_log
@@ -32,9 +34,10 @@ from dvf_ig.io.session_file.schema import PreopConfig
 
 from .calibrations import calibrate
 from .events import ECG_CHUNK
+from .exported_run import ExportedRun
+from .outputs import TICKS
 from .preconditions import tool_of
-from .run_folder import RESULT, RunFolder
-from .ticks_table import TickRow, read_ticks
+from .run_folder import RESULT, read_ticks
 
 DOCUMENT, MODEL = "session.json", "preop/model.npz"
 ECG, IMAGE, TRIGGER = "/ecg", "/ultrasound/image", "/trigger"
@@ -49,7 +52,16 @@ STREAMS = {
 """What a replay reads, with the type of each."""
 POSE_LABEL = "t_s, valid, rotation (9, row-major), translation_mm (3): tracker_from_{}"
 IMAGE_LABEL = ", then whether the image is valid"
-LEVELS = {"ok": 0, "degraded": 1, "fade": 2, "latched": 2}
+LEVELS = {
+    SupervisorState.OK: 0,
+    SupervisorState.DEGRADED: 1,
+    SupervisorState.FADE: 2,
+    SupervisorState.LATCHED: 2,
+}
+"""Of diagnostics: OK, warning, error."""
+FORCE, TIP = "force_tracker_{}_n", "tip_mr_{}_mm"
+GUIDANCE = ("phi", "model_phase", "rr_s", "distance_mm", "pose_age_s")
+"""Columns of ticks.csv that are logged as numbers; NaN where there is none."""
 STATUS_EVERY_S = 1.0
 
 Timed = tuple[float, str, str, ros.Message]
@@ -57,7 +69,7 @@ Timed = tuple[float, str, str, ros.Message]
 
 
 def write_session_log(
-    run: RunFolder, folder: Path, path: Path, *, given: DvfModel | None = None, seed: int = 0
+    run: ExportedRun, folder: Path, path: Path, *, given: DvfModel | None = None, seed: int = 0
 ) -> int:
     """Write the log of a run.
 
@@ -82,7 +94,7 @@ def write_session_log(
         document = document_of(run.scenario, in_use.probe_from_image, in_use.lag_s, in_use.tip, preop)
         log.attach(DOCUMENT, "application/json", document)
         log.attach(RESULT, "application/json", (folder / RESULT).read_bytes())
-        answers = _answers(folder / "ticks.csv")
+        answers = _answers(read_ticks(folder / TICKS))
         for t_s, topic, kind, message in merge(
             _recorded(run.scenario), _poses(run), answers, key=itemgetter(0)
         ):
@@ -169,26 +181,36 @@ def _exact(t_s: float, valid: bool, rotation: FloatArray, translation_mm: FloatA
     return np.concatenate([[t_s, float(valid)], rotation.ravel(), translation_mm])
 
 
-def _poses(run: RunFolder) -> Iterator[Timed]:
+def _poses(run: ExportedRun) -> Iterator[Timed]:
     """mr_from_tracker as it changed; for ROS the tracker hangs on the MR."""
     for from_s, pose in run.poses:
         yield from_s, "/tf", ros.TF, ros.transforms(from_s, [("mr", "tracker", pose.matrix)])
 
 
-def _answers(ticks: Path) -> Iterator[Timed]:
-    """What the session said every millisecond."""
-    told: tuple[str, str, str] | None = None
+def _answers(ticks: dict[str, AnyArray]) -> Iterator[Timed]:
+    """What the session said every millisecond; `ticks` are columns by name, as `read_ticks` gives them."""
+    told: tuple[float, ...] = ()
     due_s = -np.inf
-    for row in read_ticks(ticks):
-        t_s = row.t_s
-        yield t_s, "/tool/force", ros.WRENCH, ros.wrench(t_s, "tracker", row.force_tracker_n)
-        yield t_s, "/guidance", ros.ARRAY, ros.array(row.numbers, (", ".join(TickRow.NUMBERS),))
-        if np.isfinite(row.tip_mr_mm).all():
-            yield t_s, "/tool/tip", ros.POSE, ros.pose(t_s, "mr", row.tip_mr_mm)
-        said = (row.status, row.supervisor, row.hazards)
+    forces, tips = (_rows(ticks, (form.format(a) for a in "xyz")) for form in (FORCE, TIP))
+    numbers, codes = _rows(ticks, GUIDANCE), _rows(ticks, ("status", "supervisor", "hazards"))
+    for i, t_s in enumerate(ticks["t_s"].tolist()):
+        yield t_s, "/tool/force", ros.WRENCH, ros.wrench(t_s, "tracker", forces[i])
+        yield t_s, "/guidance", ros.ARRAY, ros.array(numbers[i], (", ".join(GUIDANCE),))
+        if np.isfinite(tips[i]).all():
+            yield t_s, "/tool/tip", ros.POSE, ros.pose(t_s, "mr", tips[i])
+        said = tuple(codes[i].tolist())
         if said != told or t_s >= due_s:
             told, due_s = said, t_s + STATUS_EVERY_S
-            values = {"status": row.status, "hazards": row.hazards}
-            level = LEVELS.get(row.supervisor, 2)
-            message = ros.diagnostics(t_s, level, "supervisor", row.supervisor, values)
-            yield t_s, "/diagnostics", ros.DIAGNOSTICS, message
+            yield t_s, "/diagnostics", ros.DIAGNOSTICS, _status(t_s, *(int(code) for code in said))
+
+
+def _status(t_s: float, status: int, supervisor: int, hazards: int) -> ros.Message:
+    state = SupervisorState(supervisor)
+    active = "|".join(one.name.lower() for one in Hazard(hazards) if one.name)
+    values = {"status": Status(status).name.lower(), "hazards": active}
+    return ros.diagnostics(t_s, LEVELS[state], "supervisor", state.name.lower(), values)
+
+
+def _rows(ticks: dict[str, AnyArray], names: Iterable[str]) -> FloatArray:
+    """(n, k) of k columns."""
+    return np.column_stack([ticks[name] for name in names])

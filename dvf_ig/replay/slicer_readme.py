@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from .run_folder import RunFolder
+from .exported_run import ExportedRun
 
 _HEAD = """# 3D Slicer scene: {title}
 
@@ -65,7 +65,7 @@ _HOW = (
 )
 
 
-def readme_text(frames: Mapping[str, str], run: RunFolder, shown: int, fractions: tuple[float, ...]) -> str:
+def readme_text(frames: Mapping[str, str], run: ExportedRun, shown: int, fractions: tuple[float, ...]) -> str:
     """The text.
 
     Args:

@@ -33,7 +33,7 @@ from dvf_ig.io.slicer.nodes import (
 )
 from dvf_ig.session.probe_motion import smoothed_poses
 
-from .run_folder import RunFolder
+from .exported_run import ExportedRun
 from .slicer_readme import readme_text
 
 SCENE, README = "scene.mrml", "README.md"
@@ -46,7 +46,7 @@ class SceneFolder:
     """The folder that is being written, its scene, and the frame of what is in each file."""
 
     folder: Path
-    run: RunFolder
+    run: ExportedRun
     scene: SlicerScene = field(default_factory=SlicerScene)
     frames: dict[str, str] = field(default_factory=dict)
 
@@ -74,7 +74,7 @@ class ShownFrames:
     pose: IntArray
 
 
-def write_slicer_scene(run: RunFolder, model: DvfModel, folder: Path) -> dict[str, str]:
+def write_slicer_scene(run: ExportedRun, model: DvfModel, folder: Path) -> dict[str, str]:
     """Write `scene.mrml`, what it loads, and a README that says how to load each file alone.
 
     Args:
@@ -98,7 +98,7 @@ def write_slicer_scene(run: RunFolder, model: DvfModel, folder: Path) -> dict[st
     return out.frames
 
 
-def shown_frames(run: RunFolder) -> ShownFrames:
+def shown_frames(run: ExportedRun) -> ShownFrames:
     """See `ShownFrames`. Frames of one millisecond count once: Slicer tells them apart by it.
 
     Raises:

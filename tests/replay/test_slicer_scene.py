@@ -29,7 +29,7 @@ from toy_run import (
 )
 
 from dvf_ig.core import InvalidInputError, Rigid, UnreadableFileError
-from dvf_ig.replay.run_folder import read_run
+from dvf_ig.replay.exported_run import read_exported_run
 from dvf_ig.replay.slicer_scene import write_slicer_scene
 
 FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -218,10 +218,10 @@ def test_every_reference_and_every_file_is_there(folder: Path) -> None:
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UnreadableFileError, match=r"has no result\.json"):
-        read_run(tmp_path, recorded)
+        read_exported_run(tmp_path, recorded())
     (tmp_path / "result.json").write_text('{"moving_from_fixed": []}')
     with pytest.raises(InvalidInputError, match="pair of images"):
-        read_run(tmp_path, recorded)
+        read_exported_run(tmp_path, recorded())
     (tmp_path / "result.json").write_text('{"estimates": {}}')
     with pytest.raises(UnreadableFileError, match="damaged"):
-        read_run(tmp_path, recorded)
+        read_exported_run(tmp_path, recorded())

@@ -17,7 +17,7 @@ from dvf_ig.core import (
     TrackedSequence,
     VolumeSeries,
 )
-from dvf_ig.replay.run_folder import RunFolder
+from dvf_ig.replay.exported_run import ExportedRun
 from dvf_ig.session import UltrasoundCalibration
 
 FIRST = Rigid.from_rotation_vector([0.4, -0.9, 0.3], [12.5, -40.25, 310.75], "mr", "tracker")
@@ -71,7 +71,7 @@ def recorded() -> Scenario:
     )
 
 
-def run_folder() -> RunFolder:
+def run_folder() -> ExportedRun:
     calibration = UltrasoundCalibration(PROBE_FROM_IMAGE, LAG_S)
     poses = ((0.3, FIRST), (0.5, LATER))
-    return RunFolder(recorded(), calibration, Points("tool", TIP), poses, ((0.6, 0.72),), 3.2, {})
+    return ExportedRun(recorded(), calibration, Points("tool", TIP), poses, ((0.6, 0.72),), 3.2, {})

@@ -5,15 +5,16 @@ from typing import Annotated
 
 import typer
 
+from dvf_ig.cli.recorded import ModelOption, RecordingOption
 from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, wrote
 
-from .source import ModelOption, RecordingOption, RunArgument, read_source
+from .source import RunArgument, read_source
 
 
 def mcap(
     run: RunArgument,
-    recording: RecordingOption,
     out: Annotated[Path, typer.Option("-o", "--out", help="Log to write, .mcap.")],
+    recording: RecordingOption = None,
     model: ModelOption = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
@@ -22,8 +23,6 @@ def mcap(
 
     Transforms (metres), images, ECG, force, phase and diagnostics for ros2 bag, Foxglove and PlotJuggler; the
     recorded numbers, calibrations and the heart for the replay. Needs pip install "dvf-ig[log]".
-
-    Example: dvf-ig export mcap RUN --recording SCENARIO -o LOG.mcap
     """
     with command():
         from dvf_ig.replay.session_log import write_session_log

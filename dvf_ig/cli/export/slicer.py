@@ -5,17 +5,18 @@ from typing import Annotated
 
 import typer
 
+from dvf_ig.cli.recorded import ModelOption, RecordingOption
 from dvf_ig.cli.shell import JsonFlag, command, emit, wrote
 
-from .source import ModelOption, RecordingOption, RunArgument, read_source
+from .source import RunOrRegistration, read_source
 
 
 def slicer(
-    run: RunArgument,
-    recording: RecordingOption,
+    run: RunOrRegistration,
     out: Annotated[
         Path, typer.Option("-o", "--out", help="Folder to write; an own earlier one is replaced.")
     ],
+    recording: RecordingOption = None,
     model: ModelOption = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -23,8 +24,6 @@ def slicer(
 
     MR, surfaces through the cycle, targets and landmarks; ultrasound, probe, tool and registration over time,
     hung on each other as they were tracked. README.md in the folder says how to load each file.
-
-    Example: dvf-ig export slicer RUN --recording SCENARIO -o SCENE
     """
     with command():
         from dvf_ig.io.atomic_folder import atomic_folder
