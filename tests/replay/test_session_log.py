@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from toy_ball import ball_model
-from toy_run import FIRST, LATER, PROBE_FROM_IMAGE, TIP, pose_at, recorded, run_folder
+from toy_run import (
+    FIRST,
+    FORCE,
+    LATER,
+    PROBE_FROM_IMAGE,
+    TIP,
+    TIP_MR,
+    pose_at,
+    recorded,
+    run_folder,
+    ticks_csv,
+)
 
 from dvf_ig.core import (
     CycleTiming,
@@ -26,27 +37,11 @@ from dvf_ig.core import (
     VolumeSeries,
 )
 from dvf_ig.replay.events import events_of
-from dvf_ig.replay.outputs import COLUMNS
 from dvf_ig.replay.session_log import write_session_log
 from dvf_ig.replay.session_log_read import read_session_log
 
 pytest.importorskip("mcap", reason="session logs need mcap")
 pytest.importorskip("rosbags", reason="session logs need rosbags")
-
-FORCE = np.array([0.125, -0.25, 0.5])
-TIP_MR = np.array([12.5, -30.0, 100.0])
-
-
-def ticks_csv() -> str:
-    """Two ticks: in the first nothing is known."""
-    first = {"t_s": "0.100000", "status": "no_pose", "supervisor": "fade", "hazards": "no_pose"}
-    first |= {f"force_tracker_{axis}_n": "0.000000" for axis in "xyz"}
-    second = {"t_s": "0.101000", "status": "ok", "supervisor": "ok", "hazards": "", "phi": "0.250000"}
-    second |= {f"force_tracker_{axis}_n": str(n) for axis, n in zip("xyz", FORCE, strict=True)}
-    second |= {f"tip_mr_{axis}_mm": str(n) for axis, n in zip("xyz", TIP_MR, strict=True)}
-    names = [name for name, _ in COLUMNS]
-    rows = [",".join(row.get(name, "") for name in names) for row in (first, second)]
-    return "\n".join([",".join(names), *rows, ""])
 
 
 def awkward() -> Scenario:

@@ -18,6 +18,7 @@ from dvf_ig.core import (
     VolumeSeries,
 )
 from dvf_ig.replay.exported_run import ExportedRun
+from dvf_ig.replay.outputs import COLUMNS
 from dvf_ig.session import UltrasoundCalibration
 
 FIRST = Rigid.from_rotation_vector([0.4, -0.9, 0.3], [12.5, -40.25, 310.75], "mr", "tracker")
@@ -75,3 +76,20 @@ def run_folder() -> ExportedRun:
     calibration = UltrasoundCalibration(PROBE_FROM_IMAGE, LAG_S)
     poses = ((0.3, FIRST), (0.5, LATER))
     return ExportedRun(recorded(), calibration, Points("tool", TIP), poses, ((0.6, 0.72),), 3.2, {})
+
+
+FORCE = np.array([0.125, -0.25, 0.5])
+TIP_TRACKER, TIP_MR = np.array([1.5, -2.5, 3.5]), np.array([12.5, -30.0, 100.0])
+
+
+def ticks_csv() -> str:
+    """Two ticks: in the first nothing is known."""
+    first = {"t_s": "0.100000", "status": "no_pose", "supervisor": "fade", "hazards": "no_pose"}
+    first |= {f"force_tracker_{axis}_n": "0.000000" for axis in "xyz"}
+    second = {"t_s": "0.101000", "status": "ok", "supervisor": "ok", "hazards": "", "phi": "0.250000"}
+    second |= {f"force_tracker_{axis}_n": str(n) for axis, n in zip("xyz", FORCE, strict=True)}
+    second |= {f"tip_tracker_{axis}_mm": str(n) for axis, n in zip("xyz", TIP_TRACKER, strict=True)}
+    second |= {f"tip_mr_{axis}_mm": str(n) for axis, n in zip("xyz", TIP_MR, strict=True)}
+    names = [name for name, _ in COLUMNS]
+    rows = [",".join(row.get(name, "") for name in names) for row in (first, second)]
+    return "\n".join([",".join(names), *rows, ""])
