@@ -34,7 +34,8 @@ def replay(
         Path, typer.Option("-o", "--out", help="Folder for the result, its page, the pose and the ticks.")
     ],
     scenario: Annotated[
-        Path | None, typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`); or give --config.")
+        Path | None,
+        typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`) or LOG.mcap; or give --config."),
     ] = None,
     config: Annotated[
         Path | None,
@@ -129,6 +130,10 @@ def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "Se
         raise typer.BadParameter("give a scenario folder or --config SESSION.yaml, not both")
     if scenario is None and config is None:
         raise typer.BadParameter("what is to be replayed? give a scenario folder, or --config SESSION.yaml")
+    if scenario is not None and scenario.suffix == ".mcap":
+        from dvf_ig.replay.session_log_read import read_session_log
+
+        return read_session_log(scenario)
     if config is None:
         return SessionRecordings(read_scenario(scenario or Path()), None, None, None)
     if model is not None:

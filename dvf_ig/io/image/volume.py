@@ -1,4 +1,4 @@
-"""3-D and cyclic 4-D images: MetaImage and NRRD read here, NIfTI by SimpleITK; LPS, mm."""
+"""3-D and cyclic 4-D images: MetaImage and NRRD read here, NIfTI and DICOM by SimpleITK; LPS, mm."""
 
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from dvf_ig.core.rigid import rigidity_defect
 from dvf_ig.core.volume import Grid, Volume, VolumeSeries
 from dvf_ig.io import limits
 from dvf_ig.io.atomic import atomic_file
+from dvf_ig.io.dicom.cine import is_dicom_folder, read_dicom_cine
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import reading
 
@@ -50,16 +51,22 @@ def read_volume_series(
     """Read a cyclic 4-D image (x, y, z, phase).
 
     Args:
-        path: NIfTI, NRRD or MetaImage.
-        timing: when each phase was taken, or a timing file; None takes `timing.json` beside the image, else
-            phase i at i/N of an RR of 1.0 s, both marked as assumed.
+        path: NIfTI, NRRD or MetaImage, or a folder of DICOM images (`read_dicom_cine`).
+        timing: when each phase was taken, or a timing file; None takes the trigger times of DICOM images,
+            else `timing.json` beside the image, else phase i at i/N of an RR of 1.0 s, both marked as
+            assumed.
         frame: name of the image's LPS frame.
     Raises:
         UnreadableFileError: as `read_volume`, or not 4-D.
         InvalidInputError: timing of another number of phases.
     """
     path = Path(path)
-    grid, values = read_array(path, frame, 4)
+    if path.is_dir():
+        cine = read_dicom_cine(path, frame)
+        grid, values = cine.grid, cine.values
+        timing = cine.timing if timing is None else timing
+    else:
+        grid, values = read_array(path, frame, 4)
     if not isinstance(timing, CycleTiming):
         timing = read_timing(timing, beside=path.parent, phases=len(values), image=path.name)
     if len(timing) != len(values):
@@ -68,12 +75,14 @@ def read_volume_series(
 
 
 def image_dimension(path: Path | str) -> int:
-    """3 or 4 (or whatever the file says), from the header alone.
+    """3 or 4 (or whatever the file says), from the header alone; a folder of DICOM images has 4.
 
     Raises:
         UnreadableFileError: absent or not an image.
     """
     path = Path(path)
+    if is_dicom_folder(path):
+        return 4
     with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
         header = image_header(path)
         return check_nifti(path) if header is None else len(header.sizes)

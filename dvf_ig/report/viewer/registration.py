@@ -116,4 +116,3 @@ def _picture(image: NDArray[np.uint8], shown: tuple[int, int], size: tuple[int, 
     canvas[:rows, :columns] = cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA)
     data: AnyArray = cv2.imencode(".webp", canvas, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])[1]
     return base64.b64encode(data.tobytes()).decode("ascii")
-
