@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import FloatArray
-from dvf_ig.guidance import SupervisorState
+from dvf_ig.guidance import Hazard, SupervisorState
 from dvf_ig.live.igtl import Message, Status, StatusCode, Text, Transform
 from dvf_ig.session import GuidanceState
 
@@ -59,28 +59,32 @@ def force_message(force_n: FloatArray, stamp_s: float) -> Message:
     return Message(FORCE_NAME, stamp_s, Transform(matrix))
 
 
-def state_messages(state: GuidanceState, servo: SupervisorState, stamp_s: float) -> tuple[Message, ...]:
+def state_messages(
+    state: GuidanceState, servo: SupervisorState, hazards: Hazard, stamp_s: float
+) -> tuple[Message, ...]:
     """STATUS and STRING.
 
     Args:
-        servo: state of the servo's supervisor, which has the last word on the force.
+        servo, hazards: state of the servo's supervisor, which has the last word on the force, and what it
+            found.
     """
     worst = max(servo, state.supervisor)
-    reasons = "; ".join(state.reasons)
-    text = json.dumps(state_numbers(state, servo), allow_nan=False)
-    status = Status(_CODES[worst], int(worst), worst.name, reasons[:1000])
+    numbers = state_numbers(state, servo, hazards)
+    text = json.dumps(numbers, allow_nan=False)
+    status = Status(_CODES[worst], int(worst), worst.name, "; ".join(numbers["reasons"])[:1000])
     return Message(STATUS_NAME, stamp_s, status), Message(STATE_NAME, stamp_s, Text(text))
 
 
-def state_numbers(state: GuidanceState, servo: SupervisorState) -> dict[str, Any]:
-    """The state as JSON values; what is not known is null."""
+def state_numbers(state: GuidanceState, servo: SupervisorState, hazards: Hazard) -> dict[str, Any]:
+    """The state as JSON values; what is not known is null. Arguments as of `state_messages`."""
     phase = state.phase
+    own = hazards & ~state.supervised.hazards
     return {
         "t_s": state.now_s,
         "supervisor": state.supervisor.name,
         "servo": servo.name,
         "status": state.status.name,
-        "reasons": list(state.reasons),
+        "reasons": [*state.reasons, *own.sentences],
         "phase": _known(phase.phi),
         "phase_sigma": _known(phase.sigma_phi),
         "phase_state": phase.state.name,

@@ -13,8 +13,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from dvf_ig.core import DvfIgError, FloatArray, Rigid, read_only_arrays
-from dvf_ig.guidance import Status, SupervisorState
+from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.guidance.devices.tracked import TrackedTool
 from dvf_ig.guidance.servo import Servo, ServoInputs
 from dvf_ig.session import GuidanceState, Landmark, Rearm, Session, ToolPose
@@ -22,6 +24,7 @@ from dvf_ig.session import GuidanceState, Landmark, Rearm, Session, ToolPose
 from .answers import force_message, pose_message, state_messages
 from .events import EventSource, LiveEvent
 from .link import Inbox, Link
+from .priority import SESSION, schedule_first
 
 ANSWERS_HZ = 60.0
 STATE_EVERY_S = 0.01
@@ -41,7 +44,7 @@ class Answer:
     Attributes:
         state: of the session, on which it rests.
         force_n: (3,) the servo's, frame "tracker"; t_s is the session's time of its tick.
-        servo: state of the servo's supervisor.
+        servo: state of the servo's supervisor, and what it found since the last answer.
         latency_s: from the arrival of the newest tool pose in it until it was handed to the network; NaN
             where no new one was in it.
         offset_s: the clock of the tool's peer less the session's.
@@ -51,6 +54,7 @@ class Answer:
     t_s: float
     force_n: FloatArray
     servo: SupervisorState
+    hazards: Hazard
     latency_s: float
     offset_s: float
 
@@ -91,6 +95,7 @@ class LiveLoop:
 
     def run(self, stop: threading.Event) -> None:
         """Until `stop`."""
+        schedule_first(SESSION)
         while not stop.is_set():
             self.step()
 
@@ -164,16 +169,18 @@ class LiveLoop:
         if state is None or len(record) == 0:
             return
         t_s, force_n = float(record.t_s[-1]), record.sent_n[-1].copy()
-        servo, offset_s = SupervisorState(int(record.state[-1])), self.source.tool_offset_s
+        servo = SupervisorState(int(record.state[-1]))
+        hazards = Hazard(int(np.bitwise_or.reduce(record.hazards)))
+        offset_s = self.source.tool_offset_s
         stamp_s = state.now_s + offset_s
         messages = [*pose_message(state, stamp_s), force_message(force_n, t_s + offset_s)]
         if state.now_s - self._states_sent_s >= STATES_SENT_EVERY_S:
             self._states_sent_s = state.now_s
-            messages += state_messages(state, servo, stamp_s)
+            messages += state_messages(state, servo, hazards, stamp_s)
         self.link.send(messages)
         sent_s = self._answer_s = self.clock()
         latency_s, self._tool_arrived_s = sent_s - self._tool_arrived_s, float("nan")
-        self.observe(Answer(state, t_s, force_n, servo, latency_s, offset_s))
+        self.observe(Answer(state, t_s, force_n, servo, hazards, latency_s, offset_s))
 
     def _rearm(self) -> None:
         self._rearm_asked = False

@@ -69,7 +69,8 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
             Session(setup, executor=executor, clock=time.perf_counter, history=options.history)
         )
         checksum(b"compiled or loaded before the first message")
-        servo = stack.enter_context(Servo(fixtures, device, limits=setup.device))
+        # no device holds a force here that a watchdog would have to take away
+        servo = stack.enter_context(Servo(fixtures, device, limits=setup.device, watchdog=False))
         link = stack.enter_context(open_link(config, inbox))
         yield LiveLoop(
             session=session,

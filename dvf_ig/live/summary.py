@@ -73,7 +73,7 @@ class LiveSummary:
             "messages_refused": loop.source.refused,
             "messages_dropped_in": loop.inbox.dropped,
             "messages_dropped_out": loop.link.dropped,
-            "watchdog_tripped": loop.servo.watchdog_tripped,
+            "servo_run_share": loop.servo.deadlines.run_share,
         }
 
     def table(self, result: dict[str, Any]) -> list[tuple[str, ...]]:

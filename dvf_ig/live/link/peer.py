@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 
 from dvf_ig.live.igtl import Incoming, WireError, WireProblem
+from dvf_ig.live.priority import RECEIVING, schedule_first
 
 from .inbox import Arrival, Inbox
 
@@ -85,6 +86,7 @@ class Peer:
         return True
 
     def _receive(self) -> None:
+        schedule_first(RECEIVING)
         incoming = Incoming()
         try:
             self._receive_into(incoming)
