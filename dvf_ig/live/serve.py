@@ -21,6 +21,8 @@ from .link import Inbox, Link, connect, listen
 from .link.link import LOOPBACK, is_loopback
 from .loop import Answer, LiveLoop, no_more
 
+LATE_S = 0.02
+"""No device holds the servo's force here: it is sent every 17 ms, and a servo that is later than that latches."""
 EcgEvents = Callable[[], list[LiveEvent]]
 
 
@@ -69,8 +71,8 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
             Session(setup, executor=executor, clock=time.perf_counter, history=options.history)
         )
         checksum(b"compiled or loaded before the first message")
-        # no device holds a force here that a watchdog would have to take away
-        servo = stack.enter_context(Servo(fixtures, device, limits=setup.device, watchdog=False))
+        servo = Servo(fixtures, device, limits=setup.device, watchdog=False, late_s=LATE_S)
+        stack.enter_context(servo)
         link = stack.enter_context(open_link(config, inbox))
         yield LiveLoop(
             session=session,
