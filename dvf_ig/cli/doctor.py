@@ -70,18 +70,33 @@ def _version(distribution: str) -> str | None:
         return None
 
 
+def verdict(missing: int, optional: int) -> str:
+    """One sentence on what a user can expect of this machine."""
+    if missing:
+        return f"not ready: {_things(missing)} needed and missing; get what is named above, from the top"
+    if optional:
+        return f"ready; {_things(optional)} optional and missing, and only needed for what it is named with"
+    return "ready: nothing is missing"
+
+
+def _things(count: int) -> str:
+    return "1 thing is" if count == 1 else f"{count} things are"
+
+
 def doctor(as_json: JsonFlag = False) -> None:
     """Say what is missing on this machine and how to get it (exit 2 if something needed is missing)."""
     with command(lists_inputs=False):
         results = checks()
         missing = [c for c in results if c.found is None and c.needed]
+        optional = [c for c in results if c.found is None and not c.needed]
         rows = [(c.what, c.found if c.found else f"MISSING: {c.remedy}") for c in results]
         payload = {
             "ok": not missing,
+            "verdict": verdict(len(missing), len(optional)),
             "checks": [
                 {"what": c.what, "found": c.found, "needed": c.needed, "remedy": c.remedy} for c in results
             ],
         }
-        emit(payload, rows, as_json=as_json)
+        emit(payload, [*rows, ("verdict", verdict(len(missing), len(optional)))], as_json=as_json)
         if missing:
             raise typer.Exit(2)

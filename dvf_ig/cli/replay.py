@@ -77,6 +77,7 @@ def replay(
         from dvf_ig.replay import require_replayable, result_of, run_replay, table
         from dvf_ig.replay.outputs import NAMES, require_own_outputs, write_outputs
         from dvf_ig.replay.report import report_html
+        from dvf_ig.replay.view_file import VIEW, write_view_file
 
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
@@ -102,14 +103,15 @@ def replay(
                     progress=report,
                 )
             result = result_of(done)
-            with files_together(out, ("result.json", "report.html", *NAMES)) as new:
+            with files_together(out, ("result.json", "report.html", VIEW, *NAMES)) as new:
                 write_text(new / "report.html", report_html(done, result))
                 write_json(new / "result.json", {**result, **provenance_fields()})
                 frames = write_outputs(done.poses, done.ticks, new, recorded.tracked_against)
+                write_view_file(done, new, out, config or scenario or Path(), model)
         heading = ("", "estimate", "error against the truth" if done.scenario.truth is not None else "")
         emit(result, [heading, *table(result)], as_json=as_json)
         typer.echo(origin, err=True)
-        for name in ("result.json", "report.html", *frames):
+        for name in ("result.json", "report.html", VIEW, *frames):
             wrote(out / name, frames.get(name))
         if done.poses and done.history.updates[-1].pose is None:
             warn("at the end no pose was in use: mr_from_tracker is the last one before it was suspended")
