@@ -13,6 +13,7 @@ from dvf_ig.cli.inspect import command as inspect
 from dvf_ig.cli.model import commands as model
 from dvf_ig.cli.register import command as register
 from dvf_ig.cli.register.panels import RegisterCommand
+from dvf_ig.cli.serve import command as serve
 from dvf_ig.cli.study import commands as study
 from dvf_ig.cli.synth import commands as synth
 
@@ -34,6 +35,7 @@ app.command("gate")(gate.gate)
 app.command("register", cls=RegisterCommand)(register.register)
 app.command("evaluate")(evaluate.evaluate)
 app.command("replay")(replay.replay)
+app.command("serve")(serve.serve)
 app.command("view")(view.view)
 app.add_typer(export.app, name="export")
 app.add_typer(config.app, name="config")

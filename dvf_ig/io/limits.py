@@ -42,6 +42,14 @@ ECG_VALUE = 1e9
 """An ECG's samples in any unit: converters of 24 bit count to 1.7e7, of 32 bit to 2.1e9 at most."""
 NESTING = 100
 """Lists within lists of a text; ours have five levels."""
+WIRE_IMAGE_BYTES = 64 << 20
+"""One image that arrives by network: a 3-D ultrasound volume of 400³ voxels."""
+WIRE_TEXT_BYTES = (1 << 16) - 1
+"""One text that arrives by network: what OpenIGTLink can state."""
+WIRE_FIELDS_BYTES = 1 << 20
+"""Named fields beside a message that arrives by network; PLUS sends some 2 kB."""
+WIRE_TOOLS = 128
+"""Tools in one message; no tracker sees so many."""
 
 
 def require_lengths(xyz_mm: Any, what: str) -> None:
