@@ -94,9 +94,6 @@ def serve(
     Sends MrFromTracker and ToolForce (TRANSFORM, at most 60 a second), DvfIg (STATUS) and DvfIgState (STRING).
     Other machines are refused unless --allow names them. At the end latency and counts are printed. In a
     terminal, r and Enter re-arms after a latch; the network never does.
-
-    Examples: `dvf-ig serve --config session.yaml`; with a recording: `dvf-ig synth stream DIR` in one
-    terminal, `dvf-ig serve --config DIR` in another.
     """
     with command(threads):
         patient = read_patient(config)

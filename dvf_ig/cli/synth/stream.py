@@ -25,8 +25,6 @@ def stream(
 
     Device names as PLUS has them: ProbeToTracker and ToolToTracker (TRANSFORM), Image_Tracker (IMAGE), EcgData
     (STRING). Stamps are the recording's, put to today. The truth is not sent.
-
-    Example: `dvf-ig synth stream DIR`, then in another terminal `dvf-ig serve --config DIR`.
     """
     with command(lists_inputs=False):
         import time
