@@ -69,8 +69,8 @@ class SlicerScene:
         """Markups of points (`write_node_points`)."""
         storage = self._storage("MarkupsJsonStorage", "vtkMRMLMarkupsJsonStorageNode", name, file)
         display = self._add(
-            "MarkupsDisplay",
-            "vtkMRMLMarkupsDisplayNode",
+            "MarkupsFiducialDisplay",
+            "vtkMRMLMarkupsFiducialDisplayNode",
             f"{name} display",
             {},
             visibility="true",
