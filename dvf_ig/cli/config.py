@@ -163,6 +163,7 @@ def init(
         wrote(output)
         for problem in verdict.misfits:
             warn(f"a replay cannot use {in_options(problem.sentence)}")
+        _warn_of(verdict)
         lacking = [problem.key for problem in verdict.missing if problem.concerns("register")]
         if lacking:
             _refuse([f"{output} is written, but register cannot run yet; it lacks: {', '.join(lacking)}"])
@@ -219,6 +220,7 @@ def validate(
             wrong += [problem for problem in verdict.misfits if problem not in wrong]
         if not wrong and verdict.parts.recorded_calibrations:
             wrong = _calibrations_refused(config, folder, str(session))
+        _warn_of(verdict)
         if wrong:
             _refuse([in_keys(problem.sentence) for problem in wrong])
 
@@ -252,6 +254,11 @@ def _calibrations_refused(config: "SessionDraft", folder: Path, named_by: str) -
     return problems.found
 
 
+def _warn_of(verdict: "Verdict") -> None:
+    for found in verdict.warnings:
+        warn(f"{found.key}: {found.sentence}")
+
+
 def _readiness(use: "Use", verdict: "Verdict") -> str:
     keys = list(dict.fromkeys(problem.key for problem in verdict.hindrances(use)))
     return "can run" if not keys else f"cannot run yet: {', '.join(keys)}"
@@ -275,6 +282,7 @@ def _payload(path: Path, verdict: "Verdict", told: Mapping[str, str | None]) -> 
             for kind, problems in kinds.items()
             for p in problems
         ],
+        "warnings": [{"key": w.key, "cause": w.cause.name, "sentence": w.sentence} for w in verdict.warnings],
     }
 
 

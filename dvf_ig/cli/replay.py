@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .agreement import require_agreement
 from .fixture_options import (
     BlendOption,
     CapOption,
@@ -74,7 +75,7 @@ def replay(
             write_json,
             write_text,
         )
-        from dvf_ig.replay import require_replayable, result_of, run_replay, table
+        from dvf_ig.replay import result_of, run_replay, table
         from dvf_ig.replay.outputs import NAMES, require_own_outputs, write_outputs
         from dvf_ig.replay.report import report_html
 
@@ -87,8 +88,6 @@ def replay(
             options = recordings.fixtures
         mode = chosen_retiming(retiming, recordings.retiming or of_file)
         recorded = recordings.scenario
-        if config is None:
-            require_replayable(recorded)
         with output_folder(out):
             require_own_outputs(out)
             built, origin = patient_model(recorded.preop, recordings.model or model)
@@ -119,18 +118,16 @@ def replay(
 
 
 def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "SessionRecordings":
-    """The recordings of a scenario folder or of a SESSION.yaml."""
+    """The recordings of a scenario folder or of a SESSION.yaml, which agree."""
     from dvf_ig.io import SessionRecordings, read_scenario, read_session
-    from dvf_ig.io.session_file.fit import require_fit
 
     if scenario is not None and config is not None:
         raise typer.BadParameter("give a scenario folder or --config SESSION.yaml, not both")
     if scenario is None and config is None:
         raise typer.BadParameter("what is to be replayed? give a scenario folder, or --config SESSION.yaml")
     if config is None:
-        return SessionRecordings(read_scenario(scenario or Path()), None, None, None)
+        of_folder = SessionRecordings(read_scenario(scenario or Path()), None, None, None)
+        return require_agreement(of_folder, "replay")
     if model is not None:
         raise typer.BadParameter(f"{config} says whose model it is (preop.model); leave out --model")
-    recordings = read_session(config)
-    require_fit(recordings, "replay")
-    return recordings
+    return require_agreement(read_session(config), "replay")

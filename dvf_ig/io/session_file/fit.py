@@ -3,9 +3,11 @@
 What is not there is told by `missing_parts`, what cannot be read by `examine`.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from dvf_ig.cardiac import stream_recording
+from dvf_ig.cardiac import RPeak, stream_recording
 from dvf_ig.core.errors import InvalidInputError, NoOverlapError
 from dvf_ig.core.image_map import ImageMap
 from dvf_ig.registration import TouchedPoints, start_from_landmarks
@@ -18,6 +20,8 @@ from dvf_ig.session.recording_checks import (
     require_tracked,
 )
 
+from .agreement.agreement import disagreements
+from .agreement.finding import Finding
 from .fit_heart import misfits_of_heart
 from .missing import missing_parts
 from .parts import SessionParts, StartFiles, Sweep
@@ -31,9 +35,26 @@ LEAST_SHOWN = 0.01
 """A sector smaller than this share of the image is none."""
 
 
-def misfits(parts: SessionParts) -> tuple[Problem, ...]:
-    """What does not fit, of the parts that there are."""
-    problems = ProblemList()
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """What keeps parts from being used, or not together; and what is doubtful, but not refused."""
+
+    misfits: tuple[Problem, ...]
+    warnings: tuple[Finding, ...]
+
+
+def fit_of(parts: SessionParts) -> Fit:
+    """Of the parts that there are; where a key is of no use, nothing more is said of it."""
+    problems, peaks = _misfits(parts)
+    found = disagreements(parts, np.array([peak.t_s for peak in peaks]))
+    told = {problem.key for problem in problems}
+    refused = (one.problem for one in found if one.refused and one.key not in told)
+    return Fit((*problems, *refused), tuple(one for one in found if not one.refused))
+
+
+def _misfits(parts: SessionParts) -> tuple[list[Problem], tuple[RPeak, ...]]:
+    """What single parts, or pairs of them, cannot be used for; and the heart beats of the ECG."""
+    problems, peaks = ProblemList(), tuple[RPeak, ...]()
     sweep, ecg, tool, start = parts.sweep, parts.ecg, parts.tool, parts.start
     if sweep is not None:
         with problems.about("ultrasound"):
@@ -45,7 +66,8 @@ def misfits(parts: SessionParts) -> tuple[Problem, ...]:
             _require_depth(parts, sweep)
     if ecg is not None:
         with problems.about("ecg"):
-            require_heart_beats(stream_recording(ecg)[0], ecg)
+            peaks, _ = stream_recording(ecg)
+            require_heart_beats(peaks, ecg)
     if tool is not None:
         with problems.about("tool", "replay"):
             require_tracked(tool, "tool")
@@ -61,15 +83,21 @@ def misfits(parts: SessionParts) -> tuple[Problem, ...]:
             require_spread(TouchedPoints(start.touched, np.zeros(len(start.touched))))
     if parts.preop is not None:
         problems.found += misfits_of_heart(parts.preop)
-    return tuple(problems.found)
+    return problems.found, peaks
 
 
-def require_fit(recordings: SessionRecordings, use: Use) -> None:
-    """Raise the first reason why recordings that were read cannot be used for something."""
+def require_fit(recordings: SessionRecordings, use: Use) -> tuple[Finding, ...]:
+    """What is doubtful about recordings that were read.
+
+    Raises:
+        DvfIgError: the first reason why they cannot be used for something.
+    """
     parts = parts_of(recordings)
-    for problem in (*misfits(parts), *missing_parts(parts)):
+    fit = fit_of(parts)
+    for problem in (*fit.misfits, *missing_parts(parts)):
         if problem.concerns(use):
             raise type(problem.error)(problem.sentence) from problem.error
+    return tuple(one for one in fit.warnings if one.concerns(use))
 
 
 def parts_of(recordings: SessionRecordings) -> SessionParts:
