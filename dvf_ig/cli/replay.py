@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .agreement import require_agreement
 from .fixture_options import (
     BlendOption,
     CapOption,
@@ -64,7 +63,7 @@ def replay(
     Calibrates tool, probe and latency, detects heart beats, registers ultrasound to the model and evaluates
     the fixtures at the tool tip every millisecond. Where the folder holds the truth, every error is printed.
     The pose goes to ITK, 3D Slicer and PLUS files, the ticks to a table (see the guide, results of a replay).
-    Exits 7 after writing its evidence when no registration could be used.
+    Exits 7 after writing its evidence when no registration could be used, or no force was given.
     """
     with command(threads):
         from dvf_ig.core import QualityGateError
@@ -110,16 +109,21 @@ def replay(
         typer.echo(origin, err=True)
         for name in ("result.json", "report.html", *frames):
             wrote(out / name, frames.get(name))
+        for warning in result["warnings"]:
+            warn(f"{warning['key']}: {warning['sentence']}")
         if done.poses and done.history.updates[-1].pose is None:
             warn("at the end no pose was in use: mr_from_tracker is the last one before it was suspended")
         if not done.poses:
             reason = result["registrations"][-1]["reason"] if done.attempts else "the recording is too short"
             raise QualityGateError(f"no registration could be used, so no force was given: {reason}")
+        if result["no_force"] is not None:
+            raise QualityGateError(f"no force was given: {result['no_force']}")
 
 
 def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "SessionRecordings":
     """The recordings of a scenario folder or of a SESSION.yaml, which agree."""
     from dvf_ig.io import SessionRecordings, read_scenario, read_session
+    from dvf_ig.io.session_file.fit import require_fit
 
     if scenario is not None and config is not None:
         raise typer.BadParameter("give a scenario folder or --config SESSION.yaml, not both")
@@ -127,7 +131,10 @@ def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "Se
         raise typer.BadParameter("what is to be replayed? give a scenario folder, or --config SESSION.yaml")
     if config is None:
         of_folder = SessionRecordings(read_scenario(scenario or Path()), None, None, None)
-        return require_agreement(of_folder, "replay")
+        require_fit(of_folder, "replay")
+        return of_folder
     if model is not None:
         raise typer.BadParameter(f"{config} says whose model it is (preop.model); leave out --model")
-    return require_agreement(read_session(config), "replay")
+    recordings = read_session(config)
+    require_fit(recordings, "replay")
+    return recordings

@@ -21,6 +21,7 @@ from dvf_ig.session.recording_checks import (
 )
 
 from .agreement.agreement import disagreements
+from .agreement.cycle import HeartInImages, heart_in_images
 from .agreement.finding import Finding
 from .fit_heart import misfits_of_heart
 from .missing import missing_parts
@@ -37,19 +38,37 @@ LEAST_SHOWN = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What keeps parts from being used, or not together; and what is doubtful, but not refused."""
+    """Whether parts can be used together.
 
-    misfits: tuple[Problem, ...]
-    warnings: tuple[Finding, ...]
+    Attributes:
+        problems: what single parts, or pairs of them, cannot be used for.
+        findings: in what they disagree, refused or not.
+        seen: what the images say of the ECG's clock; None where it was not looked at.
+    """
+
+    problems: tuple[Problem, ...]
+    findings: tuple[Finding, ...]
+    seen: HeartInImages | None
+
+    @property
+    def misfits(self) -> tuple[Problem, ...]:
+        """What keeps parts from being used; where a key is of no use, nothing more is said of it."""
+        told = {problem.key for problem in self.problems}
+        refused = (one.problem for one in self.findings if one.refused and one.key not in told)
+        return (*self.problems, *refused)
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """What is doubtful, but not refused."""
+        return tuple(one for one in self.findings if not one.refused)
 
 
 def fit_of(parts: SessionParts) -> Fit:
-    """Of the parts that there are; where a key is of no use, nothing more is said of it."""
+    """Of the parts that there are."""
     problems, peaks = _misfits(parts)
-    found = disagreements(parts, np.array([peak.t_s for peak in peaks]))
-    told = {problem.key for problem in problems}
-    refused = (one.problem for one in found if one.refused and one.key not in told)
-    return Fit((*problems, *refused), tuple(one for one in found if not one.refused))
+    peaks_s = np.array([peak.t_s for peak in peaks])
+    seen = None if problems else heart_in_images(parts, peaks_s)
+    return Fit(tuple(problems), disagreements(parts, peaks_s, seen), seen)
 
 
 def _misfits(parts: SessionParts) -> tuple[list[Problem], tuple[RPeak, ...]]:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from .agreement.cycle import HeartInImages
 from .agreement.finding import Finding
 from .draft import GivenFiles
 from .examine import examine
@@ -27,7 +28,7 @@ class Verdict:
         unreadable: files that are absent, damaged, of another kind, or calibrations that were refused.
         misfits: parts that cannot be used, or not together.
         missing: parts that are not named.
-        warnings: what is doubtful, but keeps nobody from using the files.
+        warnings, seen: as of a `Fit`.
     """
 
     parts: SessionParts
@@ -35,6 +36,7 @@ class Verdict:
     misfits: tuple[Problem, ...]
     missing: tuple[Problem, ...]
     warnings: tuple[Finding, ...]
+    seen: HeartInImages | None
 
     def hindrances(self, use: Use) -> tuple[Problem, ...]:
         """What keeps these files from a use; a file that cannot be read hinders every use."""
@@ -81,7 +83,7 @@ def _verdict(
     misfits = tuple(_with_file(problem, files) for problem in fit.misfits)
     missing = (*absent, *missing_parts(parts, (*problems, *misfits)))
     unreadable = tuple(p for p in problems if p not in absent)
-    return Verdict(parts, unreadable, misfits, missing, fit.warnings)
+    return Verdict(parts, unreadable, misfits, missing, fit.warnings, fit.seen)
 
 
 def _with_file(problem: Problem, files: Mapping[str, Path]) -> Problem:

@@ -4,13 +4,24 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from config_runs import errors, run, write
 from toy_lab import SESSION, poses
 
-from dvf_ig.core import CycleTiming, Grid, Landmarks, Mesh, Points, PoseStream, Rigid, VolumeSeries
+from dvf_ig.core import (
+    CycleTiming,
+    FloatArray,
+    Grid,
+    Landmarks,
+    Mesh,
+    Points,
+    PoseStream,
+    Rigid,
+    VolumeSeries,
+)
 from dvf_ig.io import write_poses
 from dvf_ig.io.session_file.agreement.finding import Disagreement
 from dvf_ig.io.session_file.fit import fit_of, parts_of
@@ -144,6 +155,47 @@ def short_ecg(parts: SessionParts) -> SessionParts:
     return replace(parts, ecg=replace(parts.ecg, samples=parts.ecg.samples[:1100]))  # type: ignore[union-attr,type-var]
 
 
+def beating(late_s: float = 0.0, drift: float = 0.0, noise: float = 0.0) -> Change:
+    """Images that change as fast as the model moves, by an ECG that is late, or whose clock runs too fast."""
+    sizes = np.array([1.0, 0.8, 0.85, 0.95])
+
+    def change(parts: SessionParts) -> SessionParts:
+        assert parts.preop is not None
+        assert parts.preop.model is not None
+        assert parts.sweep is not None
+        model = parts.preop.model
+        meshes = tuple(Mesh("mr", 70.0 * s * np.eye(3), np.array([[0, 1, 2]])) for s in sizes)
+        moving = replace(model, reference=meshes)
+        amounts = np.abs(np.roll(sizes, -1) - sizes)
+        at = (parts.sweep.recorded.t_s - 0.065 - late_s) * (1.0 + drift) / 0.8
+        way = np.interp(at - 0.05, *unrolled(amounts, model.timing.fractions - 0.05))
+        return replace(
+            parts,
+            preop=replace(parts.preop, model=moving),
+            sweep=replace(
+                parts.sweep, recorded=replace(parts.sweep.recorded, images=textures(8.0 * way, noise))
+            ),
+        )
+
+    return change
+
+
+def unrolled(amounts: FloatArray, fractions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Times in cycles, and the way made until each, over twenty cycles."""
+    at = np.concatenate([k + fractions for k in range(-2, 18)])
+    return at, np.concatenate([[0.0], np.cumsum(np.tile(amounts, 20))[:-1]])
+
+
+def textures(way: FloatArray, noise: float) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """(n, 80, 60) grey levels that change with a way that is made."""
+    rng = np.random.default_rng(4)
+    first, second = rng.normal(size=(2, 14, 10))
+    mixed = np.cos(way)[:, None, None] * first + np.sin(way)[:, None, None] * second
+    mixed += noise * rng.normal(size=mixed.shape)
+    grey = np.repeat(np.repeat(mixed, 6, axis=1), 6, axis=2)[:, :80, :60]
+    return np.clip(128 + 30 * grey, 1, 255).astype(np.uint8)
+
+
 CASES: dict[str, tuple[Change, Disagreement, str]] = {
     "a heart in m": (heart_of(0.09), Disagreement.HEART_NOT_IN_MM, "preop.model"),
     "a heart in cm": (heart_of(11.0), Disagreement.HEART_NOT_IN_MM, "preop.model"),
@@ -172,6 +224,9 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
         "start.landmarks_tracker",
     ),
     "a rate three times too high": (slow_heart, Disagreement.ECG_OF_ANOTHER_RATE, "ecg"),
+    "an ECG that is late": (beating(-0.3), Disagreement.ECG_LATE, "ecg"),
+    "an ECG that may be late": (beating(-0.3, noise=0.7), Disagreement.ECG_PERHAPS_LATE, "ecg"),
+    "an ECG whose clock drifts": (beating(-0.154, drift=-0.025), Disagreement.ECG_DRIFTS, "ecg"),
     "an ECG that was cut off": (short_ecg, Disagreement.LITTLE_COMMON_TIME, "ecg"),
 }
 
@@ -191,6 +246,30 @@ def test_what_does_not_agree_is_refused_or_told(parts: SessionParts, case: str) 
     named = [problem for problem in fit.misfits if first_words in problem.sentence]
     assert bool(named) is cause.value.refused
     assert cause.value.refused or {one.cause for one in fit.warnings if one.key == key} == {cause}
+
+
+@pytest.mark.parametrize("late_s", [-0.3, -0.2, 0.0, 0.04, 0.2])
+def test_images_tell_how_late_the_ecg_is(parts: SessionParts, late_s: float) -> None:
+    seen = fit_of(beating(-late_s)(parts)).seen
+    assert seen is not None
+    assert seen.delay.known
+    assert seen.delay.delay_s == pytest.approx(late_s, abs=0.04)
+    assert seen.delay.suspicious is (abs(late_s) > 0.08)
+    assert seen.drift_s == pytest.approx(0.0, abs=0.04)
+
+
+def test_images_that_do_not_beat_say_nothing(parts: SessionParts) -> None:
+    still = beating()(parts)
+    assert still.sweep is not None
+    noise = np.random.default_rng(5).integers(1, 255, still.sweep.recorded.images.shape, np.uint8)  # type: ignore[union-attr]
+    recorded = replace(still.sweep.recorded, images=noise)
+    fit = fit_of(replace(still, sweep=replace(still.sweep, recorded=recorded)))
+    assert fit.findings == ()
+    assert fit.seen is not None
+    assert fit.seen.sentence.startswith("not known: ")
+    assert fit.seen.values() == {"delay_s": None, "drift_s": None, "log_likelihood_ratio": None}
+    without_latency = fit_of(replace(beating()(parts), latency=None))
+    assert without_latency.seen is None
 
 
 def test_every_disagreement_has_its_case() -> None:

@@ -105,6 +105,21 @@ class Disagreement(Enum):
         "the heart beats {bpm:.0f} times a minute by the ECG, {model_bpm:.0f} times by the model; check the "
         "ECG's sampling rate, and that both are of one patient",
     )
+    ECG_LATE = Rule(
+        True,
+        "by the images' own cyclic motion the ECG is {ms:.0f} ms {which}; put its times right (ecg.start_s), "
+        "or check the latency of the images",
+    )
+    ECG_PERHAPS_LATE = Rule(
+        False,
+        "by the images' own cyclic motion the ECG seems to be {ms:.0f} ms {which}; check its clock and the "
+        "latency of the images",
+    )
+    ECG_DRIFTS = Rule(
+        False,
+        "by the images' own cyclic motion the ECG's clock drifts from theirs by {ms:.0f} ms within the "
+        "recording; record both on one clock",
+    )
     LITTLE_COMMON_TIME = Rule(
         False,
         "ECG and {what} share {share:.0%} of the time of the {what}; outside it no phase is known: check the "
