@@ -114,7 +114,7 @@ def _truth(folder: Path, document: dict[str, Any]) -> ScenarioTruth:
         tool=ToolTruth(*(tool[name] for name in _TOOL)),
         mismatch_mm=float(document["mismatch_mm"]),
         later_probe_from_image=tuple(
-            (float(entry["from_s"]), _image(entry)) for entry in document.get("later_probe_from_image", ())
+            (_start_s(entry), _image(entry)) for entry in document.get("later_probe_from_image", ())
         ),
         calibrated_probe_from_image=None if calibrated is None else _image(calibrated),
         video_drift_ppm=float(document.get("video_drift_ppm", 0.0)),
@@ -141,8 +141,14 @@ def _image(document: dict[str, Any]) -> ImageMap:
 
 def _timed_pose(entry: dict[str, Any]) -> tuple[float, Rigid]:
     """A pose and when it starts to hold; JSON's null stands for "from the beginning"."""
-    start_s = -math.inf if entry["from_s"] is None else float(entry["from_s"])
+    start_s = -math.inf if entry["from_s"] is None else _start_s(entry)
     return start_s, rigid_from_matrix(entry["matrix"], "mr", "tracker")
+
+
+def _start_s(entry: dict[str, Any]) -> float:
+    start_s = float(entry["from_s"])
+    limits.require_times(start_s, "from_s")
+    return start_s
 
 
 def _surface(folder: Path, header: dict[str, Any]) -> SurfaceSeries:
