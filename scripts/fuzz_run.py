@@ -27,7 +27,7 @@ HANG_S = 20.0
 MEMORY_BYTES = 1 << 29
 """Memory in use above what the program and its libraries take themselves; files here have 10 kB."""
 ADDRESS_BYTES = 3 << 29
-"""Addresses above those of the program, which the system refuses to go beyond; libraries reserve without use."""
+"""Addresses above those of the program, beyond which the system refuses; libraries reserve without use."""
 BATCH = 5000
 MEMORY_DISK = Path("/dev/shm")
 """Where it is there, files are damaged in memory: a disk takes longer to write than a reader to read."""

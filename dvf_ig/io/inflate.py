@@ -75,5 +75,6 @@ def require_size(path: Path, got: int, needed: int) -> None:
     if got != needed:
         state = "is truncated" if got < needed else "is longer than its header says"
         raise UnreadableFileError(
-            f"{path} {state}: its image data have {max(got, 0)} bytes, its header needs {needed}; copy it again"
+            f"{path} {state}: its image data have {max(got, 0)} bytes, its header needs {needed}; copy it "
+            "again"
         )

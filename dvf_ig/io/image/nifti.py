@@ -129,7 +129,10 @@ def read_nifti_voxels(path: Path, header: NiftiHeader) -> AnyArray:
 
 
 def _scaled(values: AnyArray, slope: float, intercept: float) -> AnyArray:
-    """Scaled to float32, or float64 of those; not where the slope is 0 (NIfTI-1, scl_slope), or changes nothing."""
+    """Scaled to float32, or float64 of those; as they are where the slope is 0 or nothing would change.
+
+    Source: NIfTI-1, scl_slope.
+    """
     least = float(np.finfo(np.float64).eps)
     if abs(slope) <= least or (abs(slope - 1.0) <= least and abs(intercept) <= least):
         return values

@@ -228,4 +228,4 @@ def _payload(path: Path, data: bytes, start: int, name: str) -> memoryview:
 def _inflated(path: Path, payload: memoryview, expected: int) -> memoryview:
     if expected > limits.FILE_BYTES:
         raise UnreadableFileError(f"{path}: its header states {expected} bytes of images; split it")
-    return memoryview(inflated(path, payload, expected))
+    return inflated(path, payload, expected).data
