@@ -171,6 +171,7 @@ def main() -> int:
         metavar="N",
         help="N files of each reader and those found before, and no more; keeps nothing",
     )
+    parser.add_argument("--forces", type=int, metavar="N", help="N forces at hostile places, and no files")
     for hidden in ("--child", "--seeds"):
         parser.add_argument(hidden, help=argparse.SUPPRESS)
     for hidden in ("--first", "--count"):
@@ -179,6 +180,10 @@ def main() -> int:
     if given.child:
         child(given.child, given.seed, given.first, given.count, Path(given.seeds))
         return 0
+    if given.forces:
+        from scripts.fuzz_forces import fuzz_forces
+
+        return 1 if fuzz_forces(given.forces, given.seed) else 0
     with tempfile.TemporaryDirectory(dir=MEMORY_DISK if MEMORY_DISK.is_dir() else None) as scratch:
         seeds = Path(scratch) / "seeds"
         seeds.mkdir()
