@@ -29,6 +29,7 @@ from dvf_ig.core import (
     NWireRecording,
     Points,
     PoseStream,
+    Scenario,
     TargetRecording,
 )
 from dvf_ig.session import CalibrationsInUse, UltrasoundCalibration
