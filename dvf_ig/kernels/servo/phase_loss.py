@@ -129,5 +129,6 @@ def cross_to_walls(
         for k in range(FORCE_PARTS):
             composed[k] += share * (other[k] - composed[k])
         if status == code.NO_PHASE:
-            composed[FORCE_PARTS:] = other[FORCE_PARTS:]
+            for k in range(FORCE_PARTS, len(composed)):
+                composed[k] = other[k]
     return status
