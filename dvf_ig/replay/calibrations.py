@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -66,7 +67,20 @@ class Calibrations:
         return CalibrationsInUse(self.ultrasound.probe_from_image, self.ultrasound.lag_s, self.tip)
 
 
-def calibrate(scenario: Scenario, seed: int) -> Calibrations:
+class Calibratable(Protocol):
+    """What holds the calibrations or their recordings, as `Scenario` does."""
+
+    @property
+    def probe(self) -> NWireRecording | TargetRecording | ImageMap: ...
+
+    @property
+    def latency(self) -> LatencyRecording | float: ...
+
+    @property
+    def tip(self) -> PoseStream | Points | None: ...
+
+
+def calibrate(scenario: Calibratable, seed: int) -> Calibrations:
     """Calibrate tool, probe and latency from what was recorded, exactly as `dvf-ig calibrate` does.
 
     Refusals are the methods' own.
@@ -75,6 +89,12 @@ def calibrate(scenario: Scenario, seed: int) -> Calibrations:
     image, probe = _image(scenario.probe, np.random.default_rng(seed))
     lag_s, latency = _lag(scenario.latency)
     return Calibrations(UltrasoundCalibration(image, lag_s), tip, pivot, probe, latency)
+
+
+def calibrated(scenario: Scenario, found: Calibrations) -> Scenario:
+    """The same scenario with results in place of the recordings that they were made from."""
+    image, lag_s = found.ultrasound.probe_from_image, found.ultrasound.lag_s
+    return replace(scenario, probe=image, latency=lag_s, tip=found.tip)
 
 
 def _tip(

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dvf_ig.cli.agreement import require_agreement
 from dvf_ig.cli.shell import (
     EcgRateOption,
     JsonFlag,
@@ -73,9 +74,6 @@ def register(
     Tracked frames, of a scenario folder, a SESSION.yaml, or named by options, and gated 3-D volumes give
     mr_from_tracker; an image pair gives moving_from_fixed. The evidence and a page are written in any case;
     exits 5, 6 or 7 when the pose must not be used.
-
-        dvf-ig register --us SWEEP.igs.mha --ecg edf:ECG.edf --model heart.npz --mr CINE --probe probe.json
-          --latency lag.json --start-landmarks model.mrk.json patient.mrk.json -o OUT
     """
     with command(threads):
         from dvf_ig.io import output_folder
@@ -120,10 +118,7 @@ def register(
 
 def _recordings(config: Path | None, us: Path | None, options: dict[str, Any]) -> "SessionRecordings":
     from dvf_ig.io import read_session
-    from dvf_ig.io.session_file.fit import require_fit
 
     if config is None:
         return own.read_recordings(us, options)
-    recordings = read_session(config)
-    require_fit(recordings, "register")
-    return recordings
+    return require_agreement(read_session(config), "register")

@@ -16,7 +16,7 @@ from .figures import (
     pose_figure,
     supervisor_figure,
 )
-from .values import RegistrationMark, ReplayPage
+from .values import BeatTrace, ReplayPage
 
 
 def replay_html(page: ReplayPage) -> str:
@@ -26,34 +26,32 @@ def replay_html(page: ReplayPage) -> str:
     sections = (
         (
             "Ultrasound and model, before and after registration",
-            "The model's surface in the ultrasound plane at the phase of each frame.",
+            "The model's surface in the ultrasound plane at the phase of each frame. Letters at the edges: "
+            "right (R) and left (L), front (A) and back (P), head (H) and foot (F) of the patient.",
             overlay_figure(page.overlays),
         ),
         (
             "The pose from beat to beat",
-            "After each heart beat its ultrasound is compared with the model under the pose in use. Above: "
-            "mean target registration error (TRE) of the beat's best pose, where the ground truth is known "
-            "(dotted: 2 mm). Below: by how much that pose explains the beat better than the pose in use "
-            "(dotted: more than noise does). Red: the pose is suspended, no force is given. Vertical lines: "
-            "a registration came into use, or (dotted) did not.",
+            "After each heart beat its ultrasound is compared with the model under the pose in use, and the "
+            "log-likelihood ratio says by how much the beat's best pose explains it better."
+            + _tre_remark(page.beats),
             pose_figure(page.beats, page.registrations, span_s),
         ),
         (
             "Phase error over time",
-            "Against the ground truth. Grey: no force was given.",
+            "Against the ground truth.",
             phase_error_figure(ticks),
         ),
         (
             "Force and distance",
             "Force of the fixture at the tool tip through the estimated pose and phase, and distance of the "
-            "tip from the surface. Grey: no force was given.",
+            "tip from the surface.",
             force_figure(ticks),
         ),
         (
             "Supervisor",
             "When the force was given in full, with a warning or rising (degraded), released (fade), or "
-            "withheld until the operator re-armed (latched); the hazards behind it. Below: time since a "
-            "heart beat confirmed the pose (dotted: from then on it is withheld).",
+            "withheld until the operator re-armed (latched); the hazards behind it.",
             supervisor_figure(page.supervisor),
         ),
         (
@@ -63,7 +61,7 @@ def replay_html(page: ReplayPage) -> str:
         ),
         (
             "ECG, R peaks and phase",
-            "Phase as it was known at each moment, from the past alone. Grey: phase could not be used.",
+            "Phase as it was known at each moment, from the past alone.",
             ecg_figure(page.ecg),
         ),
     )
@@ -74,15 +72,28 @@ def replay_html(page: ReplayPage) -> str:
     )
     estimates = table(("", "estimate", "error against the ground truth"), page.estimates)
     about = f"patient {html.escape(page.patient_id)}, dvf_ig {html.escape(page.version)}"
-    return html_page(
-        f"Replay of {page.scenario}",
-        f"<p class=note>{about}</p>{_verdict(page.registrations)}<h2>Estimates</h2>{estimates}{body}",
-    )
+    head = f"<p class=note>{about}</p>{_verdict(page)}{_warnings(page.warnings)}"
+    return html_page(f"Replay of {page.scenario}", f"{head}<h2>Estimates</h2>{estimates}{body}")
 
 
-def _verdict(registrations: Sequence[RegistrationMark]) -> str:
+def _tre_remark(beats: BeatTrace | None) -> str:
+    if beats is None or beats.tre_mm is None:
+        return ""
+    return " Above it: mean target registration error (TRE) of that best pose; thin dotted line: 2 mm."
+
+
+def _warnings(sentences: Sequence[str]) -> str:
+    """What is doubtful about the recordings together; nothing where all is well."""
+    items = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences)
+    return f"<h2>Recordings that disagree</h2><ul>{items}</ul>" if items else ""
+
+
+def _verdict(page: ReplayPage) -> str:
+    registrations = page.registrations
     used = any(mark.usable for mark in registrations)
     last = registrations[-1].reason if registrations else "the recording is too short to register"
+    if used and page.no_force is not None:
+        return f"<p class='verdict bad'>No force was given: {html.escape(page.no_force)}</p>"
     if used and registrations[-1].usable:
         return "<p class='verdict good'>Registered: force was given in valid state only</p>"
     if used:
