@@ -17,8 +17,8 @@ from .messages import Message, nanoseconds, typestore
 MARK = b"\x89MCAP0\r\n"
 WHAT = "an MCAP log"
 DIGESTS, COUNTS = "sha256", "messages"
-"""Metadata of a log: of each attached file; and how many messages each topic has. mcap's reader checks the CRC
-of chunks, but not of attachments nor of the index, by which it finds the messages of a topic."""
+"""Metadata of a log: of each attached file; how many messages each topic has. mcap's reader checks the CRC of
+chunks, but not of attachments nor of the index, by which it finds the messages of a topic."""
 
 _DAMAGE = (struct.error, MemoryError, RuntimeError, LookupError, AttributeError, ArithmeticError)
 """What mcap and rosbags raise on damaged files, besides ValueError."""
