@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from data_synth.scenario.presets import ScenarioSpec
 from data_synth.scenario.recording import ImagedHeart, imaged_heart, phantom_scenario
 from dvf_ig.core import DvfModel, Scenario, SurfaceSeries
 from dvf_ig.io import cached_model, write_scenario
-from dvf_ig.replay import Replay, run_replay
+from dvf_ig.replay import Replay, engine, run_replay
+from dvf_ig.session.heart import build_heart
 
 settings.register_profile("dvf_ig", deadline=None, derandomize=True)
 settings.load_profile("dvf_ig")
@@ -72,7 +74,16 @@ def written(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 
 @pytest.fixture(scope="session")
-def replay(scenario: Scenario) -> Replay:
+def shared_hearts() -> Iterator[None]:
+    """Replays of one patient with one model share what `build_heart` makes of these two alone."""
+    made = lru_cache(maxsize=2)(build_heart)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(engine, "build_heart", lambda preop, model=None, progress=None: made(preop, model))
+        yield
+
+
+@pytest.fixture(scope="session")
+def replay(scenario: Scenario, shared_hearts: None) -> Replay:
     return run_replay(scenario, model=cached_model(scenario.preop).model, seed=0)
 
 

@@ -22,6 +22,8 @@ VIEW = "view.json"
 KIND = "view"
 POSE_STEP_S = 0.05
 """Poses move at 10 mm/s at most and steadily: between two of these they are interpolated."""
+CORNER = 1e-4
+"""Change of a pose's step from tick to tick, mm or 1, above which that tick is kept."""
 _AT = 0.01
 """Nearer than this share of the way to a pose that is kept, it holds: none is there before the first."""
 
@@ -134,11 +136,14 @@ def _relative(path: Path, run: Path) -> str:
 
 
 def _thinned(ticks: Ticks) -> tuple[FloatArray, FloatArray]:
-    """Times and poses, one every POSE_STEP_S and both sides of every change, without those that repeat."""
+    """Times and poses, one every POSE_STEP_S, and where motion begins or ends; without those that repeat."""
     step = max(1, round(POSE_STEP_S / float(np.median(np.diff(ticks.t_s)))))
     used = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
     edges = np.flatnonzero(used[1:] != used[:-1])
-    rows = np.unique(np.concatenate([np.arange(0, len(ticks), step), edges, edges + 1, [len(ticks) - 1]]))
+    bend = np.abs(np.diff(ticks.mr_from_tracker, n=2, axis=0)).max(axis=(1, 2), initial=0.0)
+    corners = np.flatnonzero(np.nan_to_num(bend) > CORNER) + 1
+    ends = [0, len(ticks) - 1]
+    rows = np.unique(np.concatenate([np.arange(0, len(ticks), step), edges, edges + 1, corners, ends]))
     poses = ticks.mr_from_tracker[rows]
     same = (np.nan_to_num(poses[1:]) == np.nan_to_num(poses[:-1])).all(axis=(1, 2))
     needed = np.concatenate([[True], ~(same[:-1] & same[1:]), [True]])

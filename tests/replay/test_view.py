@@ -17,11 +17,12 @@ from browser import MISSING, Page, browser, chromium
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import DvfModel, UnreadableFileError
+from dvf_ig.core import DvfModel, Landmarks, Points, UnreadableFileError
 from dvf_ig.io import cached_model
 from dvf_ig.replay import Replay
+from dvf_ig.replay.report import _overlays
 from dvf_ig.replay.run_folder import read_run, read_ticks
-from dvf_ig.report.viewer import live_page
+from dvf_ig.report.viewer import RegistrationView, live_page, registration_payload, viewer_html
 
 NEEDS_BROWSER = pytest.mark.skipif(chromium() is None, reason=MISSING)
 
@@ -220,6 +221,38 @@ def test_keys_step_from_beat_to_beat_and_play(opened: Page, run: Path) -> None:
     opened.run("dvf.play()")
     opened.until(f"return dvf.state().cursor_s > {peaks[6] + 0.05}")
     opened.run("dvf.pause()")
+
+
+@NEEDS_BROWSER
+def test_a_registration_is_shown_plane_by_plane(
+    replay: Replay, opened: Page, model: DvfModel, tmp_path: Path
+) -> None:
+    planes = _overlays(replay)
+    corner = np.array([0.0, 0.0, 1.0])
+    target = Points("mr", (np.asarray(planes[1].anatomy_from_pixel) @ corner)[None])
+    view = RegistrationView(
+        "toy", "nobody", True, "It <converged>.", [("error bound", "3.0 mm")], planes, "MR", model,
+        Landmarks(("corner",), target), 3.0,
+    )  # fmt: skip
+    page = tmp_path / "view.html"
+    page.write_text(viewer_html(registration_payload(view)), encoding="utf-8")
+    opened.open(page.as_uri())
+    opened.until("return window.dvf && (window.dvf.ready || window.dvf.error)")
+    for i, plane in enumerate(planes):
+        shown = opened.run("dvf.seek(arguments[0]); return dvf.state()", i + 0.3)
+        assert shown["frame"] == i
+        assert plane.name in opened.run("return document.getElementById('frame').textContent")
+        assert any(one["role"] == "organ" and len(one["segments"]) > 100 for one in shown["contours"])
+    placed = opened.run("return Array.from(dvf.viewer.series.frames.mr_from_pixel[1])")
+    step = np.array(planes[1].size_mm) / [*opened.run(SIZE)]
+    assert np.linalg.norm(np.reshape(placed, (3, 3))[:, 0]) == pytest.approx(step[0], rel=0.02)
+    text = opened.run("return document.getElementById('numbers').innerText")
+    assert "It <converged>." in text
+    assert "< 3.0 mm at 95 %" in text
+    assert [url for url in opened.requests() if url.startswith("http")] == []
+
+
+SIZE = "return [dvf.viewer.scene.image.columns, dvf.viewer.scene.image.rows]"
 
 
 @NEEDS_BROWSER

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from dvf_ig.cli.agreement import require_agreement
 from dvf_ig.cli.patient_model import patient_model
 from dvf_ig.cli.shell import progress
 
@@ -18,10 +19,13 @@ if TYPE_CHECKING:
 
 def register_folder(folder: Path, model: Path | None, start: Path | None, seed: int) -> Registered:
     """A scenario folder, from its own start unless another is given."""
-    from dvf_ig.io import read_scenario, read_transform
+    from dvf_ig.io import SessionRecordings, read_scenario, read_transform
 
     given = None if start is None else read_transform(start, target="mr", source="tracker")
     recorded = read_scenario(folder)
+    if given is not None:
+        recorded = replace(recorded, start=given)
+    require_agreement(SessionRecordings(recorded, None, None, None), "register")
     return _register(recorded, given, *patient_model(recorded.preop, model), seed)
 
 

@@ -18,10 +18,10 @@ from dvf_ig.io.reading import reading
 
 from .header import ImageHeader
 from .metaimage import read_metaimage_header
-from .nifti_check import check_nifti, nifti_files
+from .nifti import nifti_files, read_nifti_header, read_nifti_voxels
 from .nrrd import read_nrrd_header
 from .timing import read_timing
-from .voxels import read_voxels
+from .voxels import in_c_order, read_voxels
 
 DIRECTION_TOLERANCE = 1e-3
 _EXACT_KEY = "dvf_ig_origin_spacing_direction"
@@ -85,7 +85,7 @@ def image_dimension(path: Path | str) -> int:
         return 4
     with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
         header = image_header(path)
-        return check_nifti(path) if header is None else len(header.sizes)
+        return len(read_nifti_header(path).sizes if header is None else header.sizes)
 
 
 def image_header(path: Path) -> ImageHeader | None:
@@ -158,20 +158,23 @@ def _read_nifti(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]
     """As `read_array`."""
     import SimpleITK
 
-    size = check_nifti(path)
-    if size != dimension:
+    header = read_nifti_header(path)
+    if len(header.sizes) != dimension:
         raise UnreadableFileError(
-            f"{path} is {size}-D with 1 value(s) a voxel; needed {dimension}-D with one"
+            f"{path} is {len(header.sizes)}-D with 1 value(s) a voxel; needed {dimension}-D with one"
         )
+    image = SimpleITK.ImageFileReader()  # where it lies in space, by rules that ITK knows best
+    image.SetImageIO("NiftiImageIO")
+    image.SetFileName(str(path))
     try:
-        image = SimpleITK.ReadImage(str(path), imageIO="NiftiImageIO")
+        image.ReadImageInformation()
     except RuntimeError as exc:
         raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
+    if tuple(image.GetSize()) != header.sizes or image.GetNumberOfComponents() != 1:
+        raise UnreadableFileError(f"{path} holds several values a voxel; needed an image with one")
+    values = read_nifti_voxels(path, header)
     for file in nifti_files(path):
         record_file(file)
-    if image.GetDimension() != dimension or image.GetNumberOfComponentsPerPixel() != 1:
-        raise UnreadableFileError(f"{path} holds several values a voxel; needed an image with one")
-    values = np.transpose(SimpleITK.GetArrayViewFromImage(image))
     values = np.moveaxis(values, -1, 0) if dimension == 4 else values
     origin, spacing = np.array(image.GetOrigin()[:3]), np.array(image.GetSpacing()[:3])
     _require_plausible(path, origin, spacing)
@@ -222,7 +225,7 @@ def _right_handed(
             f"-r ORTHOGONAL_REFERENCE.nii.gz -o straight_{path.name}"
         )
     shape = (int(values.shape[-3]), int(values.shape[-2]), int(values.shape[-1]))
-    owned = np.array(values, order="C")  # a copy: `values` may be a view into an image that goes away
+    owned = in_c_order(values)  # a copy: `values` may be a view into an image that goes away
     owned.setflags(write=False)
     return Grid(frame, shape, origin, spacing, direction), owned
 

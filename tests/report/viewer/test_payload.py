@@ -4,6 +4,8 @@ import base64
 import gzip
 import hashlib
 import json
+import shutil
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -197,6 +199,16 @@ def test_the_page_that_ships_was_built_from_these_sources() -> None:
     assert f'<meta name="dvf-sources" content="{digest.hexdigest()}" />' in live_page(), (
         "dvf_ig/report/web/built/viewer.html is older than its sources; run scripts/viewer"
     )
+
+
+@pytest.mark.skipif(
+    shutil.which("npm") is None or not (WEB / "node_modules").is_dir(),
+    reason="npm or dvf_ig/report/web/node_modules is missing: scripts/viewer installs them",
+)
+def test_the_page_builds_again_to_the_same_bytes(tmp_path: Path) -> None:
+    build = ["npx", "vite", "build", "--logLevel", "warn", "--outDir", str(tmp_path), "--emptyOutDir"]
+    subprocess.run(build, cwd=WEB, check=True, capture_output=True, timeout=120)
+    assert (tmp_path / "viewer.html").read_text(encoding="utf-8") == live_page()
 
 
 def test_no_text_of_the_data_ends_the_element_that_holds_it() -> None:

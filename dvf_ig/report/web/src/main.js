@@ -106,7 +106,7 @@ class Viewer {
       this.$("numbers").innerHTML = numberRows(values, this.scene);
       this.texts(values, frame, plane);
     }
-    if (this.image) this.picture(frame, { plane, tip, force, phase: frame < 0 ? null : series.frames.model_phase[frame] });
+    if (this.image) this.picture(frame, { plane, tip, force, margin: values.margin_mm ?? 0, phase: frame < 0 ? null : series.frames.model_phase[frame] });
   }
 
   picture(frame, moment) {
@@ -173,7 +173,7 @@ class Viewer {
 
   legend() {
     const box = this.$("legend");
-    for (const [role, color, text] of legendRows(this.scene)) {
+    for (const [role, color, text] of legendRows(this.scene, this.series)) {
       const button = document.createElement("button");
       button.innerHTML = `<i style="background:${color}"></i>`;
       button.append(text);

@@ -37,10 +37,10 @@ const escaped = (text) => {
 export function outcomeRows(scene) {
   const place = ([x, y, z]) =>
     [[x, "RL"], [y, "AP"], [z, "IS"]].map(([v, [minus, plus]]) => `${v < 0 ? minus : plus} ${Math.abs(v).toFixed(1)}`).join("  ");
-  const bound = scene.bound_mm === null ? "no bound stated" : `± ${scene.bound_mm.toFixed(1)} mm at 95 %`;
+  const bound = scene.bound_mm === null ? "no bound stated" : `< ${scene.bound_mm.toFixed(1)} mm at 95 %`;
   const rows = scene.rows.map(([name, value]) => `<div class="wide"><dt>${escaped(name)}</dt><dd>${escaped(value)}</dd></div>`);
   const targets = scene.targets.map(
-    (one) => `<div class="wide"><dt>${escaped(one.name)}, ${place(one.xyz_mm)} mm</dt><dd>${bound}</dd></div>`,
+    (one) => `<div class="wide"><dt>${escaped(one.name.replaceAll("_", " "))}, ${place(one.xyz_mm)} mm</dt><dd>${bound}</dd></div>`,
   );
   const state = scene.usable ? "ok" : "latched";
   return `<div class="state ${state}"><b>${scene.usable ? "may be used" : "refused"}</b><span>${escaped(scene.reason)}</span></div>

@@ -9,6 +9,7 @@ import {
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { COLORS, themeColor } from "./colors.js";
 import { bracket } from "./heart.js";
+import { litRows } from "./image.js";
 
 const UP = new Vector3(0, 1, 0);
 const ARROW_MM_PER_N = 70;
@@ -115,7 +116,7 @@ export class Space {
     for (const role of ["blood", "organ"]) group.add(this.outline(role));
     group.visible = false;
     this.scene.add(group);
-    return { group, geometry, edge, canvas, texture, context: canvas.getContext("2d") };
+    return { group, geometry, edge, canvas, texture, context: canvas.getContext("2d", { willReadFrequently: !image.fan_px }) };
   }
 
   /** Where a surface meets the plane, drawn in space. */
@@ -151,7 +152,7 @@ export class Space {
     const line = new Line(geometry, new LineBasicMaterial({ color: COLORS.fixture, depthTest: false }));
     line.renderOrder = 7;
     this.scene.add(line);
-    return { fixture, geometry };
+    return { fixture, geometry, line };
   }
 
   /** A ball at the tip, the shaft behind it; a pale copy shows through what hides them. */
@@ -261,7 +262,10 @@ export class Space {
       geometry.computeVertexNormals();
     }
     for (const one of this.targets) one.visible = this.shown.targets !== false;
-    for (const { fixture, geometry } of this.paths) moved(fixture, geometry, known ? phase : 0);
+    for (const { fixture, geometry, line } of this.paths) {
+      line.visible = this.shown.path !== false;
+      moved(fixture, geometry, known ? phase : 0);
+    }
     this.placePlane(plane);
     this.tool.visible = tip !== null;
     if (tip) {
@@ -408,7 +412,9 @@ function moved(fixture, geometry, phase) {
 /** What was not insonified is black in a plane without a known sector; there one sees through it. */
 function seeThroughBlack(context, { width, height }) {
   const picture = context.getImageData(0, 0, width, height);
-  for (let i = 0; i < picture.data.length; i += 4) if (picture.data[i] < 8) picture.data[i + 3] = 0;
+  litRows(picture).forEach(([first, last], r) => {
+    for (let c = 0; c < width; c++) if (c < first || c > last) picture.data[4 * (r * width + c) + 3] = 0;
+  });
   context.putImageData(picture, 0, 0);
 }
 

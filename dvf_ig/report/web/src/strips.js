@@ -129,7 +129,7 @@ export class Strips {
     draw.fillStyle = themeColor("ink");
     draw.font = "600 12px system-ui, sans-serif";
     const two = row.unit && row.height > 27;
-    draw.fillText(two || !row.unit ? row.name : `${row.name}, ${row.unit.split(",")[0]}`, LEFT - NAMES, middle - (two ? 7 : 0), LEFT - NAMES - 4);
+    draw.fillText(two || !row.unit ? row.name : `${row.name}, ${row.unit.split(/[ ,]/)[0]}`, LEFT - NAMES, middle - (two ? 7 : 0), LEFT - NAMES - 4);
     draw.font = "11px system-ui, sans-serif";
     draw.fillStyle = themeColor("faint");
     if (two) draw.fillText(row.unit, LEFT - NAMES, middle + 8, LEFT - NAMES - 4);
