@@ -1,4 +1,4 @@
-"""One registration for the viewer's page: planes with ultrasound and anatomy, and targets with their bound."""
+"""One registration for the viewer's page: planes with ultrasound and anatomy, targets with their bound."""
 
 from __future__ import annotations
 

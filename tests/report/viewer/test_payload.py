@@ -211,6 +211,13 @@ def test_the_page_builds_again_to_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "viewer.html").read_text(encoding="utf-8") == live_page()
 
 
+def test_the_page_forbids_itself_any_other_address() -> None:
+    policy = live_page().split('http-equiv="Content-Security-Policy"')[1].split(">")[0]
+    assert "default-src 'none'" in policy
+    assert "connect-src 'self'" in policy
+    assert "http" not in policy
+
+
 def test_no_text_of_the_data_ends_the_element_that_holds_it() -> None:
     title = "</script><script>alert(1)</script> & <!--"
     page = viewer_html({"title": title, "x": 1.5})

@@ -174,11 +174,14 @@ export class Strips {
     draw.font = "10px system-ui, sans-serif";
     draw.textAlign = "right";
     draw.fillStyle = themeColor("faint");
+    const [low, high] = row.range;
+    const line = row.line > low && row.line < 0.9 * high ? (row.height * (high - row.line)) / (high - low) : NaN;
     draw.textBaseline = "top";
-    draw.fillText(row.percent ? "100" : String(+row.range[1].toFixed(1)).replace("-", "−"), LEFT - 4, row.top + 1);
+    if (!(line < 14)) draw.fillText(row.percent ? "100" : String(+row.range[1].toFixed(1)).replace("-", "−"), LEFT - 4, row.top + 1);
     draw.textBaseline = "bottom";
     draw.fillText(String(row.range[0]).replace("-", "−"), LEFT - 4, row.top + row.height);
     draw.textBaseline = "middle";
+    if (!Number.isNaN(line)) draw.fillText(String(row.line), LEFT - 4, row.top + line);
   }
 
   guide(row, y) {
