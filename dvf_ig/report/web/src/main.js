@@ -117,7 +117,13 @@ class Viewer {
       this.shownEvent = event_s[wanted];
       return wanted;
     }
-    this.pictures.get(wanted).then(() => (this.changed = true));
+    const event = event_s[wanted];
+    this.pictures.get(wanted).then(() => {
+      // by now another frame may be wanted: the decoded one nearest to it is shown meanwhile
+      const now = event_s[this.frame];
+      if (this.shownEvent === undefined || Math.abs(event - now) < Math.abs(this.shownEvent - now)) this.shownEvent = event;
+      this.changed = true;
+    });
     const before = this.shownEvent === undefined ? -1 : event_s.indexOf(this.shownEvent);
     return before >= 0 && this.pictures.ready(before) ? before : -1;
   }
