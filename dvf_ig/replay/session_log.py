@@ -104,7 +104,11 @@ def write_session_log(
 
 
 def _attach_heart(log: LogWriter, preop: Preop, given: DvfModel | None) -> PreopConfig:
-    """Attach what the heart is built from, and say what it is."""
+    """Attach what the heart is built from, and say what it is.
+
+    With labels or surfaces the model is attached without being named: reading it with them would give the
+    images its times.
+    """
     has_labels = preop.labels is not None or preop.ed_labels is not None
     files = FolderPreop(
         kind="labels",
@@ -123,7 +127,7 @@ def _attach_heart(log: LogWriter, preop: Preop, given: DvfModel | None) -> Preop
     if given is not None:
         log.attach(MODEL, "application/octet-stream", b"".join(model_bytes(given)))
     return PreopConfig(
-        model=MODEL if given is not None else None,
+        model=MODEL if given is not None and not has_labels and not preop.surfaces else None,
         mr=files.mr,
         labels=files.labels,
         ed_phase=preop.ed_phase,

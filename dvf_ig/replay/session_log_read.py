@@ -18,6 +18,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.io.atomic import make_folder, write_bytes
 from dvf_ig.io.file_within import path_within
+from dvf_ig.io.model import read_model
 from dvf_ig.io.provenance import not_recorded
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.log_file import opened_log
@@ -25,7 +26,7 @@ from dvf_ig.io.ros.session_document import SessionDocument, read_document
 from dvf_ig.io.session_file.preop import PreopFiles, read_preop
 from dvf_ig.io.session_file.read import SessionRecordings
 
-from .session_log import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
+from .session_log import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, MODEL, STREAMS, TRIGGER
 
 _POSE = 14
 """Numbers of a pose: stamp, validity, rotation, translation."""
@@ -120,7 +121,10 @@ def _heart(path: Path, document: SessionDocument, attached: dict[str, bytes]) ->
                 make_folder(place.parent)
                 write_bytes(place, data)
         try:
-            return read_preop(document.preop, folder, document.patient_id)
+            read = read_preop(document.preop, folder, document.patient_id)
+            if read.model is None and MODEL in attached:
+                return PreopFiles(read.preop, read_model(folder / MODEL, patient_id=document.patient_id))
+            return read
         except InvalidInputError as exc:
             told = str(exc).replace(f"{folder}/", "its ")
             raise UnreadableFileError(f"{path}: {told}") from exc

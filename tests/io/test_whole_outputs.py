@@ -101,10 +101,12 @@ def test_ctrl_c_right_after_an_exchange(
 
 
 LOOP = """
+import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
 from dvf_ig.io.atomic_folder import {writer}
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job begins with it ignored
 print("on", flush=True)
 for n in range({rounds}):
     with {writer}(Path(sys.argv[1]){names}) as new:
@@ -129,6 +131,7 @@ def test_killed_at_random_moments(tmp_path: Path, kind: signal.Signals) -> None:
             child.wait(0.5)
             break
     child.stdout.close()
+    assert child.poll() is not None
     assert len(set(texts(folder))) == 1
     assert whole._foreign_file(folder) is None
 

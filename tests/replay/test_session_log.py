@@ -118,9 +118,10 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return logged(tmp_path_factory.mktemp("log"), scenario, given=ball_model())
 
 
-def test_the_events_are_those_that_were_recorded(tmp_path: Path) -> None:
+@pytest.mark.parametrize("with_model", [False, True])
+def test_the_events_are_those_that_were_recorded(tmp_path: Path, with_model: bool) -> None:
     scenario = awkward()
-    back = read_session_log(logged(tmp_path, scenario))
+    back = read_session_log(logged(tmp_path, scenario, given=ball_model() if with_model else None))
     for one, other in zip_longest(events_of(scenario), events_of(back.scenario)):
         assert same(one, other)
     for name in ("preop", "fan", "probe", "latency", "tip", "start", "touched", "touched_phase", "ecg"):
@@ -128,7 +129,7 @@ def test_the_events_are_those_that_were_recorded(tmp_path: Path) -> None:
     assert same(scenario.landmarks_mr, back.scenario.landmarks_mr)
     assert same(scenario.ultrasound.images, back.scenario.ultrasound.images)
     assert back.scenario.truth is None
-    assert back.model is None
+    assert (back.model is not None) is with_model
 
 
 def test_a_trigger_and_a_model_of_a_file(tmp_path: Path) -> None:
@@ -217,6 +218,15 @@ def test_what_cannot_be_logged_or_read_is_refused(tmp_path: Path, log: Path) -> 
         write_session_log(other, tmp_path, tmp_path / "log.mcap")
     with pytest.raises(OutputError, match="does not exist"):
         logged(tmp_path, replace(run.scenario, tip=Points("tool", TIP)), name="no/such/folder.mcap")
+
+
+def test_a_changed_bit_of_an_attached_file_is_found(tmp_path: Path, log: Path) -> None:
+    data = bytearray(log.read_bytes())
+    place = data.index(b"space directions")
+    data[place + 30] ^= 1
+    (tmp_path / "bad.mcap").write_bytes(data)
+    with pytest.raises(UnreadableFileError, match="attached files are not those that were written"):
+        read_session_log(tmp_path / "bad.mcap")
 
 
 def test_damaged_logs_are_refused_in_one_sentence(tmp_path: Path, log: Path) -> None:

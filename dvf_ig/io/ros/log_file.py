@@ -1,5 +1,7 @@
 """MCAP files with ROS 2 messages and attachments: `ros2 bag`, Foxglove and PlotJuggler open them."""
 
+import hashlib
+import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +16,12 @@ from .messages import Message, nanoseconds, typestore
 
 MARK = b"\x89MCAP0\r\n"
 WHAT = "an MCAP log"
+DIGESTS, COUNTS = "sha256", "messages"
+"""Metadata of a log: of each attached file; how many messages each topic has. mcap's reader checks the CRC of
+chunks, but not of attachments nor of the index, by which it finds the messages of a topic."""
+
+_DAMAGE = (struct.error, MemoryError, RuntimeError, LookupError, AttributeError, ArithmeticError)
+"""What mcap and rosbags raise on damaged files, besides ValueError."""
 
 
 class LogWriter:
@@ -26,6 +34,8 @@ class LogWriter:
         self._writer.start(profile="ros2", library="dvf_ig")
         self._types: dict[str, int] = {}
         self._channels: dict[str, int] = {}
+        self._digests: dict[str, str] = {}
+        self._counts: dict[str, int] = {}
 
     def write(self, topic: str, kind: str, t_s: float, message: Message) -> None:
         """A message of type `kind` that belongs to `t_s`."""
@@ -34,13 +44,17 @@ class LogWriter:
         stamp = nanoseconds(t_s)
         data = bytes(typestore().serialize_cdr(message, kind))
         self._writer.add_message(self._channels[topic], stamp, data, stamp)
+        self._counts[topic] = self._counts.get(topic, 0) + 1
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """A file within the log."""
         self._writer.add_attachment(0, 0, name, media_type, data)
+        self._digests[name] = hashlib.sha256(data).hexdigest()
 
     def finish(self) -> None:
-        """Write the index; no message may follow."""
+        """Write what the reader compares, and the index; nothing may follow."""
+        self._writer.add_metadata(DIGESTS, self._digests)
+        self._writer.add_metadata(COUNTS, {topic: str(n) for topic, n in self._counts.items()})
         self._writer.finish()
 
     def _type(self, kind: str) -> int:
@@ -77,6 +91,7 @@ def opened_log(path: Path) -> Iterator["LogReader"]:
     typestore()
     _require_mcap()
     from mcap.exceptions import McapError
+    from zstandard import ZstdError
 
     with reading(path, WHAT), path.open("rb") as stream:
         if path.stat().st_size > limits.FILE_BYTES or stream.read(len(MARK)) != MARK:
@@ -84,7 +99,7 @@ def opened_log(path: Path) -> Iterator["LogReader"]:
         stream.seek(0)
         try:
             yield LogReader(stream, path)
-        except (McapError, MemoryError, RuntimeError, LookupError, AttributeError, ArithmeticError) as exc:
+        except (McapError, ZstdError, *_DAMAGE) as exc:
             raise UnreadableFileError(f"{path} is cut off or damaged ({exc}); copy it again") from exc
         except ValueError as exc:
             if isinstance(exc, UnreadableFileError):
@@ -105,13 +120,19 @@ class LogReader:
         """Every file within the log by its name.
 
         Raises:
-            UnreadableFileError: a name that is there twice.
+            UnreadableFileError: a name that is there twice, or a file that is not the one that was attached.
         """
         found: dict[str, bytes] = {}
         for one in self._reader.iter_attachments():
             if one.name in found:
                 raise UnreadableFileError(f"{self._path} holds two files of the name {one.name[:80]!r}")
             found[one.name] = one.data
+        if self._metadata(DIGESTS) != {
+            name: hashlib.sha256(data).hexdigest() for name, data in found.items()
+        }:
+            raise UnreadableFileError(
+                f"{self._path}: its attached files are not those that were written; copy it again"
+            )
         return found
 
     def messages(self, kinds: Mapping[str, str]) -> Iterator[tuple[str, Message]]:
@@ -120,15 +141,25 @@ class LogReader:
         Args:
             kinds: of each topic, its type.
         Raises:
-            UnreadableFileError: a topic is of another type.
+            UnreadableFileError: a topic is of another type, or lacks messages.
         """
         store = typestore()
-        wanted = list(kinds)
+        wanted, counts = list(kinds), dict.fromkeys(kinds, 0)
         for schema, channel, message in self._reader.iter_messages(topics=wanted, log_time_order=False):
             kind = kinds[channel.topic]
             if schema is None or schema.name != kind:
                 raise UnreadableFileError(f"{self._path}: {channel.topic} is not of type {kind}")
+            counts[channel.topic] += 1
             yield channel.topic, store.deserialize_cdr(message.data, kind)
+        stated = self._metadata(COUNTS)
+        if any(stated.get(topic, "0") != str(n) for topic, n in counts.items()):
+            raise UnreadableFileError(f"{self._path} lacks messages that were written; copy it again")
+
+    def _metadata(self, name: str) -> dict[str, str]:
+        found: dict[str, str] = {}
+        for record in self._reader.iter_metadata():
+            found |= record.metadata if record.name == name else {}
+        return found
 
 
 def _require_mcap() -> None:
