@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
-
 from dvf_ig.kernels.compiled import thread_count
 
 from .packing import packed_exactly
