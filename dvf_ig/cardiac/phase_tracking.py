@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, PhaseTrack, Signal, TriggerTimes
+from dvf_ig.core import FloatArray, PhaseTrack, Progress, Signal, TriggerTimes, part_of, untold
 
 from .lead_off import LeadChange
 from .phase_clock import PhaseClock, PhaseClockOptions
@@ -28,21 +28,29 @@ class PhaseTracking:
 
 
 def track_phase(
-    source: Signal | TriggerTimes, t_s: FloatArray, *, options: PhaseClockOptions | None = None
+    source: Signal | TriggerTimes,
+    t_s: FloatArray,
+    *,
+    options: PhaseClockOptions | None = None,
+    progress: Progress = untold,
 ) -> PhaseTracking:
     """Detect R peaks and estimate phase over a recording, each time from what was known by then.
 
     Args:
         source: the ECG, or the pulses of a trigger.
         t_s: (n,) strictly increasing times at which phase is wanted, in its time base.
+        progress: told the share that is done.
     Raises:
         InvalidInputError: sampled below 100 Hz, or times that do not increase.
     """
-    peaks, changes = stream_recording(source)
-    return PhaseTracking(peaks, changes, phase_from_peaks(peaks, changes, t_s, options=options))
+    peaks, changes = stream_recording(source, part_of(progress, 0, 2))
+    track = phase_from_peaks(peaks, changes, t_s, options=options, progress=part_of(progress, 1, 2))
+    return PhaseTracking(peaks, changes, track)
 
 
-def stream_recording(source: Signal | TriggerTimes) -> tuple[tuple[RPeak, ...], tuple[LeadChange, ...]]:
+def stream_recording(
+    source: Signal | TriggerTimes, progress: Progress = untold
+) -> tuple[tuple[RPeak, ...], tuple[LeadChange, ...]]:
     """R peaks and lead changes of a whole recording, detected causally."""
     if isinstance(source, TriggerTimes):
         return trigger_peaks(source)
@@ -52,6 +60,7 @@ def stream_recording(source: Signal | TriggerTimes) -> tuple[tuple[RPeak, ...], 
     for first in range(0, len(source), step):
         start_s = source.start_s + first / source.rate_hz
         peaks.extend(detector.push(source.samples[first : first + step], start_s))
+        progress((first + step) / len(source))
     return tuple(peaks), tuple(detector.take_lead_changes())
 
 
@@ -61,6 +70,7 @@ def phase_from_peaks(
     t_s: FloatArray,
     *,
     options: PhaseClockOptions | None = None,
+    progress: Progress = untold,
 ) -> PhaseTrack:
     """Phase at each time from the peaks and lead changes known by then.
 
@@ -68,6 +78,7 @@ def phase_from_peaks(
         peaks: in order of detection; each is used from its `detected_at_s` on.
         changes: in order of time.
         t_s: (n,) strictly increasing.
+        progress: told the share that is done.
     """
     times = np.asarray(t_s, dtype=np.float64)
     events: list[tuple[float, int, RPeak | LeadChange]] = [(p.detected_at_s, 0, p) for p in peaks]
@@ -80,6 +91,7 @@ def phase_from_peaks(
         last = int(np.searchsorted(times, at_s, side="left"))
         _fill(clock, times[first:last], out[first:last])
         first = last
+        progress(last / len(times))
         if isinstance(event, RPeak):
             clock.add(event)
         else:

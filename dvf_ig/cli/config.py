@@ -32,15 +32,6 @@ app = typer.Typer(
     "it, check it.",
 )
 
-INIT_EXAMPLE = """
-Examples:
-
-    dvf-ig config init --us sweep.igs.mha --ecg edf:ecg.edf -o session.yaml
-
-    dvf-ig config init --us sweep.igs.mha --ecg edf:ecg.edf --probe probe.json --latency latency.json
-    --model heart.npz --landmarks model.mrk.json patient.mrk.json --tool tool.igs.mha --tip tip.json
-    -o session.yaml
-"""
 PARTS = {
     "preop": "heart",
     "ultrasound": "ultrasound",
@@ -171,14 +162,7 @@ def init(
 
 
 def dump(session: SessionArgument, as_json: JsonFlag = False) -> None:
-    """Print the complete configuration with every default, as YAML; saved beside the files it reads back.
-
-    Examples:
-
-        dvf-ig config dump session.yaml
-
-        dvf-ig config dump DIR > DIR/session.yaml     (DIR: a scenario folder)
-    """
+    """Print the complete configuration with every default, as YAML; saved beside the files it reads back."""
     with command():
         from dvf_ig.io.session_file.write import dump_text
 
@@ -200,12 +184,6 @@ def validate(
     """Open every file of a configuration and check that all fit; name each that does not, and what to do.
 
     Exits 0 when all is well, else 3 after one line for each problem.
-
-    Examples:
-
-        dvf-ig config validate session.yaml
-
-        dvf-ig config validate session.yaml --for replay
     """
     with command():
         from dvf_ig.io.session_file.found import found
@@ -224,7 +202,7 @@ def validate(
             _refuse([in_keys(problem.sentence) for problem in wrong])
 
 
-app.command("init", epilog=INIT_EXAMPLE)(init)
+app.command("init")(init)
 app.command("dump")(dump)
 app.command("validate")(validate)
 

@@ -15,7 +15,6 @@ REQUIRED = (
     "scipy",
     "SimpleITK",
     "scikit-image",
-    "open3d",
     "opencv-contrib-python-headless",
     "numba",
     "typer",
@@ -25,7 +24,8 @@ REQUIRED = (
     "jsonschema",
     "matplotlib",
 )
-EXTRAS = {"wfdb": "ecg"}
+EXTRAS = {"wfdb": ("ecg", "WFDB records"), "open3d": ("open3d", "points touched on the heart")}
+"""Optional package to the extra that brings it, and what needs it."""
 SYSTEM_LIBRARIES = {
     "EGL": "libegl1",
     "GL": "libgl1",
@@ -50,15 +50,17 @@ def checks() -> list[Check]:
     """Every check, in the order in which a user would mend them."""
     python = platform.python_version()
     out = [Check("Python >= 3.11", python if sys.version_info >= (3, 11) else None, "install Python 3.11")]
+    with_open3d = _version("open3d") is not None
     if sys.platform.startswith("linux"):
         for library, package in SYSTEM_LIBRARIES.items():
             found = ctypes.util.find_library(library)
-            out.append(Check(f"system library {package}", found, f"sudo apt-get install {package}"))
+            remedy = f"sudo apt-get install {package}"
+            out.append(Check(f"system library {package}", found, remedy, needed=with_open3d))
     remedy = "run scripts/setup, or pip install dvf-ig"
     out += [Check(f"package {name}", _version(name), remedy) for name in REQUIRED]
     out += [
-        Check(f"optional package {name}", _version(name), f'pip install "dvf-ig[{extra}]"', needed=False)
-        for name, extra in EXTRAS.items()
+        Check(f"{name} for {use}", _version(name), f'pip install "dvf-ig[{extra}]"', needed=False)
+        for name, (extra, use) in EXTRAS.items()
     ]
     return out
 
@@ -70,18 +72,33 @@ def _version(distribution: str) -> str | None:
         return None
 
 
+def verdict(missing: int, optional: int) -> str:
+    """One sentence on what a user can expect of this machine."""
+    if missing:
+        return f"not ready: {_things(missing)} needed and missing; get what is named above, from the top"
+    if optional:
+        return f"ready; {_things(optional)} optional and missing"
+    return "ready: nothing is missing"
+
+
+def _things(count: int) -> str:
+    return "1 thing is" if count == 1 else f"{count} things are"
+
+
 def doctor(as_json: JsonFlag = False) -> None:
     """Say what is missing on this machine and how to get it (exit 2 if something needed is missing)."""
     with command(lists_inputs=False):
         results = checks()
         missing = [c for c in results if c.found is None and c.needed]
+        optional = [c for c in results if c.found is None and not c.needed]
         rows = [(c.what, c.found if c.found else f"MISSING: {c.remedy}") for c in results]
         payload = {
             "ok": not missing,
+            "verdict": verdict(len(missing), len(optional)),
             "checks": [
                 {"what": c.what, "found": c.found, "needed": c.needed, "remedy": c.remedy} for c in results
             ],
         }
-        emit(payload, rows, as_json=as_json)
+        emit(payload, [*rows, ("verdict", verdict(len(missing), len(optional)))], as_json=as_json)
         if missing:
             raise typer.Exit(2)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .shell import EcgRateOption, JsonFlag, command, emit, warn, wrote
+from .shell import EcgRateOption, JsonFlag, command, emit, progress, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import PhaseClockOptions, PhaseTracking
@@ -70,7 +70,8 @@ def _track(
     if isinstance(source, Signal):
         duration_s = len(source) / source.rate_hz
         t_s = source.start_s + np.arange(max(1, int(duration_s * rate_hz))) / rate_hz
-        return source, track_phase(source, t_s, options=options)
+        with progress("heart beats") as report:
+            return source, track_phase(source, t_s, options=options, progress=report)
     tracking = track_phase(source, _trigger_times(source, rate_hz), options=options)
     doubles = len(tracking.lead_changes) // 2
     if doubles:

@@ -5,12 +5,15 @@ from typing import Annotated
 import typer
 
 import dvf_ig
-from dvf_ig.cli import bench, config, doctor, evaluate, force, gate, replay
+from dvf_ig.cli import bench, config, doctor, evaluate, force, gate, replay, view
 from dvf_ig.cli.calibrate import commands as calibrate
+from dvf_ig.cli.examples import show_examples
+from dvf_ig.cli.export import commands as export
 from dvf_ig.cli.inspect import command as inspect
 from dvf_ig.cli.model import commands as model
 from dvf_ig.cli.register import command as register
 from dvf_ig.cli.register.panels import RegisterCommand
+from dvf_ig.cli.serve import command as serve
 from dvf_ig.cli.study import commands as study
 from dvf_ig.cli.synth import commands as synth
 
@@ -18,7 +21,6 @@ app = typer.Typer(
     name="dvf-ig",
     help="Dynamic virtual fixtures for beating-heart intervention: from raw OR streams to a haptic force.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -33,9 +35,13 @@ app.command("gate")(gate.gate)
 app.command("register", cls=RegisterCommand)(register.register)
 app.command("evaluate")(evaluate.evaluate)
 app.command("replay")(replay.replay)
+app.command("serve")(serve.serve)
+app.command("view")(view.view)
+app.add_typer(export.app, name="export")
 app.add_typer(config.app, name="config")
 app.add_typer(study.app, name="study")
 app.command("bench")(bench.bench)
+show_examples(app)
 
 
 def _print_version(wanted: bool) -> None:

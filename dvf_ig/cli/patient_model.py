@@ -1,14 +1,17 @@
 """The model of a recorded patient: from a file, from the cache, or built."""
 
 from pathlib import Path
-
-from dvf_ig.core import DvfModel, Preop
+from typing import TYPE_CHECKING
 
 from .shell import progress
 
+if TYPE_CHECKING:
+    from dvf_ig.core import DvfModel, Preop
 
-def patient_model(preop: Preop, given: DvfModel | Path | None) -> tuple[DvfModel, str]:
+
+def patient_model(preop: "Preop", given: "DvfModel | Path | None") -> "tuple[DvfModel, str]":
     """The given model or the one in a file, else from the cache or built; and one line that says so."""
+    from dvf_ig.core import DvfModel
     from dvf_ig.io import cached_model, read_model
 
     if isinstance(given, DvfModel):

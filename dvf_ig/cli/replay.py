@@ -34,7 +34,8 @@ def replay(
         Path, typer.Option("-o", "--out", help="Folder for the result, its page, the pose and the ticks.")
     ],
     scenario: Annotated[
-        Path | None, typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`); or give --config.")
+        Path | None,
+        typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`) or LOG.mcap; or give --config."),
     ] = None,
     config: Annotated[
         Path | None,
@@ -77,6 +78,7 @@ def replay(
         from dvf_ig.replay import result_of, run_replay, table
         from dvf_ig.replay.outputs import NAMES, require_own_outputs, write_outputs
         from dvf_ig.replay.report import report_html
+        from dvf_ig.replay.view_file import VIEW, write_view_file
 
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
@@ -100,14 +102,15 @@ def replay(
                     progress=report,
                 )
             result = result_of(done)
-            with files_together(out, ("result.json", "report.html", *NAMES)) as new:
+            with files_together(out, ("result.json", "report.html", VIEW, *NAMES)) as new:
                 write_text(new / "report.html", report_html(done, result))
                 write_json(new / "result.json", {**result, **provenance_fields()})
                 frames = write_outputs(done.poses, done.ticks, new, recorded.tracked_against)
+                write_view_file(done, new, out, config or scenario or Path(), model)
         heading = ("", "estimate", "error against the truth" if done.scenario.truth is not None else "")
         emit(result, [heading, *table(result)], as_json=as_json)
         typer.echo(origin, err=True)
-        for name in ("result.json", "report.html", *frames):
+        for name in ("result.json", "report.html", VIEW, *frames):
             wrote(out / name, frames.get(name))
         for warning in result["warnings"]:
             warn(f"{warning['key']}: {warning['sentence']}")
@@ -129,6 +132,10 @@ def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "Se
         raise typer.BadParameter("give a scenario folder or --config SESSION.yaml, not both")
     if scenario is None and config is None:
         raise typer.BadParameter("what is to be replayed? give a scenario folder, or --config SESSION.yaml")
+    if scenario is not None and scenario.suffix == ".mcap":
+        from dvf_ig.replay.session_log_read import read_session_log
+
+        return read_session_log(scenario)
     if config is None:
         of_folder = SessionRecordings(read_scenario(scenario or Path()), None, None, None)
         require_fit(of_folder, "replay")

@@ -12,19 +12,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.core.errors import (
-    DvfIgError,
-    InvalidInputError,
-    MissingDependencyError,
-    NoOverlapError,
-    NotConvergedError,
-    OutputError,
-    QualityGateError,
-)
+if TYPE_CHECKING:
+    from dvf_ig.core.errors import DvfIgError
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of every random choice.")]
@@ -47,22 +40,20 @@ ReferenceNameOption = Annotated[
     ),
 ]
 
-EXIT_CODES: tuple[tuple[type[DvfIgError], int], ...] = (
-    (MissingDependencyError, 2),
-    (InvalidInputError, 3),
-    (OutputError, 4),
-    (NoOverlapError, 5),
-    (NotConvergedError, 6),
-    (QualityGateError, 7),
-)
 
-
-def exit_code(error: DvfIgError) -> int:
+def exit_code(error: "DvfIgError") -> int:
     """Exit code of an error: 2 usage, 3 bad input, 4 cannot write, 5 no overlap, 6 not converged, 7 gate."""
-    for kind, code in EXIT_CODES:
-        if isinstance(error, kind):
-            return code
-    return 3
+    from dvf_ig.core import errors
+
+    codes: tuple[tuple[type[DvfIgError], int], ...] = (
+        (errors.MissingDependencyError, 2),
+        (errors.InvalidInputError, 3),
+        (errors.OutputError, 4),
+        (errors.NoOverlapError, 5),
+        (errors.NotConvergedError, 6),
+        (errors.QualityGateError, 7),
+    )
+    return next((code for kind, code in codes if isinstance(error, kind)), 3)
 
 
 _provenance: ContextVar[Callable[[], Mapping[str, Any]]] = ContextVar("provenance", default=dict)
@@ -80,6 +71,8 @@ def command(threads: int | None = None, *, lists_inputs: bool = True) -> Iterato
     """
     if threads is not None:
         limit_threads(threads)
+    from dvf_ig.core.errors import DvfIgError  # not before: it brings scipy, and threads are limited first
+
     try:
         with _notes_of_warnings(), _inputs_listed() if lists_inputs else nullcontext():
             yield

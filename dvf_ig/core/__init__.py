@@ -44,6 +44,9 @@ from .points import Points as Points
 from .points import Seeds as Seeds
 from .pose_motion import UPDATE_MM_PER_S as UPDATE_MM_PER_S
 from .pose_motion import PoseMotion as PoseMotion
+from .progress import Progress as Progress
+from .progress import part_of as part_of
+from .progress import untold as untold
 from .retiming_curve import CubicPieces as CubicPieces
 from .retiming_curve import RetimingCurve as RetimingCurve
 from .rigid import Rigid as Rigid

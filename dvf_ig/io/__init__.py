@@ -10,6 +10,8 @@ from .calibration_files import read_probe as read_probe
 from .calibration_files import read_tip as read_tip
 from .describe.file import Description as Description
 from .describe.file import describe as describe
+from .dicom.cine import dicom_patient_id as dicom_patient_id
+from .dicom.cine import is_dicom_folder as is_dicom_folder
 from .ecg.beat_annotations import BeatAnnotations as BeatAnnotations
 from .ecg.beat_annotations import read_annotations as read_annotations
 from .ecg.recording import read_ecg as read_ecg
@@ -79,8 +81,12 @@ from .plus.xml import write_registration as write_registration
 from .points_file import read_points as read_points
 from .provenance import provenance_fields as provenance_fields
 from .scenario.read import read_scenario as read_scenario
+from .scenario.read import read_scenario_session as read_scenario_session
 from .scenario.readme import ScenarioNotes as ScenarioNotes
 from .scenario.write import write_scenario as write_scenario
+from .session_file.live_read import LivePatient as LivePatient
+from .session_file.live_read import live_patient_of_scenario as live_patient_of_scenario
+from .session_file.live_read import read_live_patient as read_live_patient
 from .session_file.preop import PreopFiles as PreopFiles
 from .session_file.preop import read_heart_options as read_heart_options
 from .session_file.read import SessionRecordings as SessionRecordings

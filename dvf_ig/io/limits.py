@@ -20,6 +20,8 @@ SETTINGS_BYTES = 4 << 20
 """YAML that people write; the largest of the examples has 4 kB, and a label table of a whole body 20 kB."""
 VOXEL_BYTES = 4 << 30
 """An image when unpacked: a cardiac CT of 512 x 512 x 300 voxels in 20 phases has 3.1 GB."""
+DICOM_FILES = 20_000
+"""Images in a folder: a short-axis stack of 20 slices in 30 phases has 600, a whole examination 5 000."""
 AXIS = 1 << 16
 """Voxels or pixels along an axis; the longest in use, RF lines of ultrasound, have 4 000 to 16 000."""
 FRAMES = 1_000_000
@@ -40,6 +42,14 @@ ECG_VALUE = 1e9
 """An ECG's samples in any unit: converters of 24 bit count to 1.7e7, of 32 bit to 2.1e9 at most."""
 NESTING = 100
 """Lists within lists of a text; ours have five levels."""
+WIRE_IMAGE_BYTES = 64 << 20
+"""One image that arrives by network: a 3-D ultrasound volume of 400³ voxels."""
+WIRE_TEXT_BYTES = (1 << 16) - 1
+"""One text that arrives by network: what OpenIGTLink can state."""
+WIRE_FIELDS_BYTES = 1 << 20
+"""Named fields beside a message that arrives by network; PLUS sends some 2 kB."""
+WIRE_TOOLS = 128
+"""Tools in one message; no tracker sees so many."""
 
 
 def require_lengths(xyz_mm: Any, what: str) -> None:

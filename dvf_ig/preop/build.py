@@ -1,6 +1,6 @@
 """The dynamic fixture model from closed surfaces: signed distance, then a spline fit, phase by phase."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -18,6 +18,7 @@ from dvf_ig.core import (
     InvalidInputError,
     Mesh,
     Preop,
+    Progress,
     SurfaceSeries,
     VolumeSeries,
 )
@@ -29,8 +30,6 @@ from dvf_ig.preop.surface.from_labels import border_caps, surfaces_from_labels
 from dvf_ig.preop.surface.topology import count_edges
 
 from .knots import choose_knot_spacing
-
-Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """From a 4-D image and the labels of its end-diastole to the fixture model: Section III, end to end."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,6 +13,7 @@ from dvf_ig.core import (
     Grid,
     InvalidInputError,
     Mesh,
+    Progress,
     SurfaceSeries,
     Volume,
     VolumeSeries,
@@ -30,8 +31,6 @@ from dvf_ig.preop.surface.from_labels import border_caps, surface_of_mask
 
 from .build import ModelOptions, build_model
 from .check import away_from_caps
-
-Progress = Callable[[float], None]
 
 MIN_IMAGED_SHARE = 0.02
 """Of the surface, beside caps and their rim. Seven slices of 10 mm through a heart leave 0.23 to 0.32, five

@@ -1,14 +1,10 @@
 """The patient's model from whatever pre-operative data there are."""
 
-from collections.abc import Callable
-
-from dvf_ig.core import DvfModel, InvalidInputError, Preop
+from dvf_ig.core import DvfModel, InvalidInputError, Preop, Progress
 from dvf_ig.preop.motion.cycle import MotionOptions
 
 from .build import ModelOptions, model_from_labels, model_from_surfaces
 from .cine_model import CineOptions, model_from_cine
-
-Progress = Callable[[float], None]
 
 
 def model_from_preop(

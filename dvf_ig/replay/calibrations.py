@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -66,7 +67,20 @@ class Calibrations:
         return CalibrationsInUse(self.ultrasound.probe_from_image, self.ultrasound.lag_s, self.tip)
 
 
-def calibrate(scenario: Scenario, seed: int) -> Calibrations:
+class Calibratable(Protocol):
+    """What holds the calibrations or their recordings, as `Scenario` does."""
+
+    @property
+    def probe(self) -> NWireRecording | TargetRecording | ImageMap: ...
+
+    @property
+    def latency(self) -> LatencyRecording | float: ...
+
+    @property
+    def tip(self) -> PoseStream | Points | None: ...
+
+
+def calibrate(scenario: Calibratable, seed: int) -> Calibrations:
     """Calibrate tool, probe and latency from what was recorded, exactly as `dvf-ig calibrate` does.
 
     Refusals are the methods' own.

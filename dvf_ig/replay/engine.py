@@ -14,7 +14,7 @@ from time import perf_counter
 import numpy as np
 
 from dvf_ig.cardiac import RetimeMode
-from dvf_ig.core import DvfModel, Rigid, Scenario
+from dvf_ig.core import DvfModel, Progress, Rigid, Scenario
 from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
 from dvf_ig.io import SessionRecordings
 from dvf_ig.io.session_file.agreement.finding import Finding
@@ -42,8 +42,6 @@ from .ticks import TickRecorder, Ticks
 
 Clock = Callable[[], float]
 """Seconds of computing time, from any origin."""
-Progress = Callable[[float], None]
-"""Told the fraction that is done."""
 REPORT_EVERY = 500
 """Ticks between two reports of progress."""
 

@@ -12,6 +12,7 @@ from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.io import refuse_foreign, write_pose_sequence, write_registration, write_text, write_transforms
 
 from .ticks import Ticks
+from .view_file import KIND, VIEW
 
 POSE, POSES, TICKS = "mr_from_tracker", "poses.seq.mha", "ticks.csv"
 NAMES = (f"{POSE}.tfm", f"{POSE}.h5", f"{POSE}.json", f"{POSE}.xml", POSES, TICKS)
@@ -31,9 +32,13 @@ COLUMNS = (
     ("supervisor", "%s"),
     ("hazards", "%s"),
     ("pose_age_s", "%.3f"),
+    ("tre_bound_mm", "%.3f"),
+    ("margin_mm", "%.4f"),
 )
 """Of the ticks, each with its format: 1 µs, 0.1 µm, 1 µN."""
 _HEADER = ",".join(name for name, _ in COLUMNS)
+_FIRST_COLUMNS = ",".join(name for name, _ in COLUMNS[:5])
+"""Of the tables of every version."""
 
 
 def require_own_outputs(folder: Path) -> None:
@@ -43,10 +48,11 @@ def require_own_outputs(folder: Path) -> None:
         OutputError: naming the file.
     """
     refuse_foreign(*(folder / name for name in NAMES if name != TICKS))
+    refuse_foreign(folder / VIEW, kind=KIND)
     table = folder / TICKS
     if table.is_file():
         with table.open("rb") as stream:
-            ours = stream.read(len(_HEADER)) == _HEADER.encode()
+            ours = stream.readline(len(_HEADER)).startswith(_FIRST_COLUMNS.encode())
         if not ours:
             raise OutputError(
                 f"cannot write {table}: a file of that name exists and was not written by this command; move "
@@ -120,6 +126,8 @@ def _columns(ticks: Ticks) -> list[AnyArray]:
         _words(ticks.supervisor, lambda code: SupervisorState(code).name.lower()),
         _words(ticks.hazards, lambda bits: "|".join(h.name.lower() for h in Hazard(bits) if h.name)),
         ticks.pose_age_s,
+        ticks.tre_bound_mm,
+        ticks.margin_mm,
     ]
 
 

@@ -6,7 +6,7 @@ from time import perf_counter
 import numpy as np
 
 from dvf_ig.cardiac import stream_recording
-from dvf_ig.core import DvfModel, Rigid, Scenario, Stop
+from dvf_ig.core import DvfModel, Progress, Rigid, Scenario, Stop
 from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
 from dvf_ig.session import (
     GatedFrames,
@@ -19,7 +19,7 @@ from dvf_ig.session import (
 )
 
 from .calibrations import calibrate
-from .engine import Clock, Progress
+from .engine import Clock
 from .preconditions import require_heart_beats, require_tracked_probe
 from .start import landmark_pose, landmark_prior, require_start, start_pose, touched_disagreement
 

@@ -1,8 +1,10 @@
 """The pose that a recorded intervention's registration starts from, and what was touched to check it."""
 
+from typing import Protocol
+
 import numpy as np
 
-from dvf_ig.core import DvfModel, InvalidInputError, QualityGateError, Rigid, Scenario
+from dvf_ig.core import DvfModel, InvalidInputError, Landmarks, Points, QualityGateError, Rigid
 from dvf_ig.registration import (
     LandmarkPrior,
     SurfaceDisagreement,
@@ -22,13 +24,32 @@ NO_START = (
 )
 
 
-def require_start(scenario: Scenario) -> None:
+class Startable(Protocol):
+    """What holds something to start a registration from, as `Scenario` does."""
+
+    @property
+    def start(self) -> Rigid | None: ...
+
+    @property
+    def landmarks_mr(self) -> Landmarks | None: ...
+
+    @property
+    def landmarks_tracker(self) -> Landmarks | None: ...
+
+    @property
+    def touched(self) -> Points | None: ...
+
+    @property
+    def touched_phase(self) -> float | None: ...
+
+
+def require_start(scenario: Startable) -> None:
     """Raise InvalidInputError where a scenario holds nothing to start a registration from."""
     if scenario.start is None and scenario.touched is None and landmark_pose(scenario) is None:
         raise InvalidInputError(NO_START)
 
 
-def start_pose(scenario: Scenario, heart: Heart, seed: int) -> Rigid:
+def start_pose(scenario: Startable, heart: Heart, seed: int) -> Rigid:
     """The operator's coarse pose, else the landmark fit, else the fit of points touched on the surface.
 
     Raises:
@@ -52,13 +73,13 @@ def start_pose(scenario: Scenario, heart: Heart, seed: int) -> Rigid:
     return fit.target_from_source
 
 
-def touched_disagreement(scenario: Scenario, pose: Rigid, model: DvfModel) -> SurfaceDisagreement | None:
+def touched_disagreement(scenario: Startable, pose: Rigid, model: DvfModel) -> SurfaceDisagreement | None:
     """How far the points touched on the surface lie from the model's at a pose; None without such points."""
     touched = touched_points(scenario, model)
     return None if touched is None else surface_disagreement(pose, touched, model)
 
 
-def touched_points(scenario: Scenario, model: DvfModel) -> TouchedPoints | None:
+def touched_points(scenario: Startable, model: DvfModel) -> TouchedPoints | None:
     """The touched points with their place in the model's cycle: at end-diastole unless it was given."""
     if scenario.touched is None:
         return None
@@ -67,19 +88,19 @@ def touched_points(scenario: Scenario, model: DvfModel) -> TouchedPoints | None:
     return TouchedPoints(scenario.touched, np.full(len(scenario.touched), at))
 
 
-def landmark_pose(scenario: Scenario) -> Rigid | None:
+def landmark_pose(scenario: Startable) -> Rigid | None:
     """The landmark fit, where landmarks were touched."""
     if scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
         return None
     return start_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker).mr_from_tracker
 
 
-def landmarks_start(scenario: Scenario) -> bool:
+def landmarks_start(scenario: Startable) -> bool:
     """Whether the start comes from touched landmarks; a session then fits them itself as they are touched."""
     return scenario.start is None and landmark_pose(scenario) is not None
 
 
-def landmark_prior(scenario: Scenario) -> LandmarkPrior | None:
+def landmark_prior(scenario: Startable) -> LandmarkPrior | None:
     """Landmarks take part where the start came from them; a start pose takes their place."""
     if scenario.start is not None or scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
         return None

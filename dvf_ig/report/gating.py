@@ -23,13 +23,13 @@ LONGEST_RR_MS = 2500.0
 MINUTES_FROM_S = 180.0
 
 _SHADE = {
-    PhaseState.INIT: "#d9d9d9",
+    PhaseState.INIT: "#d7e6f5",
     PhaseState.SUSPECT: "#fbe3a2",
     PhaseState.LOST: "#b8bcc4",
     PhaseState.IRREGULAR: "#f3bcc8",
 }
 _MEANING = {
-    PhaseState.INIT: "INIT: learning",
+    PhaseState.INIT: "INIT, or LOST with R peaks again: learning",
     PhaseState.LOCKED: "LOCKED: phase may be used",
     PhaseState.SUSPECT: "SUSPECT: early or uncertain beat",
     PhaseState.LOST: "LOST: no R peak",
@@ -62,7 +62,7 @@ def gate_png(name: str, signal: Signal | None, r_peaks_s: FloatArray, track: Pha
     for letter, start_s, axis in zip("ABCDEFGHIJ", chosen, axes[1:], strict=False):
         _draw_strip(axis, letter, start_s, signal, peaks, track, band)
     axes[-1].set_xlabel("time, s (0.2 s a division)")
-    _draw_legend(figure, track)
+    _draw_legend(figure, track, peaks)
     return png_bytes(figure)
 
 
@@ -97,7 +97,7 @@ def choose_strips(track: PhaseTrack) -> list[float]:
 def _draw_tachogram(axis: Axes, peaks: FloatArray, track: PhaseTrack, chosen: list[float]) -> None:
     long = track.t_s[-1] - track.t_s[0] > MINUTES_FROM_S
     unit = 60.0 if long else 1.0
-    _shade(axis, track, float(track.t_s[0]), float(track.t_s[-1]), unit)
+    _shade(axis, track, peaks, (float(track.t_s[0]), float(track.t_s[-1])), unit)
     rr_ms = 1000 * np.diff(peaks)
     at = np.clip(np.searchsorted(track.t_s, peaks[1:]), 0, len(track.t_s) - 1)
     locked = track.valid[at]
@@ -138,7 +138,7 @@ def _draw_strip(
     axis.set_xticks(np.arange(np.ceil(start_s), stop_s + 1e-9, 1.0))
     axis.set_xticks(np.arange(np.ceil(start_s * 5) / 5, stop_s, 0.2), minor=True)
     axis.grid(which="both", axis="x", color=_PAPER, lw=0.5)
-    _shade(axis, track, start_s, stop_s, 1.0)
+    _shade(axis, track, peaks, (start_s, stop_s), 1.0)
     here = peaks[(peaks >= start_s) & (peaks < stop_s)]
     low, high = band
     if signal is not None:
@@ -173,19 +173,35 @@ def _band(signal: Signal | None) -> tuple[float, float]:
     return float(low - room), float(high + room)
 
 
-def _shade(axis: Axes, track: PhaseTrack, start_s: float, stop_s: float, unit: float) -> None:
+def shown_segments(track: PhaseTrack, peaks_s: FloatArray) -> list[tuple[float, float, PhaseState]]:
+    """Segments of one state, where LOST ends with the next R peak: from there on the clock learns again."""
+    shown: list[tuple[float, float, PhaseState]] = []
     for begin, end, state in state_segments(track):
+        again = peaks_s[(peaks_s > begin) & (peaks_s < end)]
+        if state is PhaseState.LOST and len(again):
+            first = float(again[0])
+            shown += [(begin, first, state), (first, end, PhaseState.INIT)]
+        else:
+            shown.append((begin, end, state))
+    return shown
+
+
+def _shade(
+    axis: Axes, track: PhaseTrack, peaks: FloatArray, span_s: tuple[float, float], unit: float
+) -> None:
+    start_s, stop_s = span_s
+    for begin, end, state in shown_segments(track, peaks):
         if state in _SHADE and end > start_s and begin < stop_s:
             axis.axvspan(
                 max(begin, start_s) / unit, min(end, stop_s) / unit, color=_SHADE[state], lw=0, zorder=0
             )
 
 
-def _draw_legend(figure: Figure, track: PhaseTrack) -> None:
+def _draw_legend(figure: Figure, track: PhaseTrack, peaks: FloatArray) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    seen = {PhaseState(int(state)) for state in np.unique(track.state)}
+    seen = {state for _, _, state in shown_segments(track, peaks)}
     handles: list[object] = [
         Line2D([], [], marker="v", ls="", ms=5, color=_LOCKED, label="R peak, as detected"),
         Line2D([], [], marker=".", ls="", ms=6, color=_LOCKED, label=_MEANING[PhaseState.LOCKED]),

@@ -26,6 +26,11 @@ td:first-child { color: #555; } img { max-width: 100%; height: auto; }
 figure { margin: 2rem 0; } figcaption { color: #555; max-width: 75ch; }
 .verdict { display: inline-block; padding: .3rem .8rem; border-radius: .3rem; color: #fff; }
 .good { background: #2b7a3d; } .bad { background: #b3261e; }
+@media (prefers-color-scheme: dark) {
+  :root { color-scheme: dark; } body { background: #17191c; color: #e4e6e8; } a { color: #7db7ec; }
+  p.note, figcaption, td:first-child { color: #a5abb2; } th { border-color: #777; } td { border-color: #333; }
+  img { background: #fff; border-radius: .4rem; }
+}
 """
 
 
@@ -39,7 +44,8 @@ def html_page(title: str, body: str, *, style: str = "") -> str:
     """
     name = html.escape(title)
     return (
-        f"<!doctype html><!--{MARKUP_COMMENT}--><html lang=en><meta charset=utf-8><title>{name}</title>"
+        f"<!doctype html><!--{MARKUP_COMMENT}--><html lang=en><meta charset=utf-8>"
+        f'<meta name=viewport content="width=device-width"><title>{name}</title>'
         f"<style>{STYLE}{style}</style><h1>{name}</h1>{body}</html>\n"
     )
 

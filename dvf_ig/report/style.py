@@ -6,6 +6,7 @@ reference. matplotlib is loaded by the modules that draw, not here.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ from dvf_ig.io.atomic import write_bytes
 from dvf_ig.io.sidecar import MARK
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -36,6 +38,8 @@ SERIES = (ESTIMATE, START, "#2a8c4a", "#8e44ad", "#7f6a55", WRONG)
 BLUES = ("#9ecae1", "#4a9bd0", "#1f6fb4", "#123f6e")
 """One parameter that grows, pale to dark."""
 DPI = 110
+WIDE_IN = 10.5
+"""Width of a figure that spans a page."""
 
 
 def png_bytes(figure: Figure, dpi: int = DPI) -> bytes:
@@ -82,6 +86,26 @@ def write_png(path: Path | str, figure: Figure, dpi: int = DPI) -> None:
         OutputError: not writable.
     """
     write_bytes(png_path(path), png_bytes(figure, dpi))
+
+
+def time_axes(
+    height_in: float, count: int = 1, *, height_ratios: Sequence[float] | None = None
+) -> tuple[Figure, list[Axes]]:
+    """A wide figure with axes below each other that share their time; in all of them time begins and ends
+    at the same place, so that they can be read across. The legend's room is below."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDE_IN, height_in))
+    axes = figure.subplots(count, 1, sharex=True, squeeze=False, height_ratios=height_ratios)[:, 0].tolist()
+    figure.subplots_adjust(
+        left=0.115, right=0.985, top=1 - 0.12 / height_in, bottom=0.82 / height_in, hspace=0.12
+    )
+    return figure, axes
+
+
+def legend_below(figure: Figure, handles: Sequence[Artist]) -> None:
+    """One row of what the lines and shades mean."""
+    figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False, fontsize=9)
 
 
 def open_frame(*axes: Axes) -> None:

@@ -40,12 +40,14 @@ class ToolReading:
     Attributes:
         hazard: why the tip is not known; NONE where it is.
         tip_tracker_mm: (3,) predicted tip; 0 unless known.
+        velocity_mm_s: (3,) of the tip, by which it is predicted; 0 unless known.
         rotation: (3, 3) of tracker_from_tool, the newest; identity unless known.
         age_s: time since the newest pose that was tracked; infinite before the first.
     """
 
     hazard: Hazard
     tip_tracker_mm: FloatArray
+    velocity_mm_s: FloatArray
     rotation: FloatArray
     age_s: float
 
@@ -99,11 +101,11 @@ class ToolTracker:
         age_s = now_s - self._tracked[-1].t_s if self._tracked else inf
         hazard = self._hazard(now_s, age_s)
         if hazard:
-            return ToolReading(hazard, _ZERO, _IDENTITY, age_s)
+            return ToolReading(hazard, _ZERO, _ZERO, _IDENTITY, age_s)
         newest = self._tracked[-1]
         tip_mm = newest.tip_mm + self._velocity * age_s
         tip_mm.setflags(write=False)
-        return ToolReading(hazard, tip_mm, newest.rotation, age_s)
+        return ToolReading(hazard, tip_mm, self._velocity, newest.rotation, age_s)
 
     def _hazard(self, now_s: float, age_s: float) -> Hazard:
         if not self._stamps_s:

@@ -1,17 +1,23 @@
 """The commands as a user types them: help without heavy imports, doctor, register, evaluate, replay."""
 
 import json
+import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from html_outline import outline_of
 from scipy.spatial.transform import Rotation
+from typer.main import get_command
 from typer.testing import CliRunner
 
 import dvf_ig
+from dvf_ig.cli.doctor import verdict
+from dvf_ig.cli.examples import EXAMPLES
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, Landmarks, Points, Preop, Rigid, Scenario
 from dvf_ig.io import read_coordinate_definitions, read_transform, write_landmarks, write_transform
@@ -32,10 +38,36 @@ def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys; from typer.testing import CliRunner; from dvf_ig.cli.main import app;"
         "r = CliRunner().invoke(app, ['--help']); assert r.exit_code == 0;"
-        "heavy = {'numba', 'SimpleITK', 'open3d', 'cv2', 'matplotlib'} & set(sys.modules);"
+        "heavy = {'numpy', 'scipy', 'numba', 'SimpleITK', 'open3d', 'cv2', 'matplotlib'} & set(sys.modules);"
         "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def _commands(group: Any, before: str = "") -> Iterator[tuple[str, Any]]:
+    for name, found in group.commands.items():
+        if hasattr(found, "commands"):
+            yield from _commands(found, f"{before}{name} ")
+        else:
+            yield f"{before}{name}", found
+
+
+def test_every_example_is_a_command_that_parses() -> None:
+    commands = dict(_commands(get_command(app)))
+    assert set(commands) == set(EXAMPLES)
+    for name, examples in EXAMPLES.items():
+        for example in examples:
+            assert example.startswith(f"dvf-ig {name}")
+            arguments = shlex.split(example)[1 + len(name.split()) :]
+            commands[name].make_context(name, arguments)
+
+
+@pytest.mark.parametrize(
+    ("missing", "optional", "start"),
+    [(0, 0, "ready:"), (0, 2, "ready; 2 things"), (1, 0, "not ready: 1 thing")],
+)
+def test_doctor_ends_in_a_verdict(missing: int, optional: int, start: str) -> None:
+    assert verdict(missing, optional).startswith(start)
 
 
 def test_module_and_version() -> None:
@@ -48,6 +80,7 @@ def test_module_and_version() -> None:
 def test_doctor_names_what_is_needed() -> None:
     payload = run("doctor")
     assert payload["ok"] is True
+    assert str(payload["verdict"]).startswith("ready")
     names = {check["what"] for check in payload["checks"]}  # type: ignore[attr-defined]
     assert {"package numba", "package SimpleITK", "system library libusb-1.0-0"} <= names
 

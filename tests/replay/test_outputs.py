@@ -32,6 +32,7 @@ def two_ticks() -> Ticks:
         model_phase=np.array([nan, 0.5]),
         mr_from_tracker=np.stack([np.full((3, 4), nan), POSE.matrix[:3]]),
         pose_age_s=np.array([np.inf, 0.25]),
+        tre_bound_mm=np.array([np.nan, 3.5]),
         tip_tracker_mm=np.array([[nan] * 3, [10.0, 20.0, 30.0]]),
         force_n=np.array([[0.0, 0.0, 0.0], [0.1, -0.2, 0.3]]),
         wanted_n=np.zeros((2, 3)),
@@ -56,6 +57,7 @@ def test_the_table_holds_what_the_ticks_hold() -> None:
         "status": "no_pose",
         "supervisor": "fade",
         "hazards": "no_phase|no_pose",
+        "margin_mm": "0.0000",
     }
     tip_mr = POSE.rotation @ (10, 20, 30) + POSE.translation_mm
     assert [float(second[f"tip_mr_{axis}_mm"]) for axis in "xyz"] == pytest.approx(tip_mr, abs=5.1e-5)
@@ -114,8 +116,8 @@ def test_the_command_writes_all_files_and_says_what_it_read(
     out = tmp_path / "run"
     done = CliRunner().invoke(app, ["replay", str(written), "-o", str(out), "--json"])
     assert done.exit_code == 0, done.output
-    assert {path.name for path in out.iterdir()} == {"result.json", "report.html", *NAMES}
-    for name in ("result.json", "report.html", *NAMES):
+    assert {path.name for path in out.iterdir()} == {"result.json", "report.html", "view.json", *NAMES}
+    for name in ("result.json", "report.html", "view.json", *NAMES):
         assert f"wrote {out / name}" in done.stderr
     result = json.loads((out / "result.json").read_text())
     validate(result)

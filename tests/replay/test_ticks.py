@@ -42,7 +42,16 @@ def test_every_number_is_the_states(said: tuple[list[GuidanceState], Ticks]) -> 
     states, rows = said
     assert len(rows) == len(states)
     np.testing.assert_array_equal(rows.t_s, TIMES)
-    for name in ("force_n", "wanted_n", "model_phase", "distance_mm", "pose_age_s", "status", "supervisor"):
+    for name in (
+        "force_n",
+        "wanted_n",
+        "model_phase",
+        "distance_mm",
+        "pose_age_s",
+        "tre_bound_mm",
+        "status",
+        "supervisor",
+    ):
         np.testing.assert_array_equal(getattr(rows, name), [getattr(s, name) for s in states])
     np.testing.assert_array_equal(rows.hazards, [int(s.supervised.hazards) for s in states])
     np.testing.assert_array_equal(rows.valid, [s.status is Status.OK for s in states])

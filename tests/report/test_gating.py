@@ -3,7 +3,7 @@
 import numpy as np
 
 from dvf_ig.core import PhaseState, PhaseTrack
-from dvf_ig.report.gating import STRIP_S, STRIPS, choose_strips, gate_png
+from dvf_ig.report.gating import STRIP_S, STRIPS, choose_strips, gate_png, shown_segments
 
 T_S = np.arange(0.0, 200.0, 0.05)
 
@@ -25,3 +25,9 @@ def test_strips_show_the_worst_and_do_not_overlap() -> None:
 def test_a_picture_needs_no_ecg() -> None:
     peaks = np.arange(0.0, 200.0, 1.0)
     assert gate_png("trigger", None, peaks, track()).startswith(b"\x89PNG")
+
+
+def test_what_has_r_peaks_again_is_not_shown_as_lost() -> None:
+    peaks = np.concatenate([np.arange(0.0, 101.5, 1.0), np.arange(105.0, 200.0, 1.0)])
+    lost = [(begin, end) for begin, end, state in shown_segments(track(), peaks) if state is PhaseState.LOST]
+    assert lost == [(102.0, 105.0)]

@@ -14,9 +14,11 @@ from dvf_ig.core import (
     NWirePhantom,
     NWireRecording,
     PoseStream,
+    Progress,
     QualityGateError,
     TrackedSequence,
     read_only_arrays,
+    untold,
 )
 
 from .dots import Clip, DotOptions, Dots, find_dots
@@ -91,13 +93,18 @@ class WireSegmentation:
 
 
 def segment_wires(
-    sequence: TrackedSequence, phantom: NWirePhantom, *, options: WireImageOptions | None = None
+    sequence: TrackedSequence,
+    phantom: NWirePhantom,
+    *,
+    options: WireImageOptions | None = None,
+    progress: Progress = untold,
 ) -> WireSegmentation:
     """Find the wires of an N-wire phantom in every image of a sequence.
 
     Args:
         sequence: with images; its orientation tells left from right where the phantom's outer wires do not.
         phantom: two or more N patterns.
+        progress: told the share of the images that are done.
     Raises:
         InvalidInputError: no images, a phantom that gives no plan, or a clip outside the images.
         QualityGateError: the pixel size is not given, and no frame shows the phantom at any.
@@ -113,7 +120,10 @@ def segment_wires(
     else:
         lines = replace(options.pattern.lines, scale_share=SCALE_SHARE)
         options = replace(options, pattern=replace(options.pattern, lines=lines))
-    frames = [_frame(images[i], bool(valid[i]), plan, spacing, options) for i in range(len(images))]
+    frames = []
+    for i in range(len(images)):
+        frames.append(_frame(images[i], bool(valid[i]), plan, spacing, options))
+        progress((i + 1) / len(images))
     missing = np.full((3 * len(phantom.patterns), 2), np.nan)
     points = [missing if f.found is None else f.found.points_px for f in frames]
     return WireSegmentation(spacing, tuple(frames), np.stack(points))

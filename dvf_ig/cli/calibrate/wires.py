@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from dvf_ig.cli.shell import wrote
+from dvf_ig.cli.shell import progress, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import WireImageOptions, WireSegmentation
@@ -52,7 +52,9 @@ def read_wires(
     phantom = read_nwire_phantom(device_set)
     recorded = read_sequence(sequence)
     poses = phantom_from_probe(sequence, recorded, device_set, names)
-    found = segment_wires(recorded, phantom, options=wire_image_options(read_wire_search(device_set)))
+    options = wire_image_options(read_wire_search(device_set))
+    with progress("images") as report:
+        found = segment_wires(recorded, phantom, options=options, progress=report)
     if picture is not None:
         title = f"{sequence.name}: wires found in {found.used} of {len(found.frames)} frames"
         write_wire_picture(picture, recorded, found, title=title)

@@ -18,17 +18,16 @@ from dvf_ig.cli.shell import (
     wrote,
 )
 from dvf_ig.cli.voxel_size import VoxelOption, voxel_size
-from dvf_ig.core import DvfModel
 
 from . import options as given
 from .export import export
-from .labels import LABELS_HELP, check_with_labels, labels_at
 from .output import file_megabytes, model_payload, model_rows, phase_rows
-from .request import BuildRequest
-from .sources import model_of
 
 if TYPE_CHECKING:
+    from dvf_ig.core import DvfModel
     from dvf_ig.preop import ModelCheck
+
+    from .request import BuildRequest
 
 CHECK_POINTS = 4000
 """Random points on each phase at which a model is checked."""
@@ -64,6 +63,8 @@ def build(
 ) -> None:
     """Fit signed-distance splines to a moving surface and write them as one model file."""
     with command(threads):
+        from .request import BuildRequest
+
         request = BuildRequest(
             output=output,
             surfaces=surfaces,
@@ -91,9 +92,11 @@ def _labels(text: str | None, option: str) -> tuple[int, ...]:
     return whole_numbers(text, option, "1,2,5") if text else ()
 
 
-def _build(request: BuildRequest, *, as_json: bool) -> None:
+def _build(request: "BuildRequest", *, as_json: bool) -> None:
     """Build, check, write and print the model."""
     from dvf_ig.io import write_model
+
+    from .sources import model_of
 
     start = time.perf_counter()
     model, evidence = model_of(request, as_json=as_json)
@@ -114,7 +117,9 @@ def check(
     points: Annotated[
         int, typer.Option("--points", min=10, help="Random points on each phase.")
     ] = CHECK_POINTS,
-    labels: Annotated[str | None, typer.Option("--labels", help=LABELS_HELP, metavar="FILE@PHASE")] = None,
+    labels: Annotated[
+        str | None, typer.Option("--labels", help=given.LABELS_HELP, metavar="FILE@PHASE")
+    ] = None,
     organ: Annotated[
         str | None,
         typer.Option(
@@ -132,6 +137,8 @@ def check(
     It says how well the splines describe those surfaces, not how well these describe the patient's anatomy:
     that is what --labels tells, labels of a phase that the model was not built from.
     """
+    from .labels import check_with_labels, labels_at
+
     given_labels = labels_at(labels) if labels is not None else None
     values = _labels(organ, "--organ")
     if values and given_labels is None:
@@ -155,7 +162,7 @@ def check(
         emit(payload, rows, as_json=as_json)
 
 
-def _errors(model: DvfModel, points: int, seed: int) -> "ModelCheck":
+def _errors(model: "DvfModel", points: int, seed: int) -> "ModelCheck":
     import numpy as np
 
     from dvf_ig.preop import check_model
@@ -163,7 +170,7 @@ def _errors(model: DvfModel, points: int, seed: int) -> "ModelCheck":
     return check_model(model, points_per_phase=points, rng=np.random.default_rng(seed))
 
 
-def _warn_of_assumptions(model: DvfModel) -> None:
+def _warn_of_assumptions(model: "DvfModel") -> None:
     if model.timing.timing_assumed:
         warn(f"phase times are assumed: phase i at i/{model.phases} of the cycle; give --timing")
     if model.timing.rr_assumed:

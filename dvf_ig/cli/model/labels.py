@@ -19,11 +19,6 @@ if TYPE_CHECKING:
 
 PHASE_POINTS = 1000
 """Random points on each of the two surfaces of a phase, where labels of every phase are given."""
-LABELS_HELP = (
-    "A label image and its place in the model's cycle. PHASE with a decimal point is a fraction of the cycle "
-    "in [0, 1), a whole number one of the model's phases, counted from 0: es.nii.gz@0.35, es.seg.nrrd@11. Of "
-    "a 4-D image it picks the frame."
-)
 
 
 @dataclass(frozen=True, slots=True)

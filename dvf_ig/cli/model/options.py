@@ -60,3 +60,8 @@ AccuracyOption = Annotated[
     ),
 ]
 MarginOption = Annotated[float, typer.Option("--margin-mm", help="Box margin around the heart in mm.")]
+LABELS_HELP = (
+    "A label image and its place in the model's cycle. PHASE with a decimal point is a fraction of the cycle "
+    "in [0, 1), a whole number one of the model's phases, counted from 0: es.nii.gz@0.35, es.seg.nrrd@11. Of "
+    "a 4-D image it picks the frame."
+)

@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvf_ig.core import DvfModel
-
 if TYPE_CHECKING:
+    from dvf_ig.core import DvfModel
     from dvf_ig.preop import ModelCheck
 
 DEFINITIONS = {
@@ -26,7 +25,7 @@ def file_megabytes(path: Path) -> float:
 
 
 def model_payload(
-    model: DvfModel, result: "ModelCheck", seed: int, seconds: float | None, file_mb: float
+    model: "DvfModel", result: "ModelCheck", seed: int, seconds: float | None, file_mb: float
 ) -> dict[str, Any]:
     from dvf_ig.preop import border_distance_mm, potential_at_border
 
@@ -71,7 +70,7 @@ def model_payload(
 
 
 def model_rows(
-    model: DvfModel,
+    model: "DvfModel",
     result: "ModelCheck",
     seconds: float | None,
     file_mb: float,
@@ -130,7 +129,7 @@ def anatomical_rows(error: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     ]
 
 
-def phase_rows(model: DvfModel, result: "ModelCheck") -> list[tuple[str, str]]:
+def phase_rows(model: "DvfModel", result: "ModelCheck") -> list[tuple[str, str]]:
     """One row a phase."""
     megabytes = model.megabytes / model.phases
     columns = zip(

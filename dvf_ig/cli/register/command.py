@@ -74,9 +74,6 @@ def register(
     Tracked frames, of a scenario folder, a SESSION.yaml, or named by options, and gated 3-D volumes give
     mr_from_tracker; an image pair gives moving_from_fixed. The evidence and a page are written in any case;
     exits 5, 6 or 7 when the pose must not be used.
-
-        dvf-ig register --us SWEEP.igs.mha --ecg edf:ECG.edf --model heart.npz --mr CINE --probe probe.json
-          --latency lag.json --start-landmarks model.mrk.json patient.mrk.json -o OUT
     """
     with command(threads):
         from dvf_ig.io import output_folder

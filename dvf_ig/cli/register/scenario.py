@@ -44,5 +44,5 @@ def _register(
     with progress("register") as report:
         done = register_scenario(recorded, start, model=model, seed=seed, progress=report)
     typer.echo(origin, err=True)
-    shown = frames_shown(done, recorded.name, recorded.preop.mr)
+    shown = replace(frames_shown(done, recorded.name, recorded.preop.mr), targets=recorded.landmarks_mr)
     return Registered(done.result, done.start, shown, recorded.tracked_against)

@@ -39,12 +39,12 @@ def tracking(
 ) -> None:
     """Distance of a held stylus to the true surface, by device and blend, with and without feed-forward."""
     with command(lists_inputs=False):
+        from dvf_ig.core import part_of
         from dvf_ig.guidance import DEVICES
         from dvf_ig.guidance.blend import BLEND_CODES
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
         from dvf_ig.report.study.stylus import tracking_png
-        from dvf_ig.study.progress import part_of
         from dvf_ig.study.stylus.holding import beating_surface, held_styli, hold_stylus, pool_hearts
 
         devices = list(DEVICES.values()) if device is DeviceName.both else [DEVICES[device.value]]

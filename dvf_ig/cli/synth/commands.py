@@ -4,12 +4,14 @@ import typer
 
 from .calibration import calibration
 from .scenario import scenario
+from .stream import stream
 from .ultrasound import us
 
 app = typer.Typer(no_args_is_help=True, help="Make synthetic recordings with known truth.")
 app.command("calibration")(calibration)
 app.command("us")(us)
 app.command("scenario")(scenario)
+app.command("stream")(stream)
 
 
 @app.callback()

@@ -51,6 +51,8 @@ class Servo:
         limits: of the device; the stiffness gives the slew limit.
         options: rate, damping, passivity.
         watchdog: a second thread that sends no force where no tick has ended for 10 ms.
+        late_s: three ticks in a hundred that wake or end so late latch; longer only where nobody feels the
+            force at the servo's rate.
     Raises:
         InvalidInputError: another system than Linux, fixtures that the servo does not render, or such as the
             device does not (`check_sideways`).
@@ -64,6 +66,7 @@ class Servo:
         limits: DeviceLimits = COMMON_DEVICE,
         options: ServoOptions = ServoOptions(),  # noqa: B008  frozen
         watchdog: bool = True,
+        late_s: float = LATE_NS * 1e-9,
     ) -> None:
         if sys.platform != "linux":
             raise InvalidInputError(
@@ -81,7 +84,7 @@ class Servo:
         self._shared[published.VALID_UNTIL_S] = np.inf
         self._shared[published.POSE_AND_PHASE + POSE_UNTIL] = -np.inf
         self._numbers = np.zeros(kernel.NUMBERS, dtype=np.int64)
-        self._numbers[kernel.LATE_NS] = LATE_NS
+        self._numbers[kernel.LATE_NS] = round(late_s * 1e9)
         self._histogram = np.zeros(BINS, dtype=np.int64)
         self._ring = np.zeros((max(1024, round(KEPT_S * options.rate_hz)), tick_kernel.ROW))
         self._watchdog = watchdog

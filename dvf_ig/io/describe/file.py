@@ -12,6 +12,7 @@ from dvf_ig.core.scenario import LatencyRecording, Scenario
 from dvf_ig.core.signal import Signal
 from dvf_ig.core.stream import PoseStream
 from dvf_ig.core.trigger import TriggerTimes
+from dvf_ig.io.dicom.cine import is_dicom_folder
 from dvf_ig.io.ecg.beat_annotations import read_annotations
 from dvf_ig.io.ecg.recording import names_ecg, read_ecg
 from dvf_ig.io.mesh.file import DECODERS
@@ -26,6 +27,7 @@ from dvf_ig.io.scenario.layout import CONFIG
 from dvf_ig.io.scenario.read import read_scenario
 
 from .anatomy import (
+    cine_facts,
     image_facts,
     landmark_facts,
     mesh_facts,
@@ -87,6 +89,8 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
 def _folder_kind(path: Path) -> tuple[str, Reader]:
     if (path / CONFIG).is_file():
         return "scenario folder", _scenario_facts
+    if is_dicom_folder(path):
+        return "cine of DICOM images", cine_facts
     if surface_names(path):
         return "surfaces through the cycle", surface_facts
     return "tool poses, one 4x4 text file each", _pose_facts

@@ -13,6 +13,7 @@ from dvf_ig.core.mesh import SurfaceSeries
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.scenario import Preop
 from dvf_ig.core.volume import Volume, VolumeSeries
+from dvf_ig.io.dicom.cine import dicom_patient_id, is_dicom_folder
 from dvf_ig.io.image.labels import read_cine_labels
 from dvf_ig.io.image.timing import timing_from_document
 from dvf_ig.io.image.volume import image_dimension, read_volume_series
@@ -106,8 +107,10 @@ def label_values(labels: Volume | VolumeSeries) -> tuple[int, ...]:
 
 
 def _name(config: PreopConfig, folder: Path) -> str:
-    """Of the first file that images the heart, without its endings."""
+    """Of the first file that images the heart: as DICOM images say, else its name without its endings."""
     named = config.mr or config.labels or config.surfaces_folder or ""
+    if is_dicom_folder(folder / named) and (patient := dicom_patient_id(folder / named)):
+        return patient
     return Path(folder / named).name.partition(".")[0]
 
 

@@ -51,7 +51,7 @@ def read_session_config(path: Path | str) -> SessionConfig:
         UnreadableFileError: absent, not YAML, unknown keys, or missing or wrong values.
     """
     path = Path(path)
-    document = _document(path)
+    document = read_document(path)
     needs = (need for need in NEEDS if need.key in REQUIRED and need.absent_from(document))
     lacking = [f"{need.key}: {need.sentence}" for need in needs]
     if lacking:
@@ -66,11 +66,15 @@ def read_session_draft(path: Path | str) -> SessionDraft:
         UnreadableFileError: as `read_session_config`.
     """
     path = Path(path)
-    return validated(SessionDraft, _document(path), path)
+    return validated(SessionDraft, read_document(path), path)
 
 
-def _document(path: Path) -> dict[str, Any]:
-    """The keys with a value: a section of which every line is commented out is not given."""
+def read_document(path: Path) -> dict[str, Any]:
+    """The keys of a SESSION.yaml with a value: a section of which every line is commented out is not given.
+
+    Raises:
+        UnreadableFileError: absent, not YAML, or of another schema.
+    """
     document = read_yaml(path, "a session's configuration")
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         got = document.get("schema") if isinstance(document, dict) else None

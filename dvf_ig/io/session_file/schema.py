@@ -20,6 +20,8 @@ from dvf_ig.core.sequence import Fan
 from dvf_ig.io.fixtures import FixtureConfig, MarginChoice, Number, RetimingName
 from dvf_ig.io.yaml_config import KIND, Section
 
+from .live import LiveConfig
+
 SCHEMA = "dvf_ig.session/1"
 Fraction = Annotated[float, Field(strict=True, ge=0.0, lt=1.0)]
 Pixel = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -229,6 +231,7 @@ class SessionDraft(Section):
         tool: None takes the tool tracked in the ultrasound sequence, if there is one.
         fixtures, cap_n, retiming, margin: as in a file of `--fixtures`.
         truth: folder of a synthetic scenario's truth, to be scored against.
+        live: who sends what in a live session; recordings do not need it.
     """
 
     schema_: Literal["dvf_ig.session/1"] = Field(default="dvf_ig.session/1", alias="schema")
@@ -247,6 +250,7 @@ class SessionDraft(Section):
     retiming: RetimingName | None = None
     margin: MarginChoice | None = None
     truth: FileName | None = None
+    live: LiveConfig | None = None
 
 
 class SessionConfig(SessionDraft):
@@ -254,3 +258,10 @@ class SessionConfig(SessionDraft):
 
     preop: PreopConfig
     calibration: CalibrationConfig
+
+
+class LiveSessionConfig(SessionConfig):
+    """The same of a live session, which needs no recordings: ECG, tool and images are sent."""
+
+    ultrasound: UltrasoundConfig | None = None  # type: ignore[assignment]
+    live: LiveConfig

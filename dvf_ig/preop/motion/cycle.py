@@ -6,7 +6,7 @@ gives the initial deformation. Both chains register the phase at which they meet
 the closure error of the cycle.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from threading import Lock
@@ -22,6 +22,7 @@ from dvf_ig.core import (
     Grid,
     InvalidInputError,
     Mesh,
+    Progress,
     SurfaceSeries,
     Volume,
     VolumeSeries,
@@ -36,7 +37,6 @@ from .image_match import FreeFormOptions, match_images
 from .outliers import AnyDeformation, ReplacedPhase, replace_outliers
 from .slice_stack import axis_of_lost_spacing, observable_axes
 
-Progress = Callable[[float], None]
 Method = Literal["bspline", "demons"]
 
 PADDING_MM = 8.0

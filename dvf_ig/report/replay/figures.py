@@ -7,19 +7,34 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
 from dvf_ig.report.plane_contour import draw_contour, image_extent
+from dvf_ig.report.plane_marks import draw_plane_marks
 from dvf_ig.report.plane_overlay import PlaneOverlay
-from dvf_ig.report.style import ESTIMATE, ON_GREY, REFUSED, START, SUSPENDED, TRUTH, without_ticks
+from dvf_ig.report.style import (
+    ESTIMATE,
+    GUIDE,
+    ON_GREY,
+    REFUSED,
+    START,
+    SUSPENDED,
+    TRUTH,
+    WIDE_IN,
+    legend_below,
+    time_axes,
+    without_ticks,
+)
 
 from .values import BeatTrace, EcgStrip, RegistrationMark, SupervisorTrace, TickTrace
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-WIDE = (10.5, 2.6)
 THIN = slice(None, None, 5)
 """Ticks of the force trace that are drawn."""
 LARGEST_SHOWN_N = 0.65
@@ -33,7 +48,7 @@ def overlay_figure(overlays: Sequence[PlaneOverlay]) -> Figure | None:
     """
     if not overlays:
         return None
-    figure = Figure(figsize=(10.5, 5.6), layout="constrained")
+    figure = Figure(figsize=(WIDE_IN, 5.6), layout="constrained")
     axes = figure.subplots(2, len(overlays), squeeze=False)
     for column, overlay in enumerate(overlays):
         _draw_overlay(axes[:, column], overlay)
@@ -54,6 +69,8 @@ def _draw_overlay(axes: NDArray[np.object_], overlay: PlaneOverlay) -> None:
     for plane, color in ((overlay.start, START), (overlay.registered, ON_GREY)):
         for axis in axes:
             draw_contour(axis, plane.distance_mm, overlay.size_mm, color)
+    for axis in axes:
+        draw_plane_marks(axis, overlay.size_mm, overlay.registered.edges)
     axes[0].set_title(overlay.moment, fontsize=9)
     without_ticks(*axes)
 
@@ -65,54 +82,72 @@ def pose_figure(
     the beat than the pose in use; None without beats."""
     if beats is None:
         return None
-    figure = Figure(figsize=(WIDE[0], 4.2), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    known = beats.tre_mm is not None
+    figure, axes = time_axes(4.4 if known else 2.9, 2 if known else 1)
+    lower = axes[-1]
     if beats.tre_mm is not None:
-        _by_use(upper, beats, beats.tre_mm)
-        upper.axhline(GOOD_TRE_MM, color=TRUTH, lw=0.8, ls=":")
-    upper.set_ylabel("mean TRE, mm")
-    upper.margins(y=0.1)
-    upper.set_ylim(bottom=0)
+        _by_use(axes[0], beats, beats.tre_mm)
+        axes[0].axhline(GOOD_TRE_MM, color=GUIDE, lw=0.8, ls=":")
+        axes[0].set_ylabel("mean TRE, mm")
+        axes[0].margins(y=0.1)
+        axes[0].set_ylim(bottom=0)
     _by_use(lower, beats, beats.log_likelihood_ratio)
-    lower.axhline(beats.limit, color=TRUTH, lw=0.8, ls=":")
+    limit = lower.axhline(beats.limit, color=TRUTH, lw=0.8, ls="--", label="more than noise does")
     lower.set(ylabel="log-likelihood\nratio", xlabel="time, s", xlim=span_s)
-    for axis in (upper, lower):
+    for axis in axes:
         for begin_s, end_s in beats.suspended_s:
             axis.axvspan(begin_s, end_s, color=SUSPENDED, lw=0, zorder=0)
         for mark in registrations:
-            axis.axvline(mark.ready_s, color=TRUTH, lw=0.6, ls="-" if mark.usable else ":")
-    figure.legend(*lower.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+            axis.axvline(mark.ready_s, color=GUIDE, lw=0.8, ls="-" if mark.usable else ":")
+    handles: list[Artist] = [
+        *(handle for handle in lower.get_legend_handles_labels()[0] if handle is not limit),
+        limit,
+        *_registration_handles(registrations),
+    ]
+    if len(beats.suspended_s) > 0:
+        handles.append(Patch(color=SUSPENDED, label="pose suspended"))
+    legend_below(figure, handles)
     return figure
+
+
+def _registration_handles(registrations: Sequence[RegistrationMark]) -> list[Artist]:
+    said = ((True, "-", "registration in use from here"), (False, ":", "registration refused"))
+    seen = {mark.usable for mark in registrations}
+    return [
+        Line2D([], [], color=GUIDE, lw=0.8, ls=style, label=label)
+        for used, style, label in said
+        if used in seen
+    ]
 
 
 def _by_use(axis: Axes, beats: BeatTrace, values: FloatArray) -> None:
     times, in_use = beats.decided_s, beats.in_use
-    axis.plot(times[in_use], values[in_use], "o", ms=3, color=ESTIMATE, label="pose in use")
-    axis.plot(
-        times[~in_use], values[~in_use], "o", ms=3, mfc="none", color=START, label="pose pending, no force"
-    )
+    for chosen, fill, color, label in (
+        (in_use, ESTIMATE, ESTIMATE, "pose in use"),
+        (~in_use, "none", START, "pose pending, no force"),
+    ):
+        if chosen.any():
+            axis.plot(times[chosen], values[chosen], "o", ms=3, mfc=fill, color=color, label=label)
 
 
 def phase_error_figure(ticks: TickTrace) -> Figure | None:
     """Phase error against time; None without ground truth."""
     if ticks.phase_error_percent is None:
         return None
-    figure = Figure(figsize=WIDE, layout="constrained")
-    axis = figure.subplots()
+    figure, (axis,) = time_axes(2.7)
     error = np.where(ticks.phase_valid, ticks.phase_error_percent, np.nan)
-    axis.plot(ticks.t_s, error, color=ESTIMATE, lw=0.8)
+    (line,) = axis.plot(ticks.t_s, error, color=ESTIMATE, lw=0.8, label="estimated less true phase")
     axis.axhline(0, color=TRUTH, lw=0.6)
     axis.set(ylabel="phase error, % of RR", xlabel="time, s")
     axis.margins(x=0)
-    shade_refused(axis, ticks.t_s, ticks.valid)
+    legend_below(figure, [line, *_shade_refused(axis, ticks.t_s, ticks.valid, "no force was given")])
     return figure
 
 
 def force_figure(ticks: TickTrace) -> Figure:
     """Size of the force and distance to the surface against time."""
     t_s = ticks.t_s[THIN]
-    figure = Figure(figsize=(WIDE[0], 3.8), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    figure, (upper, lower) = time_axes(4.2, 2)
     for force, distance, color, label in (
         (ticks.true_force_n, ticks.true_distance_mm, TRUTH, "ground truth"),
         (ticks.force_n, ticks.distance_mm, ESTIMATE, "estimated"),
@@ -125,29 +160,31 @@ def force_figure(ticks: TickTrace) -> Figure:
     lower.set(ylabel="distance, mm\n(inside > 0)", xlabel="time, s", ylim=(-15, 5))
     lower.axhline(0, color=TRUTH, lw=0.6, ls=":")
     lower.set_xlim(float(ticks.t_s[0]), float(ticks.t_s[-1]))
-    for axis in (upper, lower):
-        shade_refused(axis, ticks.t_s, ticks.valid)
-    figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    _shade_refused(upper, ticks.t_s, ticks.valid, "")
+    shaded = _shade_refused(lower, ticks.t_s, ticks.valid, "no force was given")
+    legend_below(figure, [*upper.get_legend_handles_labels()[0], *shaded])
     return figure
 
 
 def supervisor_figure(trace: SupervisorTrace) -> Figure:
     """States and hazards as bands over time, and the age of the pose."""
     rows = len(trace.bands)
-    figure = Figure(figsize=(WIDE[0], 1.9 + 0.24 * rows), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(max(rows, 1), 5))
+    figure, (upper, lower) = time_axes(2.3 + 0.24 * rows, 2, height_ratios=(max(rows, 1), 5))
     for row, (_, color, held) in enumerate(trace.bands):
         edges = np.flatnonzero(np.diff(held, prepend=False, append=False))
         ends_s = np.append(trace.t_s, trace.t_s[-1])[edges]
         spans = [(begin, end - begin) for begin, end in zip(ends_s[::2], ends_s[1::2], strict=True)]
         upper.broken_barh(spans, (row - 0.4, 0.8), color=color, lw=0.6)
-    upper.set_yticks(range(rows), [name for name, _, _ in trace.bands], fontsize=9)
+    upper.set_yticks(range(rows), [name for name, _, _ in trace.bands], fontsize=8)
     upper.set_ylim(rows - 0.4, -0.6)
     age_s = np.where(np.isfinite(trace.pose_age_s), trace.pose_age_s, np.nan)
-    lower.plot(trace.t_s[THIN], age_s[THIN], color=ESTIMATE, lw=0.8)
-    lower.axhline(trace.age_limit_s, color=TRUTH, lw=0.8, ls=":")
+    handles = lower.plot(
+        trace.t_s[THIN], age_s[THIN], color=ESTIMATE, lw=0.8, label="since a beat confirmed the pose"
+    )
+    limit = lower.axhline(trace.age_limit_s, color=TRUTH, lw=0.8, ls="--", label="pose withheld from here on")
     lower.set(ylabel="pose age, s", xlabel="time, s", ylim=(0, 1.6 * trace.age_limit_s))
     lower.set_xlim(float(trace.t_s[0]), float(trace.t_s[-1]))
+    legend_below(figure, [*handles, limit])
     return figure
 
 
@@ -174,8 +211,7 @@ def distance_histogram(ticks: TickTrace) -> Figure:
 
 def ecg_figure(strip: EcgStrip) -> Figure:
     """The ECG or trigger with detected R peaks, and the phase kept from them."""
-    figure = Figure(figsize=(WIDE[0], 3.6), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    figure, (upper, lower) = time_axes(3.8, 2)
     if strip.ecg is None:
         upper.vlines(strip.ecg_t_s, 0.0, 1.0, color=TRUTH, lw=0.8)
         upper.set_yticks([])
@@ -183,25 +219,28 @@ def ecg_figure(strip: EcgStrip) -> Figure:
     else:
         upper.plot(strip.ecg_t_s, strip.ecg, color=TRUTH, lw=0.8)
         height = np.interp(strip.r_peaks_s, strip.ecg_t_s, strip.ecg)
-    upper.plot(strip.r_peaks_s, height, "o", ms=5, mfc="none", color=ESTIMATE, label="R peak, as detected")
+    handles: list[Artist] = list(
+        upper.plot(
+            strip.r_peaks_s, height, "o", ms=5, mfc="none", color=ESTIMATE, label="R peak, as detected"
+        )
+    )
     upper.set_ylabel(strip.label)
     lower.plot(strip.t_s, strip.phase, ".", ms=1, color=ESTIMATE)
+    handles.append(Line2D([], [], color=ESTIMATE, label="phase estimated"))
     if strip.true_phase is not None:
         lower.plot(strip.t_s, strip.true_phase, ".", ms=0.6, color=TRUTH)
-    lower.plot([], [], color=ESTIMATE, label="phase estimated")
-    if strip.true_phase is not None:
-        lower.plot([], [], color=TRUTH, label="phase by the ground truth")
+        handles.append(Line2D([], [], color=TRUTH, label="phase by the ground truth"))
     lower.set(
         ylabel="phase φ", xlabel="time, s", ylim=(0, 1), xlim=(float(strip.t_s[0]), float(strip.t_s[-1]))
     )
-    shade_refused(lower, strip.t_s, strip.phase_valid)
-    handles = [*upper.get_legend_handles_labels()[0], *lower.get_legend_handles_labels()[0]]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
+    handles += _shade_refused(lower, strip.t_s, strip.phase_valid, "phase could not be used")
+    legend_below(figure, handles)
     return figure
 
 
-def shade_refused(axis: Axes, t_s: FloatArray, valid: BoolArray) -> None:
-    """Grey where `valid` (n,) is False."""
+def _shade_refused(axis: Axes, t_s: FloatArray, valid: BoolArray, meaning: str) -> list[Artist]:
+    """Grey where `valid` (n,) is False; what it means for a legend, if there is any."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], valid, [True]]).astype(np.int8)))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         axis.axvspan(t_s[begin], t_s[min(end, len(t_s) - 1)], color=REFUSED, lw=0, zorder=0)
+    return [Patch(color=REFUSED, label=meaning)] if len(edges) else []

@@ -16,7 +16,7 @@ from .figures import (
     pose_figure,
     supervisor_figure,
 )
-from .values import ReplayPage
+from .values import BeatTrace, ReplayPage
 
 
 def replay_html(page: ReplayPage) -> str:
@@ -26,34 +26,32 @@ def replay_html(page: ReplayPage) -> str:
     sections = (
         (
             "Ultrasound and model, before and after registration",
-            "The model's surface in the ultrasound plane at the phase of each frame.",
+            "The model's surface in the ultrasound plane at the phase of each frame. Letters at the edges: "
+            "right (R) and left (L), front (A) and back (P), head (H) and foot (F) of the patient.",
             overlay_figure(page.overlays),
         ),
         (
             "The pose from beat to beat",
-            "After each heart beat its ultrasound is compared with the model under the pose in use. Above: "
-            "mean target registration error (TRE) of the beat's best pose, where the ground truth is known "
-            "(dotted: 2 mm). Below: by how much that pose explains the beat better than the pose in use "
-            "(dotted: more than noise does). Red: the pose is suspended, no force is given. Vertical lines: "
-            "a registration came into use, or (dotted) did not.",
+            "After each heart beat its ultrasound is compared with the model under the pose in use, and the "
+            "log-likelihood ratio says by how much the beat's best pose explains it better."
+            + _tre_remark(page.beats),
             pose_figure(page.beats, page.registrations, span_s),
         ),
         (
             "Phase error over time",
-            "Against the ground truth. Grey: no force was given.",
+            "Against the ground truth.",
             phase_error_figure(ticks),
         ),
         (
             "Force and distance",
             "Force of the fixture at the tool tip through the estimated pose and phase, and distance of the "
-            "tip from the surface. Grey: no force was given.",
+            "tip from the surface.",
             force_figure(ticks),
         ),
         (
             "Supervisor",
             "When the force was given in full, with a warning or rising (degraded), released (fade), or "
-            "withheld until the operator re-armed (latched); the hazards behind it. Below: time since a "
-            "heart beat confirmed the pose (dotted: from then on it is withheld).",
+            "withheld until the operator re-armed (latched); the hazards behind it.",
             supervisor_figure(page.supervisor),
         ),
         (
@@ -63,7 +61,7 @@ def replay_html(page: ReplayPage) -> str:
         ),
         (
             "ECG, R peaks and phase",
-            "Phase as it was known at each moment, from the past alone. Grey: phase could not be used.",
+            "Phase as it was known at each moment, from the past alone.",
             ecg_figure(page.ecg),
         ),
     )
@@ -76,6 +74,12 @@ def replay_html(page: ReplayPage) -> str:
     about = f"patient {html.escape(page.patient_id)}, dvf_ig {html.escape(page.version)}"
     head = f"<p class=note>{about}</p>{_verdict(page)}{_warnings(page.warnings)}"
     return html_page(f"Replay of {page.scenario}", f"{head}<h2>Estimates</h2>{estimates}{body}")
+
+
+def _tre_remark(beats: BeatTrace | None) -> str:
+    if beats is None or beats.tre_mm is None:
+        return ""
+    return " Above it: mean target registration error (TRE) of that best pose; thin dotted line: 2 mm."
 
 
 def _warnings(sentences: Sequence[str]) -> str:

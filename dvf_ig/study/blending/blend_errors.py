@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.heart.motion import MotionPreset
-from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, read_only_arrays
+from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, part_of, read_only_arrays
 from dvf_ig.guidance import Evaluator
 from dvf_ig.guidance.blend import BLEND_CODES
-from dvf_ig.study.progress import part_of
 
 from .hearts import LAW, ExactAnswer, FittedPhase, beating_heart
 

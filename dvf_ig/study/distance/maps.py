@@ -11,7 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Mesh, read_only_arrays
+from dvf_ig.core import (
+    BoolArray,
+    FloatArray,
+    Grid,
+    IntArray,
+    InvalidInputError,
+    Mesh,
+    Progress,
+    part_of,
+    read_only_arrays,
+    untold,
+)
 from dvf_ig.preop import (
     AxisSolver,
     SplineField,
@@ -30,7 +41,6 @@ from dvf_ig.preop import (
 )
 from dvf_ig.preop.distance.signed import LEVELS
 from dvf_ig.preop.spline.fit import SAMPLES_PER_KNOT, AxisSolvers
-from dvf_ig.study.progress import Progress, part_of
 
 WIDE_MM, NEAR_MM = 15.0, 2.0
 BAND_MM = 4.0
@@ -85,7 +95,7 @@ def compare_distance_maps(
     *,
     voxels: int = 128,
     points: int = 20_000,
-    progress: Progress = lambda _: None,
+    progress: Progress = untold,
 ) -> Comparison:
     """Every method on some closed surfaces; errors are pooled over them.
 

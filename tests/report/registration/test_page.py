@@ -8,6 +8,7 @@ import pytest
 from html_outline import outline_of
 
 from dvf_ig.io.sidecar import refuse_foreign
+from dvf_ig.report.plane_marks import scale_bar_mm
 from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.report.registration import Check, Outcome, RegistrationPage, Transform, registration_html
 from dvf_ig.report.registration.planes import (
@@ -15,7 +16,6 @@ from dvf_ig.report.registration.planes import (
     checkerboard_figure,
     fused_figure,
     fused_rgb,
-    scale_bar_mm,
 )
 
 TURN = np.array([[0.0, -1, 0, 5], [1, 0, 0, -7], [0, 0, 1, 9], [0, 0, 0, 1]])

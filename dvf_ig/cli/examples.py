@@ -1,0 +1,117 @@
+"""The examples under `--help`, a command each; a test parses every one."""
+
+import typer
+
+OWN = "--model heart.npz --probe probe.json --latency latency.json"
+
+EXAMPLES: dict[str, tuple[str, ...]] = {
+    "doctor": ("dvf-ig doctor", "dvf-ig doctor --json"),
+    "inspect": ("dvf-ig inspect ultrasound.igs.mha", "dvf-ig inspect heart.npz --json"),
+    "force": (
+        "dvf-ig force heart.npz --points points.csv --phase 0.35",
+        "dvf-ig force heart.npz --points points.csv --phase 0.35 --law guidance --delta 3 --m 1",
+    ),
+    "gate": (
+        "dvf-ig gate edf:ecg.edf -o gating.json",
+        "dvf-ig gate plus:ultrasound.igs.mha --phase-at 50",
+    ),
+    "register": (
+        f"dvf-ig register --us ultrasound.igs.mha --ecg edf:ecg.edf {OWN} --cine cine.nrrd "
+        "--start-landmarks landmarks_mr.mrk.json landmarks_tracker.mrk.json -o registration",
+        "dvf-ig register --config session.yaml -o registration",
+        "dvf-ig register --us-volume ed.nrrd@0.0 --us-volume es.nrrd@0.35 --model heart.npz --cine cine.nrrd "
+        "--start start.tfm -o registration",
+        "dvf-ig register --fixed ultrasound.nii.gz --moving t1.nii.gz --moving flair.nii.gz -o registration",
+    ),
+    "evaluate": ("dvf-ig evaluate --transform registration.tfm --landmarks fixed.mrk.json moving.mrk.json",),
+    "replay": (
+        "dvf-ig replay demo -o run",
+        "dvf-ig replay --config session.yaml -o run --margin adaptive",
+        "dvf-ig replay session.mcap -o again",
+        "dvf-ig replay demo -o run --law guidance --delta 3 --m 1 --retiming uniform",
+    ),
+    "bench": ("dvf-ig bench", "dvf-ig bench --servo 60"),
+    "view": ("dvf-ig view run", "dvf-ig view run -o run.html --recording demo"),
+    "export slicer": (
+        "dvf-ig export slicer run -o scene",
+        "dvf-ig export slicer registration --recording session.yaml -o scene",
+    ),
+    "export mcap": ("dvf-ig export mcap run -o session.mcap",),
+    "export rerun": ("dvf-ig export rerun run -o session.rrd",),
+    "serve": (
+        "dvf-ig serve --config session.yaml",
+        "dvf-ig serve --config session.yaml --listen --port 18944 --margin adaptive",
+    ),
+    "synth stream": ("dvf-ig synth stream demo", "dvf-ig synth stream demo --speed 2 --port 18945"),
+    "synth scenario": (
+        "dvf-ig synth scenario --preset calm --motion paper5mm --seconds 60 --seed 1 -o demo",
+        "dvf-ig synth scenario --preset lost-ultrasound --heart varied --seed 2 -o demo",
+        "dvf-ig synth scenario --anatomy cine --cine cine.nrrd --labels ed.nrrd --seed 1 -o demo",
+    ),
+    "synth us": ('dvf-ig synth us --labels heart.nii.gz --view "tee four-chamber" -o ultrasound',),
+    "synth calibration": ("dvf-ig synth calibration nwire --seed 1 -o nwire",),
+    "model build": (
+        "dvf-ig model build --image cine.nrrd --labels ed.nrrd --cavity 3,1 -o heart.npz",
+        "dvf-ig model build --surfaces surfaces --surface EPICARDIAL -o heart.npz",
+    ),
+    "model check": ("dvf-ig model check heart.npz", "dvf-ig model check heart.npz --labels es.nii.gz@0.35"),
+    "model export": ("dvf-ig model export heart.npz --format stl -o surfaces",),
+    "calibrate pivot": ("dvf-ig calibrate pivot pivot.igs.mha -o tip.json",),
+    "calibrate probe": (
+        "dvf-ig calibrate probe nwire.igs.mha --device-set PlusDeviceSet.xml -o probe.json",
+        "dvf-ig calibrate probe cross_wire.igs.mha --phantom cross-wire -o probe.json",
+    ),
+    "calibrate latency": ("dvf-ig calibrate latency tracker.igs.mha video.igs.mha -o latency.json",),
+    "calibrate landmarks": (
+        "dvf-ig calibrate landmarks stylus.igs.mha --device-set PlusDeviceSet.xml -o phantom.json",
+    ),
+    "calibrate hand-eye": ("dvf-ig calibrate hand-eye robot.csv camera.csv -o hand_from_camera.json",),
+    "config init": (
+        "dvf-ig config init --us ultrasound.igs.mha --ecg edf:ecg.edf -o session.yaml",
+        f"dvf-ig config init --us ultrasound.igs.mha --ecg edf:ecg.edf {OWN} "
+        "--landmarks landmarks_mr.mrk.json landmarks_tracker.mrk.json --tool tool.igs.mha --tip tip.json "
+        "-o session.yaml",
+    ),
+    "config dump": ("dvf-ig config dump session.yaml", "dvf-ig config dump demo"),
+    "config validate": (
+        "dvf-ig config validate session.yaml",
+        "dvf-ig config validate session.yaml --for replay",
+    ),
+    "study tracking": ("dvf-ig study tracking --seeds 5 -o study",),
+    "study distance": ("dvf-ig study distance --voxels 128 -o study",),
+    "study cines": ("dvf-ig study cines --data acdc --voxel-mm 1.5,1.5,10 -o study",),
+    "study blending": ("dvf-ig study blending --phases 20 -o study",),
+    "study gating": ("dvf-ig study gating --records mitdb -o study",),
+    "study retiming": ("dvf-ig study retiming --motion physiological -o study",),
+    "study training": ("dvf-ig study training --degrees 2,3 -o study",),
+    "study replay": ("dvf-ig study replay --preset lost-ultrasound --seeds 10 -o study",),
+    "study hearts": ("dvf-ig study hearts --list threshold --hearts 8 --quality calm -o study",),
+    "study constants": ("dvf-ig study constants --hearts 6 -o study",),
+    "study margins": ("dvf-ig study margins --list tuning --hearts 3 -o study",),
+    "study watch": ("dvf-ig study watch --list tuning --hearts 3 -o study",),
+    "study same-image": ("dvf-ig study same-image --seeds 3 -o study",),
+    "study capture": ("dvf-ig study capture --quality calm --per-bin 3 --to 12 -o study",),
+    "study gating-error": ("dvf-ig study gating-error --seeds 3 -o study",),
+    "study planes": ("dvf-ig study planes --seeds 3 -o study",),
+    "study failures": ("dvf-ig study failures --seeds 3 -o study",),
+    "study calibration": ("dvf-ig study calibration --kind nwire --seeds 200 -o study",),
+    "study pairs": ("dvf-ig study pairs --seeds 6 -o study",),
+    "study passivity": ("dvf-ig study passivity",),
+    "study faults": ("dvf-ig study faults --seeds 20 --hours 8 -o study",),
+    "study operators": ("dvf-ig study operators --task cutting --seeds 20 -o study",),
+}
+"""By the command's name."""
+
+
+def show_examples(app: typer.Typer, before: str = "") -> None:
+    """Put the examples of every command of an application, and of its groups, under its help.
+
+    Raises:
+        KeyError: a command has none.
+    """
+    for group in app.registered_groups:
+        if group.typer_instance is not None:
+            show_examples(group.typer_instance, f"{before}{group.name} ")
+    for command in app.registered_commands:
+        examples = EXAMPLES[f"{before}{command.name}"]
+        command.epilog = "\n\n".join(("Examples:" if len(examples) > 1 else "Example:", *examples))

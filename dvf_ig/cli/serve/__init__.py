@@ -1,0 +1,1 @@
+"""`dvf-ig serve`: a live session."""

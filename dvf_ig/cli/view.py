@@ -1,0 +1,60 @@
+"""`dvf-ig view`: a replay as one HTML file that plays."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .patient_model import patient_model
+from .recorded import ModelOption, RecordingOption, read_recording, require_place
+from .shell import JsonFlag, ThreadsOption, command, emit, wrote
+
+
+def view(
+    run: Annotated[Path, typer.Argument(help="Folder that `dvf-ig replay … -o RUN` wrote.")],
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="HTML file to write (default: RUN/view.html).")
+    ] = None,
+    recording: RecordingOption = None,
+    model: ModelOption = None,
+    as_json: JsonFlag = False,
+    threads: ThreadsOption = None,
+) -> None:
+    """Write a replay as one HTML file that plays in a browser, without a network.
+
+    It shows the beating heart, ultrasound, tool, force and signals; its numbers are those of RUN/ticks.csv.
+    """
+    with command(threads):
+        from dvf_ig.io import provenance_fields, refuse_foreign, write_text
+        from dvf_ig.replay.run_folder import read_run, require_same_recording
+        from dvf_ig.replay.view import run_payload
+        from dvf_ig.report.viewer import viewer_html
+
+        path = out or run / "view.html"
+        if out is None:
+            refuse_foreign(path)
+        recorded = read_run(run)
+        source = recording or recorded.view.recording
+        require_place("recording", source, run, "--recording FOLDER or SESSION.yaml")
+        model = model or recorded.view.model
+        if model is not None:
+            require_place("model", model, run, "--model FILE")
+        recordings = read_recording(source)
+        require_same_recording(recorded.result, run, provenance_fields()["inputs"])
+        built, origin = patient_model(recordings.scenario.preop, recordings.model or model)
+        payload = run_payload(recorded, recordings.scenario, built)
+        page = viewer_html(payload)
+        write_text(path, page)
+        frames = payload["series"]["frames"]
+        result = {
+            "file": str(path),
+            "megabytes": round(len(page.encode()) / 1e6, 3),
+            "seconds": round(float(recorded.ticks["t_s"][-1] - recorded.ticks["t_s"][0]), 3),
+            "frames": 0 if frames is None else len(frames["images"]),
+        }
+        rows = [
+            ("page", f"{result['megabytes']:.1f} MB, {result['seconds']:.0f} s, {result['frames']} frames"),
+        ]
+        emit(result, rows, as_json=as_json)
+        typer.echo(origin, err=True)
+        wrote(path)

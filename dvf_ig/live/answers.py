@@ -1,0 +1,102 @@
+"""What is sent back: the pose, the force and the state of the session, as OpenIGTLink messages.
+
+    MrFromTracker   TRANSFORM   p_ras = M p_tracker: the tracker's coordinates as they came, to the MR in RAS
+    ToolForce       TRANSFORM   translation: the force on the tool, N, along the axes in which poses came
+    DvfIg           STATUS      OK, or why no force is given
+    DvfIgState      STRING      the same with numbers, JSON
+
+The pose is what 3D Slicer shows (transform to parent); it is not sent while none may be used.
+"""
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import FloatArray
+from dvf_ig.guidance import Hazard, SupervisorState
+from dvf_ig.live.igtl import Message, Status, StatusCode, Text, Transform
+from dvf_ig.session import GuidanceState
+
+POSE_NAME, FORCE_NAME, STATUS_NAME, STATE_NAME = "MrFromTracker", "ToolForce", "DvfIg", "DvfIgState"
+RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+_CODES = {
+    SupervisorState.OK: StatusCode.OK,
+    SupervisorState.DEGRADED: StatusCode.OK,
+    SupervisorState.FADE: StatusCode.NOT_READY,
+    SupervisorState.LATCHED: StatusCode.DISABLED,
+}
+
+
+def pose_matrix(state: GuidanceState) -> FloatArray | None:
+    """(4, 4) mr_from_tracker now, LPS; None where no pose may be used."""
+    pose = state.transform.pose
+    if pose is None or state.now_s >= state.transform.pose_until_s:
+        return None
+    matrix = np.eye(4)
+    matrix[:3] = pose.matrices(np.array([state.now_s]))[0]
+    return matrix
+
+
+def pose_message(state: GuidanceState, stamp_s: float) -> tuple[Message, ...]:
+    """MrFromTracker; nothing where no pose may be used."""
+    matrix = pose_matrix(state)
+    if matrix is None:
+        return ()
+    return (Message(POSE_NAME, stamp_s, Transform(RAS_FROM_LPS @ matrix)),)
+
+
+def force_message(force_n: FloatArray, stamp_s: float) -> Message:
+    """ToolForce.
+
+    Args:
+        force_n: (3,) frame "tracker".
+    """
+    matrix = np.eye(4)
+    matrix[:3, 3] = force_n
+    return Message(FORCE_NAME, stamp_s, Transform(matrix))
+
+
+def state_messages(
+    state: GuidanceState, servo: SupervisorState, hazards: Hazard, stamp_s: float
+) -> tuple[Message, ...]:
+    """STATUS and STRING.
+
+    Args:
+        servo, hazards: state of the servo's supervisor, which has the last word on the force, and what it
+            found.
+    """
+    worst = max(servo, state.supervisor)
+    numbers = state_numbers(state, servo, hazards)
+    text = json.dumps(numbers, allow_nan=False)
+    status = Status(_CODES[worst], int(worst), worst.name, "; ".join(numbers["reasons"])[:1000])
+    return Message(STATUS_NAME, stamp_s, status), Message(STATE_NAME, stamp_s, Text(text))
+
+
+def state_numbers(state: GuidanceState, servo: SupervisorState, hazards: Hazard) -> dict[str, Any]:
+    """The state as JSON values; what is not known is null. Arguments as of `state_messages`."""
+    phase = state.phase
+    own = hazards & ~state.supervised.hazards
+    return {
+        "t_s": state.now_s,
+        "supervisor": state.supervisor.name,
+        "servo": servo.name,
+        "status": state.status.name,
+        "reasons": [*state.reasons, *own.sentences],
+        "phase": _known(phase.phi),
+        "phase_sigma": _known(phase.sigma_phi),
+        "phase_state": phase.state.name,
+        "rr_s": _known(phase.rr_s),
+        "model_phase": _known(state.model_phase),
+        "pose_age_s": _known(state.pose_age_s),
+        "tre_bound_mm": _known(state.tre_bound_mm),
+        "distance_mm": _known(state.distance_mm),
+        "margin_mm": _known(float(state.margin_mm[0])),
+        "tool_age_s": _known(state.tool.age_s),
+    }
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""The live ECG: PLUS field data, the Lab Streaming Layer, or a file that grows."""

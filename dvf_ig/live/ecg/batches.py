@@ -1,0 +1,35 @@
+"""Times of samples that come in batches: by the time that comes with them, else by counting.
+
+Sample k was taken at start + k/rate, and no batch arrives before its last sample: the smallest
+arrival − k/rate so far gives the start. It creeps up by LARGEST_RATE, so that a slow clock is followed.
+Where samples were lost, or a source stopped, the count is begun anew.
+"""
+
+from math import inf
+
+LARGEST_RATE = 500e-6
+LOST_S = 0.15
+"""A batch that comes this late compared with the fastest so far has lost others before it."""
+
+
+class BatchClock:
+    """When the first sample of each batch was taken.
+
+    Args:
+        rate_hz: samples a second.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
+        self._count, self._start_s, self._last_s = 0, inf, 0.0
+
+    def first_s(self, samples: int, seen_s: float) -> float:
+        """Time of the first of `samples`, which had all been taken at `seen_s`."""
+        self._count += samples
+        start_s = seen_s - (self._count - 1) / self._rate_hz
+        if start_s - self._start_s > LOST_S:
+            self._count, self._start_s = samples, inf
+            start_s = seen_s - (samples - 1) / self._rate_hz
+        crept_s = self._start_s + LARGEST_RATE * (seen_s - self._last_s)
+        self._start_s, self._last_s = min(start_s, crept_s), seen_s
+        return self._start_s + (self._count - samples) / self._rate_hz

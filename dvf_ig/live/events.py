@@ -1,0 +1,128 @@
+"""What arrives from peers as the events of a session, by this machine's clock."""
+
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.live.igtl import Message, WireError
+from dvf_ig.session import Event, ToolPose
+
+from .clock import PeerClock
+from .devices import DeviceNames, Posed, Role
+from .ecg.field import EcgField
+from .frames import SAME_S, FramePairing
+from .link import Arrival
+
+REFERENCE_S = 0.1
+"""A reference's pose counts for poses stamped up to so long after it: three frames at 30 Hz."""
+MOST_HELD = 8192
+
+
+class LiveEvent(NamedTuple):
+    """An event, and when the message that completed it came."""
+
+    arrived_s: float
+    event: Event
+
+
+class EventSource:
+    """Turns what arrives into events; what is refused is counted, and told once a kind.
+
+    Args:
+        names: of the devices.
+        ecg: where the peers send the ECG; None where it comes from elsewhere.
+        tell: is told a sentence about what cannot be used.
+    """
+
+    def __init__(self, names: DeviceNames, ecg: EcgField | None, tell: Callable[[str], None]) -> None:
+        self._names, self._ecg, self._tell = names, ecg, tell
+        self._frames = FramePairing()
+        self._clocks: dict[str, PeerClock] = {}
+        self._held: deque[Arrival] = deque(maxlen=MOST_HELD)
+        self._reference: tuple[float, FloatArray | None] | None = None
+        self._told: set[str] = set()
+        self.refused = 0
+        """Messages that were of no use though they were meant for the session."""
+        self.tool_offset_s = 0.0
+        """The clock of the tool's peer less this machine's."""
+
+    def events(self, arrival: Arrival) -> list[LiveEvent]:
+        """Events that a message completes; those of a peer's first second come together at its end."""
+        clock = self._clocks.setdefault(arrival.peer, PeerClock())
+        stamp_s = arrival.taken.stamp_s
+        if stamp_s is not None:
+            clock.see(stamp_s, arrival.arrived_s)
+            if not clock.settled:
+                self._held.append(arrival)
+                return []
+        held = [one for one in self._held if one.peer == arrival.peer]
+        if held:
+            self._held = deque((one for one in self._held if one.peer != arrival.peer), maxlen=MOST_HELD)
+        return [event for one in (*held, arrival) for event in self._events(one, clock)]
+
+    def overdue(self, now_s: float) -> list[LiveEvent]:
+        """Frames whose pose did not come."""
+        return [LiveEvent(now_s, frame) for frame in self._frames.overdue(now_s)]
+
+    def _events(self, arrival: Arrival, clock: PeerClock) -> list[LiveEvent]:
+        try:
+            if isinstance(arrival.taken, WireError):
+                self.refused += 1
+                self._say(str(arrival.taken))
+                events = self._of_refused(arrival.taken, arrival.arrived_s, clock)
+            else:
+                events = self._of_message(arrival.taken, arrival.arrived_s, clock)
+        except InvalidInputError as error:
+            self.refused += 1
+            self._say(str(error))
+            return []
+        return [LiveEvent(arrival.arrived_s, event) for event in events]
+
+    def _of_refused(self, error: WireError, arrived_s: float, clock: PeerClock) -> list[Event]:
+        posed = self._names.refused_pose(error)
+        t_s = clock.local_s(error.stamp_s, arrived_s)
+        return [] if posed is None else self._posed(posed, t_s, clock)
+
+    def _of_message(self, message: Message, arrived_s: float, clock: PeerClock) -> list[Event]:
+        t_s = clock.local_s(message.stamp_s, arrived_s)
+        found: list[Event] = []
+        poses = sorted(self._names.poses(message), key=lambda posed: posed.role is not Role.REFERENCE)
+        for posed in poses:
+            found += self._posed(posed, t_s, clock)
+        if self._ecg is not None:
+            samples = self._ecg.samples(message, t_s, clock.offset_s)
+            found += [] if samples is None else [samples]
+        image = self._names.image_of(message)
+        if image is not None:
+            found += self._frames.add_image(t_s, image, arrived_s)
+        return found
+
+    def _posed(self, posed: Posed, t_s: float, clock: PeerClock) -> list[Event]:
+        if posed.role is Role.REFERENCE:
+            self._reference = (t_s, posed.matrix)
+            return []
+        matrix = self._against_reference(posed.matrix, t_s)
+        if posed.role is Role.TOOL:
+            self.tool_offset_s = clock.offset_s
+            return [ToolPose(t_s, matrix)]
+        finite = matrix is not None and bool(np.isfinite(matrix).all())
+        return list(self._frames.add_pose(t_s, matrix if finite else None))
+
+    def _against_reference(self, matrix: FloatArray | None, t_s: float) -> FloatArray | None:
+        """The pose relative to the reference marker, where there is one; None where that is not seen."""
+        if self._names.reference is None or matrix is None:
+            return matrix
+        if self._reference is None or not -SAME_S <= t_s - self._reference[0] <= REFERENCE_S:
+            return None
+        tracker_from_reference = self._reference[1]
+        if tracker_from_reference is None or not np.isfinite(tracker_from_reference).all():
+            return None
+        return np.linalg.solve(tracker_from_reference, matrix)
+
+    def _say(self, sentence: str) -> None:
+        if sentence not in self._told and len(self._told) < 100:
+            self._told.add(sentence)
+            self._tell(sentence)

@@ -1,0 +1,89 @@
+"""Images and the poses of the probe that belong to them: both come with stamps of one clock, one after the other.
+
+PLUS sends image and pose of one tracked frame with the same stamp. Where a peer stamps both by themselves,
+the pose is interpolated between its neighbours.
+"""
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core import FloatArray, PoseStream
+from dvf_ig.session import TrackedFrame
+
+SAME_S = 5e-4
+"""Stamps that differ by less are one."""
+WAIT_S = 0.3
+"""An image whose pose has not come after this long has none."""
+MOST_IMAGES, MOST_POSES = 16, 256
+
+
+class _Pose(NamedTuple):
+    t_s: float
+    matrix: FloatArray | None
+
+
+class _Waiting(NamedTuple):
+    t_s: float
+    image: NDArray[np.uint8] | None
+    arrived_s: float
+
+
+class FramePairing:
+    """Puts images and poses together; each stream in its own order."""
+
+    def __init__(self) -> None:
+        self._poses: deque[_Pose] = deque(maxlen=MOST_POSES)
+        self._images: deque[_Waiting] = deque()
+        self._same_stamps = False
+        """Image and pose have come with one stamp: a pose of another is none of the image's."""
+
+    def add_pose(self, t_s: float, matrix: FloatArray | None) -> list[TrackedFrame]:
+        """A pose (None: not tracked), and the frames that it completes."""
+        self._poses.append(_Pose(t_s, matrix))
+        return self._complete()
+
+    def add_image(self, t_s: float, image: NDArray[np.uint8] | None, arrived_s: float) -> list[TrackedFrame]:
+        """An image (None: not to be used), and the frames that it completes."""
+        if len(self._images) == MOST_IMAGES:
+            self._images.popleft()
+        self._images.append(_Waiting(t_s, image, arrived_s))
+        return self._complete()
+
+    def overdue(self, now_s: float) -> list[TrackedFrame]:
+        """Frames whose pose has not come in time; they have none."""
+        done = []
+        while self._images and now_s - self._images[0].arrived_s > WAIT_S:
+            late = self._images.popleft()
+            done.append(TrackedFrame(late.t_s, late.image, None))
+        return done
+
+    def _complete(self) -> list[TrackedFrame]:
+        done = []
+        while self._images and self._poses:
+            first = self._images[0]
+            same = next((p for p in reversed(self._poses) if abs(p.t_s - first.t_s) <= SAME_S), None)
+            if same is not None:
+                self._same_stamps, matrix = True, same.matrix
+            elif self._poses[-1].t_s <= first.t_s:
+                return done
+            else:
+                matrix = None if self._same_stamps else self._between(first.t_s)
+            self._images.popleft()
+            done.append(TrackedFrame(first.t_s, first.image, matrix))
+        return done
+
+    def _between(self, t_s: float) -> FloatArray | None:
+        after = next(p for p in self._poses if p.t_s > t_s)
+        before = next((p for p in reversed(self._poses) if p.t_s < t_s), None)
+        if before is None or before.matrix is None or after.matrix is None:
+            return None
+        both = np.stack([before.matrix, after.matrix])
+        times = np.array([before.t_s, after.t_s])
+        stream = PoseStream(
+            "tracker", "probe", times, both[:, :3, :3], both[:, :3, 3], np.ones(2, dtype=bool)
+        )
+        pose = stream.at(t_s)
+        return None if pose is None else pose.matrix

@@ -1,0 +1,116 @@
+"""What OpenIGTLink messages say, as values: device, time stamp, content, and named fields beside it.
+
+Matrices are (4, 4), mm, and take points of what is tracked to the frame that it is tracked in, axes as the
+sender has them; the wire holds them as float32.
+Source: OpenIGTLink protocol, versions 1 to 3 (openigtlink.org).
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core.arrays import FloatArray, read_only_arrays
+
+
+class StatusCode(IntEnum):
+    """Codes of a STATUS message that we send."""
+
+    OK = 1
+    NOT_READY = 13
+    DISABLED = 15
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class Transform:
+    """A pose: (4, 4). TRANSFORM; POSITION and QTRANS are read as this, too."""
+
+    matrix: FloatArray
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class Image:
+    """An image.
+
+    Attributes:
+        pixels: (slices, rows, columns) or, of several components, (slices, rows, columns, components).
+        matrix: (4, 4) from voxel index (column, row, slice) to mm; the spacing is the length of its columns.
+        lps: its axes are LPS, else RAS.
+    """
+
+    pixels: NDArray[Any]
+    matrix: FloatArray
+    lps: bool = False
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedTool:
+    """One tool of a TDATA or QTDATA message."""
+
+    name: str
+    matrix: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingData:
+    """Several tools tracked at one time."""
+
+    tools: tuple[TrackedTool, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """STATUS: a code of the protocol, the sender's own code and name of an error, and a sentence."""
+
+    code: int
+    subcode: int = 0
+    name: str = ""
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """STRING."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ignored:
+    """A message that nothing here uses, queries (GET_, STT_, STP_) among them."""
+
+    kind: str
+
+
+Content = Transform | Image | TrackingData | Status | Text | Ignored
+
+NO_FIELDS: MappingProxyType[str, str] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message.
+
+    Attributes:
+        device: name.
+        stamp_s: time stamp; None where the sender gave none.
+        fields: meta data of a version 2 header, by key.
+    """
+
+    device: str
+    stamp_s: float | None
+    content: Content
+    fields: MappingProxyType[str, str] = field(default_factory=lambda: NO_FIELDS)
+
+
+def rigid_matrix(rotation_translation: Any) -> FloatArray:
+    """(4, 4) of (3, 4)."""
+    matrix = np.eye(4)
+    matrix[:3] = rotation_translation
+    return matrix

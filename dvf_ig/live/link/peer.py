@@ -1,0 +1,124 @@
+"""One connected peer: a thread that receives, and sending that never waits."""
+
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+
+from dvf_ig.live.igtl import Incoming, WireError, WireProblem
+from dvf_ig.live.priority import RECEIVING, schedule_first
+
+from .inbox import Arrival, Inbox
+
+PIECE_BYTES = 1 << 18
+MESSAGE_S = 0.5
+"""A message that has begun ends within this, or the connection does: an image takes some 10 ms."""
+LOOK_EVERY_S = 0.1
+"""A thread that waits for bytes looks so often whether it is to end."""
+
+
+class Peer:
+    """A connection that lasts until the peer closes it, breaks the protocol, or `close`.
+
+    Args:
+        connection: connected; the peer owns it.
+        name: of the peer, for messages.
+        inbox: takes what arrives; None receives and forgets, as of a peer that is only told.
+        clock: seconds, monotonic.
+        message_s: time for a message that has begun.
+    """
+
+    def __init__(
+        self,
+        connection: socket.socket,
+        name: str,
+        inbox: Inbox | None,
+        clock: Callable[[], float] = time.monotonic,
+        message_s: float = MESSAGE_S,
+    ) -> None:
+        self.name = name
+        self.ended: WireError | OSError | None = None
+        """Why the connection ended, where it was not closed between two messages."""
+        self.dropped = 0
+        """Messages that were not sent because the peer did not read those before."""
+        self.received = self.refused = 0
+        self._connection, self._inbox, self._clock, self._message_s = connection, inbox, clock, message_s
+        self._unsent = b""
+        self._stop = threading.Event()
+        self._sending = threading.Lock()
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._thread = threading.Thread(target=self._receive, name=f"dvf-ig peer {name}", daemon=True)
+        self._thread.start()
+
+    @property
+    def connected(self) -> bool:
+        return self._thread.is_alive()
+
+    def close(self) -> None:
+        """End the connection; a second time does nothing."""
+        self._stop.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def offer(self, data: bytes) -> None:
+        """Send whole messages if the peer takes them now; else drop and count them."""
+        with self._sending:
+            if not self._flushed():
+                self.dropped += 1
+                return
+            self._unsent = data
+            self._flushed()
+
+    def _flushed(self) -> bool:
+        """Whether nothing is left of what was offered before."""
+        while self._unsent:
+            try:
+                sent = self._connection.send(self._unsent)
+            except BlockingIOError:
+                return False
+            except OSError as error:
+                self.ended = self.ended or error
+                self._stop.set()
+                return False
+            self._unsent = self._unsent[sent:]
+        return True
+
+    def _receive(self) -> None:
+        schedule_first(RECEIVING)
+        incoming = Incoming()
+        try:
+            self._receive_into(incoming)
+        except (WireError, OSError) as error:
+            if not self._stop.is_set():
+                self.ended = error
+        finally:
+            with self._sending:
+                self._connection.close()
+
+    def _receive_into(self, incoming: Incoming) -> None:
+        begun_s: float | None = None
+        poll = select.poll()
+        poll.register(self._connection, select.POLLIN)
+        while not self._stop.is_set():
+            left_s = LOOK_EVERY_S if begun_s is None else begun_s + self._message_s - self._clock()
+            if left_s <= 0.0:
+                raise WireError(WireProblem.TOO_SLOW)
+            if not poll.poll(1e3 * min(left_s, LOOK_EVERY_S)):
+                continue
+            data = self._connection.recv(PIECE_BYTES)
+            arrived_s = self._clock()
+            if not data:
+                incoming.close()
+                return
+            found = incoming.feed(data)
+            for taken in found:
+                self.received += 1
+                self.refused += isinstance(taken, WireError)
+                if self._inbox is not None:
+                    self._inbox.put(Arrival(arrived_s, self.name, taken))
+            if not incoming.within_message:
+                begun_s = None
+            elif found or begun_s is None:
+                begun_s = arrived_s

@@ -1,0 +1,141 @@
+"""A live session from its configuration: link, clocks, session, servo, and the threads that they need."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+
+from dvf_ig.core import InvalidInputError, Landmarks
+from dvf_ig.guidance import Fixtures
+from dvf_ig.guidance.devices.tracked import TrackedTool
+from dvf_ig.guidance.servo import Servo
+from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
+from dvf_ig.session import Beside, Landmark, Session, SessionHistory, SessionSetup
+
+from .devices import DeviceNames, flips_between
+from .ecg.field import EcgField
+from .events import EventSource, LiveEvent
+from .igtl.header import checksum
+from .link import Inbox, Link, connect, listen
+from .link.link import LOOPBACK, is_loopback
+from .loop import Answer, LiveLoop, no_more
+
+LATE_S = 0.02
+"""No device holds the servo's force here: it is sent every 17 ms, and a servo that is later than that latches."""
+EcgEvents = Callable[[], list[LiveEvent]]
+
+
+def _nothing(_: Answer) -> None:
+    """No observer."""
+
+
+def _silent(_: str) -> None:
+    """Nobody to tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """What a live session is made with beside its setup.
+
+    Attributes:
+        config: who sends what.
+        landmarks: touched before, in frames "mr" and "tracker"; None where a start pose takes their place.
+        ecg: events of an ECG that no peer sends (`dvf_ig.live.ecg`).
+        observe: is told every answer; `tell` a sentence about what cannot be used.
+        history: of registrations and beats; None keeps the last ones.
+    """
+
+    config: LiveConfig
+    landmarks: tuple[Landmarks, Landmarks] | None = None
+    ecg: EcgEvents = no_more
+    observe: Callable[[Answer], None] = _nothing
+    tell: Callable[[str], None] = _silent
+    history: SessionHistory | None = None
+    clock: Callable[[], float] = field(default=time.monotonic)
+
+
+@contextmanager
+def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop]:
+    """Connected, or listening, and ready to `run`; everything ends with the context.
+
+    Raises:
+        InvalidInputError: an address that cannot be used, or one of another machine that nobody allowed.
+    """
+    config, inbox = options.config, Inbox()
+    fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
+    device = TrackedTool()
+    with ExitStack() as stack:
+        executor = stack.enter_context(Beside(waits=False))
+        session = stack.enter_context(
+            Session(setup, executor=executor, clock=time.perf_counter, history=options.history)
+        )
+        checksum(b"compiled or loaded before the first message")
+        servo = Servo(fixtures, device, limits=setup.device, watchdog=False, late_s=LATE_S)
+        stack.enter_context(servo)
+        link = stack.enter_context(open_link(config, inbox))
+        yield LiveLoop(
+            session=session,
+            servo=servo,
+            device=device,
+            source=EventSource(device_names(config), _ecg_of_peers(config), options.tell),
+            inbox=inbox,
+            link=link,
+            more_events=options.ecg,
+            observe=options.observe,
+            tell=options.tell,
+            landmarks=_touched(options),
+            clock=options.clock,
+        )
+
+
+def run_in_thread(loop: LiveLoop) -> tuple[threading.Thread, threading.Event]:
+    """Run a live session beside the caller; set the event and join the thread to end it."""
+    stop = threading.Event()
+    thread = threading.Thread(target=loop.run, args=(stop,), name="dvf-ig session", daemon=True)
+    thread.start()
+    return thread, stop
+
+
+def open_link(config: LiveConfig, inbox: Inbox) -> Link:
+    """As a client of a server on this machine or of one that is allowed; as a server for those who are.
+
+    Raises:
+        InvalidInputError: another machine that `allow` does not name.
+    """
+    allowed = (LOOPBACK, *config.allow)
+    if config.role == "server":
+        if not is_loopback(config.host) and not config.allow:
+            raise InvalidInputError(
+                f"{config.host} can be reached from other machines; name those that may connect (--allow)"
+            )
+        return listen(config.host, config.port, inbox, allowed)
+    if not is_loopback(config.host) and config.host not in allowed:
+        raise InvalidInputError(
+            f"{config.host} is another machine; poses come from it only if you allow it: "
+            f"--allow {config.host}"
+        )
+    return connect(config.host, config.port, inbox)
+
+
+def device_names(config: LiveConfig) -> DeviceNames:
+    """The names that the configuration gives."""
+    flips = flips_between(config.image_orientation, config.calibrated_orientation)
+    return DeviceNames(config.probe, config.tool, config.image, config.reference, flips)
+
+
+def _ecg_of_peers(config: LiveConfig) -> EcgField | None:
+    ecg = config.ecg
+    return EcgField(ecg.field, ecg.rate_hz) if isinstance(ecg, EcgFieldConfig) else None
+
+
+def _touched(options: LiveOptions) -> tuple[Landmark, ...]:
+    """Landmarks as events that happened before the session began."""
+    if options.landmarks is None:
+        return ()
+    now_s = options.clock()
+    names, marked, touched = options.landmarks[0].paired_with(options.landmarks[1])
+    return tuple(
+        Landmark(now_s, name, mr_mm, tracker_mm)
+        for name, mr_mm, tracker_mm in zip(names, marked.xyz_mm, touched.xyz_mm, strict=True)
+    )

@@ -1,0 +1,158 @@
+"""A replay's folder and its recording as the viewer's page takes them."""
+
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import (
+    DvfModel,
+    FloatArray,
+    ImageMap,
+    Scenario,
+    Signal,
+)
+from dvf_ig.core.arrays import AnyArray
+from dvf_ig.guidance import (
+    Confinement,
+    FixtureOptions,
+    FixtureSet,
+    Gaussian,
+    Law,
+    PathTarget,
+    Sigmoid,
+)
+from dvf_ig.report.viewer import (
+    FrameSeries,
+    ImageShape,
+    Mark,
+    SampledSignal,
+    SceneInput,
+    SeriesInput,
+    image_shape,
+    scene_payload,
+    series_payload,
+    shaft_in_tool,
+)
+from dvf_ig.report.viewer.columns import FORCE_MR, SHAFT
+from dvf_ig.report.viewer.frames import SENT_COLUMNS
+from dvf_ig.session.confirmation import MAX_AGE_S
+from dvf_ig.session.probe_motion import smoothed_poses
+
+from .preconditions import tool_of
+from .run_folder import RunFolder
+
+
+def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str, Any]:
+    """Scene and series of a replay.
+
+    Args:
+        run: as it was read.
+        scenario: the recording that was replayed.
+        model: of its patient.
+    Raises:
+        InvalidInputError: another patient's model.
+    """
+    model.require_patient(run.result["patient_id"])
+    estimates, ultrasound = run.result["estimates"], scenario.ultrasound
+    shape, frames = None, None
+    if ultrasound.images is not None:
+        probe_from_image = ImageMap.from_matrix(estimates["probe_from_image"], "probe")
+        rows, columns = ultrasound.images.shape[1:]
+        pixel_mm = probe_from_image.scale_mm_per_px.tolist()
+        shape = image_shape(rows, columns, pixel_mm, scenario.fan, SENT_COLUMNS)
+        frames = _frames(run, scenario, probe_from_image, shape)
+    wave = scenario.ecg if isinstance(scenario.ecg, Signal) else None
+    scene = scene_payload(
+        SceneInput(
+            kind="replay",
+            title=run.result["scenario"],
+            model=model,
+            fixtures=_fixtures(run),
+            image=shape,
+            ecg=None if wave is None else (f"ECG {wave.leads[0]}", wave.unit),
+            age_limit_s=MAX_AGE_S,
+        )
+    )
+    series = SeriesInput(
+        ticks=_ticks(run, scenario),
+        ecg=None if wave is None else SampledSignal(wave.t_s, wave.samples[:, 0]),
+        breathing=None,
+        r_peaks_s=run.view.r_peaks_s,
+        frames=frames,
+        marks=_marks(run.result),
+    )
+    return {**scene, "series": series_payload(series)}
+
+
+def _fixtures(run: RunFolder) -> FixtureSet:
+    """The fixtures that acted."""
+    described = run.result["fixtures"]
+    parts = [_fixture(one, path) for one, path in zip(described, run.view.paths, strict=True)]
+    return FixtureSet(tuple(parts), run.result["fixtures_cap_n"])
+
+
+def _fixture(described: dict[str, Any], path: PathTarget | None) -> FixtureOptions:
+    cap_n, depth_mm = described["cap_n"], described.get("depth_mm", 0.0)
+    law: Law
+    if "delta" in described:
+        law = Gaussian(described["delta"], described["m"], cap_n, depth_mm)
+    else:
+        kind = Confinement if described["inside"] else Sigmoid
+        law = kind(described["gamma"], cap_n, depth_mm)
+    return FixtureOptions(law, described.get("blend", "force"), path, described["name"])
+
+
+def _ticks(run: RunFolder, scenario: Scenario) -> dict[str, AnyArray]:
+    """The table's columns, and force and direction of the shaft in the model's frame."""
+    ticks = dict(run.ticks)
+    rotation = run.view.pose_at(ticks["t_s"])[:, :, :3]
+    force = np.column_stack([ticks[f"force_tracker_{axis}_n"] for axis in "xyz"])
+    force_mr = np.einsum("nij,nj->ni", rotation, force)
+    turns, _, tracked = tool_of(scenario).at_many(ticks["t_s"])
+    in_tool = shaft_in_tool(np.array(run.result["estimates"]["tip_mm"]))
+    shaft_mr = np.einsum("nij,nj->ni", rotation, turns @ in_tool)
+    shaft_mr[~tracked] = np.nan
+    for vector in (force_mr, shaft_mr):
+        vector[np.isnan(ticks["tip_mr_x_mm"])] = np.nan
+    columns = ((FORCE_MR, force_mr), (SHAFT, shaft_mr))
+    return ticks | {name: vector[:, a] for names, vector in columns for a, name in enumerate(names)}
+
+
+def _frames(
+    run: RunFolder, scenario: Scenario, probe_from_image: ImageMap, shape: ImageShape
+) -> FrameSeries | None:
+    """Frames with an image, each where the pose of its time puts it."""
+    ultrasound = scenario.ultrasound
+    if ultrasound.images is None or not ultrasound.image_valid.any():
+        return None
+    shown = np.flatnonzero(ultrasound.image_valid)
+    event_s = ultrasound.t_s[shown] + run.result["estimates"]["lag_s"]
+    rotation, translation, tracked = smoothed_poses(ultrasound.stream("tracker", "probe"), event_s)
+    probe_from_recorded = probe_from_image.matrix[:3, [0, 1, 3]]
+    tracker_from_recorded = rotation @ probe_from_recorded
+    tracker_from_recorded[:, :, 2] += translation
+    pose = run.view.pose_at(event_s)
+    mr_from_recorded = pose[:, :, :3] @ tracker_from_recorded
+    mr_from_recorded[:, :, 2] += pose[:, :, 3]
+    mr_from_recorded[~tracked] = np.nan
+    nearest = np.clip(np.searchsorted(run.ticks["t_s"], event_s), 0, len(run.ticks["t_s"]) - 1)
+    phase: FloatArray = run.ticks["model_phase"][nearest]
+    return FrameSeries(event_s, phase, mr_from_recorded, ultrasound.images[shown], shape)
+
+
+def _marks(result: dict[str, Any]) -> list[Mark]:
+    """Registrations and suspensions, in order of time."""
+    marks = [
+        Mark(one["ready_s"], "registration" if one["usable"] else "refused", _registration(one))
+        for one in result["registrations"]
+    ]
+    marks += [
+        Mark(begin_s, "suspended", "the pose was suspended", end_s) for begin_s, end_s in result["doubts_s"]
+    ]
+    return sorted(marks, key=lambda mark: mark.t_s)
+
+
+def _registration(one: dict[str, Any]) -> str:
+    bound = one.get("tre_bound_mm")
+    stated = "" if bound is None else f", error below {bound:.1f} mm"
+    return f"registration {one['reason']}{stated}" if one["usable"] else f"registration: {one['reason']}"

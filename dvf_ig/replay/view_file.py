@@ -1,0 +1,150 @@
+"""What `dvf-ig view` needs of a replay beyond its result and its ticks: `view.json`, written and read.
+
+It names the recording, the model and the beats, and holds the pose over time; pictures and surfaces stay
+where they are.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import CycleTiming, FloatArray, UnreadableFileError, read_only_arrays
+from dvf_ig.guidance import PathTarget
+from dvf_ig.io import read_json, write_sidecar
+
+from .engine import Replay
+from .ticks import Ticks
+
+VIEW = "view.json"
+KIND = "view"
+POSE_STEP_S = 0.05
+"""Poses move at 10 mm/s at most and steadily: between two of these they are interpolated."""
+CORNER = 1e-4
+"""Change of a pose's step from tick to tick, mm or 1, above which that tick is kept."""
+_AT = 0.01
+"""Nearer than this share of the way to a pose that is kept, it holds: none is there before the first."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewFile:
+    """The content of `view.json`.
+
+    Attributes:
+        recording: scenario folder or SESSION.yaml that was replayed.
+        paths: of each fixture, in order; None of one on the surface.
+        model: file of the model; None where the recording names it or it was built.
+        r_peaks_s: (k,) R peaks that were detected.
+        pose_t_s: (m,) times of the poses, tracker clock.
+        mr_from_tracker: (m, 3, 4); NaN where none was in use.
+    """
+
+    recording: Path
+    model: Path | None
+    paths: tuple[PathTarget | None, ...]
+    r_peaks_s: FloatArray
+    pose_t_s: FloatArray
+    mr_from_tracker: FloatArray
+
+    def pose_at(self, t_s: FloatArray) -> FloatArray:
+        """(n, 3, 4) poses at (n,) times, linear between those that are kept; NaN where none was in use."""
+        right = np.clip(np.searchsorted(self.pose_t_s, t_s), 1, len(self.pose_t_s) - 1)
+        first, last = self.pose_t_s[right - 1], self.pose_t_s[right]
+        weight = np.clip((t_s - first) / (last - first), 0.0, 1.0)[:, None, None]
+        before, after = self.mr_from_tracker[right - 1], self.mr_from_tracker[right]
+        between = (1 - weight) * before + weight * after
+        return np.asarray(np.where(weight < _AT, before, np.where(weight > 1 - _AT, after, between)))
+
+
+def write_view_file(replay: Replay, folder: Path, run: Path, recording: Path, model: Path | None) -> None:
+    """Write `view.json`.
+
+    Args:
+        folder: into which; `run` is the one in which it will stand and that paths are relative to.
+        recording: scenario folder or SESSION.yaml.
+        model: a file that was named for it.
+    Raises:
+        OutputError: not writable.
+    """
+    t_s, poses = _thinned(replay.ticks)
+    rows = [row if np.isfinite(row).all() else None for row in poses.reshape(-1, 12).round(9)]
+    content = {
+        "recording": _relative(recording, run),
+        "model": None if model is None else _relative(model, run),
+        "paths": [_path(one.path) for one in replay.setup.fixtures.fixtures],
+        "r_peaks_s": [round(peak.t_s, 6) for peak in replay.history.peaks],
+        "poses": {"t_s": t_s.round(6), "mr_from_tracker": rows},
+    }
+    write_sidecar(folder / VIEW, content, KIND)
+
+
+def read_view_file(run: Path) -> ViewFile:
+    """Read `view.json` of a replay's folder.
+
+    Raises:
+        UnreadableFileError: absent or damaged.
+    """
+    path = run / VIEW
+    if not path.is_file():
+        raise UnreadableFileError(
+            f"{run} has no {VIEW}, which says what was replayed; replay again with this version "
+            f"(dvf-ig replay … -o {run})"
+        )
+    content = read_json(path, "a replay's view file")
+    try:
+        rows = [[np.nan] * 12 if row is None else row for row in content["poses"]["mr_from_tracker"]]
+        return ViewFile(
+            recording=run / content["recording"],
+            model=None if content["model"] is None else run / content["model"],
+            paths=tuple(None if one is None else _path_target(one) for one in content["paths"]),
+            r_peaks_s=_floats(content["r_peaks_s"]),
+            pose_t_s=_floats(content["poses"]["t_s"]),
+            mr_from_tracker=_floats(rows).reshape(-1, 3, 4),
+        )
+    except (KeyError, TypeError, ValueError) as exc:
+        raise UnreadableFileError(f"{path} is damaged ({exc}); replay again") from exc
+
+
+def _path(path: PathTarget | None) -> dict[str, Any] | None:
+    if path is None:
+        return None
+    timing = path.timing
+    return {
+        "frame": path.frame,
+        "points_mm": path.points_mm,
+        "fractions": None if timing is None else timing.fractions,
+        "rr_s": None if timing is None else timing.rr_s,
+    }
+
+
+def _path_target(content: dict[str, Any]) -> PathTarget:
+    moving = content["fractions"] is not None
+    timing = CycleTiming(_floats(content["fractions"]), content["rr_s"]) if moving else None
+    return PathTarget(content["frame"], _floats(content["points_mm"]), timing)
+
+
+def _floats(values: Any) -> FloatArray:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _relative(path: Path, run: Path) -> str:
+    """Both may move together, and no name of a folder above them is told."""
+    return Path(os.path.relpath(path.resolve(), run.resolve())).as_posix()
+
+
+def _thinned(ticks: Ticks) -> tuple[FloatArray, FloatArray]:
+    """Times and poses, one every POSE_STEP_S, and where motion begins or ends; without those that repeat."""
+    step = max(1, round(POSE_STEP_S / float(np.median(np.diff(ticks.t_s)))))
+    used = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
+    edges = np.flatnonzero(used[1:] != used[:-1])
+    bend = np.abs(np.diff(ticks.mr_from_tracker, n=2, axis=0)).max(axis=(1, 2), initial=0.0)
+    corners = np.flatnonzero(np.nan_to_num(bend) > CORNER) + 1
+    ends = [0, len(ticks) - 1]
+    rows = np.unique(np.concatenate([np.arange(0, len(ticks), step), edges, edges + 1, corners, ends]))
+    poses = ticks.mr_from_tracker[rows]
+    same = (np.nan_to_num(poses[1:]) == np.nan_to_num(poses[:-1])).all(axis=(1, 2))
+    needed = np.concatenate([[True], ~(same[:-1] & same[1:]), [True]])
+    return ticks.t_s[rows[needed]], poses[needed]

@@ -1,0 +1,66 @@
+"""One state of a running session as a page takes it: the columns of a tick by their names."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, PhaseState
+from dvf_ig.guidance import Hazard
+from dvf_ig.session import GuidanceState
+
+from .columns import FORCE_MR, FORCE_TRACKER, SHAFT, STEPS, TIP
+
+_DECIMALS = {name: max(0, round(-np.log10(step))) for name, step in STEPS.items()}
+
+
+def state_event(state: GuidanceState) -> dict[str, Any]:
+    """The fields of a live event that every one has (`dvf_ig/report/web/README.md`).
+
+    The caller adds what is new: `ecg`, `r_peaks_s`, `frame` (see `frame_event`) and `marks`.
+    """
+    now_s, phase, transform = state.now_s, state.phase, state.transform
+    tip, shaft, force_mr = (np.full(3, np.nan) for _ in range(3))
+    if transform.pose is not None and now_s < transform.pose_until_s:
+        pose = transform.pose.at(now_s)
+        force_mr = pose.rotation @ state.force_n
+        if not state.tool.hazard:
+            tip = pose.apply_array(state.tool.tip_tracker_mm)
+            shaft = pose.rotation @ state.tool.rotation @ shaft_in_tool(state.calibrations.tip.xyz_mm[0])
+    numbers = {
+        "t_s": now_s,
+        "phi": phase.phi,
+        "phase_valid": int(phase.state is PhaseState.LOCKED),
+        "model_phase": state.model_phase,
+        "rr_s": phase.rr_s,
+        **_axes(TIP, tip),
+        **_axes(SHAFT, shaft),
+        "distance_mm": state.distance_mm,
+        **_axes(FORCE_TRACKER, state.force_n),
+        **_axes(FORCE_MR, force_mr),
+        "pose_age_s": state.pose_age_s,
+        "tre_bound_mm": state.tre_bound_mm,
+        "margin_mm": float(state.margin_mm[0]),
+    }
+    hazards = Hazard(state.supervised.hazards)
+    return {
+        **{name: _known(value, _DECIMALS[name]) for name, value in numbers.items()},
+        "status": state.status.name.lower(),
+        "supervisor": state.supervisor.name.lower(),
+        "hazards": "|".join(one.name.lower() for one in hazards if one.name),
+    }
+
+
+def shaft_in_tool(tip_mm: FloatArray) -> FloatArray:
+    """(3,) unit vector from the tip (3,) to the tool's sensor, frame "tool"; along z where they coincide."""
+    length = float(np.linalg.norm(tip_mm))
+    return -tip_mm / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+
+
+def _axes(names: tuple[str, ...], vector: FloatArray) -> dict[str, float]:
+    return dict(zip(names, vector.tolist(), strict=True))
+
+
+def _known(value: float, decimals: int) -> float | None:
+    return round(value, decimals) if np.isfinite(value) else None

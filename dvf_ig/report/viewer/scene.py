@@ -1,0 +1,231 @@
+"""What a page shows that does not change with time: surfaces through the cycle, distance, fixtures, words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import dvf_ig
+from dvf_ig.core import DvfModel, Fan, FloatArray, Landmarks
+from dvf_ig.guidance import (
+    HAZARD_RULES,
+    Evaluator,
+    FixtureOptions,
+    FixtureSet,
+    Gaussian,
+    Hazard,
+    Sigmoid,
+    Status,
+    SupervisorState,
+)
+
+from .packing import packed, packed_exactly
+from .surfaces import SHARE_OF_CAP, CycleSurface, cycle_surface, fixture_surface, shown_level_mm
+
+SCHEMA = "dvf_ig.view/1"
+ORGAN_PITCH_MM, BLOOD_PITCH_MM = 4.0, 3.5
+VERTEX_STEP_MM = 0.02
+DISTANCE_PITCH_MM, DISTANCE_STEP_MM, FARTHEST_MM = 3.0, 0.1, 12.6
+FIELD_MARGIN_MM = 9.0
+"""How far around the organ the distance is told."""
+FAN_POINTS = 24
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneInput:
+    """What a scene is made from.
+
+    Attributes:
+        kind: "replay", "live" or "registration".
+        title: of the page.
+        model: the patient's.
+        fixtures: that act on the tool.
+        image: of the ultrasound as it is sent; None without.
+        ecg: label and unit of the ECG; None for a trigger.
+        breathing: the same of a breathing signal; None where there is none.
+        age_limit_s: from which age on a pose is withheld.
+        targets: named points in the model's frame.
+    """
+
+    kind: str
+    title: str
+    model: DvfModel
+    fixtures: FixtureSet
+    image: ImageShape | None
+    ecg: tuple[str, str] | None
+    breathing: tuple[str, str] | None = None
+    age_limit_s: float | None = None
+    targets: Landmarks | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageShape:
+    """Size of a frame as it is sent.
+
+    Attributes:
+        columns, rows: in pixels.
+        pixel_mm: width and height of one.
+        step: (2,) recorded columns and rows to one that is sent.
+        fan: insonified sector in recorded pixels; None where it is not known.
+    """
+
+    columns: int
+    rows: int
+    pixel_mm: tuple[float, float]
+    step: tuple[float, float]
+    fan: Fan | None
+
+    @property
+    def recorded_from_sent(self) -> FloatArray:
+        """(3, 3) recorded pixel of a pixel that is sent; both count centres."""
+        (x, y) = self.step
+        return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
+
+
+def image_shape(
+    rows: int, columns: int, pixel_mm: Sequence[float], fan: Fan | None, sent_columns: int
+) -> ImageShape:
+    """Shape of recorded images when they are sent with at most so many columns."""
+    sent = min(columns, sent_columns)
+    sent_rows = max(1, round(rows * sent / columns))
+    step = (columns / sent, rows / sent_rows)
+    return ImageShape(sent, sent_rows, (pixel_mm[0] * step[0], pixel_mm[1] * step[1]), step, fan)
+
+
+def scene_payload(given: SceneInput) -> dict[str, Any]:
+    """The scene as a page takes it (`dvf_ig/report/web/README.md`), without any time series."""
+    model = given.model
+    return {
+        "schema": SCHEMA,
+        "kind": given.kind,
+        "title": given.title,
+        "patient_id": model.patient_id,
+        "version": dvf_ig.__version__,
+        "heart": heart_payload(model, given.fixtures),
+        "distance": distance_payload(model),
+        "fixtures": [_fixture(one) for one in given.fixtures.fixtures],
+        "fixtures_cap_n": given.fixtures.joint_cap_n,
+        "image": None if given.image is None else _image(given.image),
+        "signals": {"ecg": _signal(given.ecg), "breathing": _signal(given.breathing)},
+        "words": words(),
+        "age_limit_s": given.age_limit_s,
+        "targets": targets_payload(given.targets),
+    }
+
+
+def heart_payload(model: DvfModel, fixtures: FixtureSet | None) -> dict[str, Any]:
+    """Surfaces of organ, blood and fixtures through the cycle."""
+    organ = cycle_surface(model.reference, ORGAN_PITCH_MM)
+    surfaces = [_surface(model.surface_name, "organ", organ)]
+    surfaces += [
+        _surface(chamber.name, "blood", cycle_surface(chamber.surfaces, BLOOD_PITCH_MM))
+        for chamber in model.chambers
+    ]
+    surfaces += [] if fixtures is None else _fixture_surfaces(model, fixtures, organ)
+    low, high = organ.vertices_mm.min(axis=(0, 1)), organ.vertices_mm.max(axis=(0, 1))
+    return {
+        "surfaces": surfaces,
+        "fractions": model.timing.fractions.tolist(),
+        "center_mm": ((low + high) / 2).round(3).tolist(),
+    }
+
+
+def words() -> dict[str, Any]:
+    """Names of states in the order of their codes, and hazards in the order of their bits."""
+    return {
+        "status": [status.name.lower() for status in sorted(Status)],
+        "supervisor": [state.name.lower() for state in sorted(SupervisorState)],
+        "hazards": [
+            {"name": hazard.name.lower(), "sentence": HAZARD_RULES[hazard].sentence}
+            for hazard in Hazard
+            if hazard.name
+        ],
+    }
+
+
+def _surface(name: str, role: str, surface: CycleSurface, **more: Any) -> dict[str, Any]:
+    middle = float(np.round(surface.vertices_mm.mean()))
+    return {
+        "name": name,
+        "role": role,
+        "vertices": packed(surface.vertices_mm, VERTEX_STEP_MM, offset=middle, delta=True),
+        "triangles": packed_exactly(surface.triangles),
+        **more,
+    }
+
+
+def _fixture_surfaces(model: DvfModel, fixtures: FixtureSet, organ: CycleSurface) -> list[dict[str, Any]]:
+    out = []
+    for number, one in enumerate(fixtures.fixtures):
+        if one.path is not None:
+            continue
+        level = shown_level_mm(one.law)
+        aim = isinstance(one.law, Gaussian)
+        label = "aim" if aim else f"from {SHARE_OF_CAP * one.law.cap_n:.2g} N"
+        surface = fixture_surface(organ, Evaluator(model, one.law), level)
+        name = one.name or ("guidance" if aim else "forbidden region")
+        out.append(_surface(name, "fixture", surface, level_mm=round(level, 3), label=label, fixture=number))
+    return out
+
+
+def _fixture(one: FixtureOptions) -> dict[str, Any]:
+    described: dict[str, Any] = dict(one.described())
+    if one.path is not None:
+        timing = one.path.timing
+        described["path_mm"] = one.path.points_mm.round(3).tolist()
+        described["path_fractions"] = [0.0] if timing is None else timing.fractions.tolist()
+    return described
+
+
+def distance_payload(model: DvfModel) -> dict[str, Any]:
+    """The signed distance on a grid around the organ, in every phase."""
+    vertices = np.concatenate([mesh.vertices_mm for mesh in model.reference])
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    shape = np.ceil((high - low + 2 * FIELD_MARGIN_MM) / DISTANCE_PITCH_MM).astype(int) + 1
+    origin = low - FIELD_MARGIN_MM
+    axes = [origin[a] + DISTANCE_PITCH_MM * np.arange(shape[a]) for a in range(3)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    evaluator = Evaluator(model, Sigmoid())
+    values = np.stack(
+        [evaluator.force(points, phase).distance_mm for phase in model.timing.fractions.tolist()]
+    )
+    clipped = np.clip(values, -FARTHEST_MM, FARTHEST_MM).reshape(-1, *shape)
+    return {
+        "origin_mm": origin.round(6).tolist(),
+        "spacing_mm": DISTANCE_PITCH_MM,
+        "values": packed(clipped, DISTANCE_STEP_MM, delta=True),
+    }
+
+
+def _image(shape: ImageShape) -> dict[str, Any]:
+    return {
+        "columns": shape.columns,
+        "rows": shape.rows,
+        "pixel_mm": [round(size, 6) for size in shape.pixel_mm],
+        "fan_px": None if shape.fan is None else _fan_outline(shape.fan, shape.step),
+    }
+
+
+def _fan_outline(fan: Fan, step: tuple[float, float]) -> list[list[float]]:
+    """Corners of the sector in pixels that are sent."""
+    angles = np.linspace(-fan.half_angle_rad, fan.half_angle_rad, FAN_POINTS)
+    rays = np.column_stack([np.sin(angles), np.cos(angles)])
+    near = [fan.apex_px] if fan.start_px == 0 else list((fan.apex_px + fan.start_px * rays)[::-1])
+    outline = np.array([*(fan.apex_px + fan.stop_px * rays), *near])
+    sent = (outline + 0.5) / np.array(step) - 0.5
+    return [[round(float(v), 2) for v in row] for row in sent]
+
+
+def _signal(named: tuple[str, str] | None) -> dict[str, str] | None:
+    return None if named is None else {"label": named[0], "unit": named[1]}
+
+
+def targets_payload(targets: Landmarks | None) -> list[dict[str, Any]]:
+    """Named points."""
+    if targets is None:
+        return []
+    places = targets.points.xyz_mm.round(3).tolist()
+    return [{"name": name, "xyz_mm": place} for name, place in zip(targets.names, places, strict=True)]

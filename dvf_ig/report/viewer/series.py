@@ -1,0 +1,98 @@
+"""What a page shows over time, of a run that has ended: ticks, signals, ultrasound frames and marks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core.arrays import AnyArray, FloatArray, read_only_arrays
+
+from .columns import STEPS
+from .frames import FrameSeries, frames_payload
+from .packing import packed
+
+MOST_TICKS = 120_000
+"""Of two minutes; of longer runs every second, third, … is kept."""
+SIGNAL_RATE_HZ = 250.0
+SIGNAL_STEPS = 20_000
+"""Steps between zero and the largest sample of a signal."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledSignal:
+    """Samples (n,) of an ECG or of breathing at (n,) times."""
+
+    t_s: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Something that happened at one time.
+
+    Attributes:
+        kind: "registration", "refused" or "suspended".
+        text: a sentence.
+        until_s: of what lasted; None of what did not.
+    """
+
+    t_s: float
+    kind: str
+    text: str
+    until_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeriesInput:
+    """Everything over time.
+
+    Attributes:
+        ticks: columns by the names in `columns.STEPS`; NaN where a value is not known.
+        ecg, breathing: None where there is none.
+        r_peaks_s: detected R peaks.
+        frames: None without ultrasound.
+        marks: in order of time.
+    """
+
+    ticks: Mapping[str, AnyArray]
+    ecg: SampledSignal | None
+    breathing: SampledSignal | None
+    r_peaks_s: FloatArray
+    frames: FrameSeries | None
+    marks: Sequence[Mark]
+
+
+def series_payload(given: SeriesInput) -> dict[str, Any]:
+    """The field `series` of a page's scene (`dvf_ig/report/web/README.md`)."""
+    every = -(-len(given.ticks["t_s"]) // MOST_TICKS)
+    return {
+        "ticks": {
+            name: packed(np.asarray(given.ticks[name])[::every], step, delta=True)
+            for name, step in STEPS.items()
+        },
+        "ecg": _signal(given.ecg),
+        "breathing": _signal(given.breathing),
+        "r_peaks_s": given.r_peaks_s.round(6).tolist(),
+        "frames": None if given.frames is None else frames_payload(given.frames),
+        "marks": [
+            {"t_s": mark.t_s, "kind": mark.kind, "text": mark.text, "until_s": mark.until_s}
+            for mark in given.marks
+        ],
+    }
+
+
+def _signal(signal: SampledSignal | None) -> dict[str, Any] | None:
+    """Every so-manieth sample, so that its rate is not above SIGNAL_RATE_HZ."""
+    if signal is None or len(signal.t_s) < 2:
+        return None
+    every = max(1, int(1.0 / (SIGNAL_RATE_HZ * float(np.median(np.diff(signal.t_s)))) + 1e-6))
+    t_s, values = signal.t_s[::every], signal.values[::every]
+    largest = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
+    return {
+        "t_s": packed(t_s, 1e-6, offset=float(t_s[0]), delta=True),
+        "values": packed(values, largest / SIGNAL_STEPS, delta=True),
+    }

@@ -1,0 +1,363 @@
+// The viewer: one moment of a run, a session or a registration, in space, in the image and on the strips.
+
+import "./style.css";
+import { loadScene } from "./payload.js";
+import { forceAt } from "./field.js";
+import { Heart, planeOf } from "./heart.js";
+import { seriesOf } from "./series.js";
+import { Space } from "./space.js";
+import { ImagePanel, Pictures } from "./image.js";
+import { anatomyPictures, mixControls, outcomeRows, planesAsSeries } from "./registration.js";
+import { Overview, Strips } from "./strips.js";
+import { layOut, legendRows, numberRows, SPEEDS, VIEWS } from "./layout.js";
+import { listen } from "./live.js";
+
+class Viewer {
+  constructor(scene, heart, series) {
+    Object.assign(this, { scene, heart, series, t: series.begin, playing: false, speed: 1 });
+    this.$ = layOut(scene);
+    this.applyTheme(localTheme());
+    this.space = new Space(this.$("space"), scene, heart);
+    this.pictures = new Pictures(series.frames);
+    this.image = scene.image && new ImagePanel(this.$("image").querySelector("canvas"), scene, heart);
+    this.strips = new Strips(this.$("strips").querySelector("canvas"), scene, series);
+    this.overview = new Overview(this.$("overview"), series, scene.fixtures_cap_n);
+    this.registration = scene.kind === "registration";
+    if (this.registration) this.asRegistration();
+    this.legend();
+    this.controls();
+    this.keyboard();
+    addEventListener("resize", () => this.resize());
+    new ResizeObserver(() => this.resize()).observe(this.$("space"));
+    this.resize();
+    this.space.preset("front");
+    if (this.registration) this.show();
+    if (this.registration) this.view("plane");
+    requestAnimationFrame((now) => this.tick(now));
+  }
+
+  asRegistration() {
+    document.body.classList.add("registration");
+    this.anatomy = anatomyPictures(this.scene);
+    mixControls(this);
+    this.$("beat-back").textContent = "‹ plane";
+    this.$("beat-on").textContent = "plane ›";
+    this.$("beat-back").title = "Plane before (↑)";
+    this.$("beat-on").title = "Plane after (↓)";
+  }
+
+  get frame() {
+    return this.series.frame(this.t);
+  }
+
+  seek(t) {
+    this.t = Math.min(this.series.end, Math.max(this.series.begin, this.registration ? Math.round(t) : t));
+    this.changed = true;
+    return this.t;
+  }
+
+  /** What is shown: the tick's values, its frame, and what lies in the image. */
+  state() {
+    const values = this.series.at(this.t);
+    const frame = this.frame;
+    return {
+      ...values,
+      cursor_s: this.t,
+      frame,
+      frame_event_s: frame < 0 ? null : this.series.frames.event_s[frame],
+      contours: (this.image?.contours ?? []).map(({ name, role, segments }) => ({ name, role, segments: Array.from(segments) })),
+      playing: this.playing,
+    };
+  }
+
+  tick(now) {
+    const passed = Math.min(0.1, (now - (this.last ?? now)) / 1000);
+    this.last = now;
+    if (this.series.live) {
+      if (this.series.end !== this.t) this.seek(this.series.end);
+    } else if (this.playing) {
+      this.seek(this.t + passed * this.speed);
+      if (this.t >= this.series.end) this.play(false);
+    }
+    if (this.changed) this.show();
+    if (this.space.render()) this.overlays();
+    requestAnimationFrame((next) => this.tick(next));
+  }
+
+  /** Puts one moment everywhere. */
+  show() {
+    this.changed = false;
+    const { series } = this;
+    const values = series.at(this.t);
+    if (!values) return;
+    const frame = this.frame;
+    const matrix = frame < 0 ? null : series.frames.mr_from_pixel[frame];
+    const plane = matrix ? planeOf(matrix) : null;
+    const tip = series.vector(values, "tip_mr", "_mm");
+    const force = series.vector(values, "force_mr", "_n");
+    const shaft = series.vector(values, "shaft_mr", "");
+    this.values = values;
+    this.space.show({ phase: values.model_phase, plane, tip, shaft, force });
+    if (this.registration) {
+      this.planeTexts(frame);
+    } else {
+      this.strips.draw(this.t, values);
+      this.overview.draw(this.t);
+      this.$("numbers").innerHTML = numberRows(values, this.scene);
+      this.texts(values, frame, plane);
+    }
+    if (this.image) this.picture(frame, { plane, tip, force, margin: values.margin_mm ?? 0, phase: frame < 0 ? null : series.frames.model_phase[frame] });
+  }
+
+  picture(frame, moment) {
+    const bitmap = frame < 0 ? null : this.pictures.ready(frame);
+    const other = this.anatomy?.ready(frame) ?? null;
+    if (this.anatomy && !other) this.anatomy.get(frame).then(() => (this.changed = true));
+    this.image.draw({ ...moment, other, bitmap: bitmap ?? this.lastBitmap ?? null });
+    if (moment.plane) this.space.contours(this.image.contours, moment.plane);
+    if (bitmap) {
+      if (this.lastBitmap !== bitmap) this.space.picture(bitmap);
+      this.lastBitmap = bitmap;
+    } else if (frame >= 0) {
+      this.pictures.get(frame).then(() => (this.changed = true));
+    }
+    for (let next = frame + 1; this.playing && next < Math.min(frame + 6, this.series.frames.images.length); next++)
+      this.pictures.get(next);
+  }
+
+  planeTexts(frame) {
+    const plane = this.scene.planes[frame];
+    this.$("time").textContent = `plane ${frame + 1} of ${this.scene.planes.length}`;
+    this.$("frame").textContent = [plane.name, plane.place, plane.moment].filter(Boolean).join(" · ");
+    if (!this.told) this.$("numbers").innerHTML = outcomeRows(this.scene);
+    this.told = true;
+  }
+
+  texts(values, frame, plane) {
+    const { $, series } = this;
+    $("time").textContent = `${this.t.toFixed(3)} s of ${series.end.toFixed(1)} s`;
+    $("overview").setAttribute("aria-valuenow", this.t.toFixed(3));
+    $("overview").setAttribute("aria-valuetext", `${this.t.toFixed(1)} s`);
+    $("overview").setAttribute("aria-valuemin", series.begin.toFixed(3));
+    $("overview").setAttribute("aria-valuemax", series.end.toFixed(3));
+    const phase = frame < 0 ? null : series.frames.model_phase[frame];
+    const seen = frame < 0 ? "no ultrasound yet" : `frame seen at ${series.frames.event_s[frame].toFixed(2)} s`;
+    const cycle = phase === null ? "" : `, ${(100 * phase).toFixed(0)} % of the cycle`;
+    $("frame").textContent = `${seen}${cycle}${plane || frame < 0 ? "" : " · no pose: the model is not placed"}`;
+    const mark = series.marks.findLast((one) => one.t_s <= this.t && this.t < (one.until_s ?? one.t_s + 4));
+    $("event").textContent = mark ? `${mark.t_s.toFixed(1)} s: ${mark.text}` : series.live ? "" : "bar above: force, ▾ registrations, state of the supervisor";
+    const why = [];
+    if (values.tip_mr_x_mm === null) why.push("No pose in use: tool and ultrasound are not placed.");
+    if (values.model_phase === null) why.push("Phase not locked: the heart stands still.");
+    $("unknown").hidden = !why.length;
+    $("unknown").textContent = why.join(" ");
+  }
+
+  /** What stands over the scene and follows the camera. */
+  overlays() {
+    const { $, space } = this;
+    const mm = space.mmPerPixel;
+    const length = [1, 2, 5, 10, 20, 50, 100].find((one) => one / mm > 70) ?? 200;
+    $("scale").querySelector("span").textContent = `${length} mm`;
+    $("scale").querySelector("i").style.width = `${length / mm}px`;
+    const { tip, force } = space.moment ?? {};
+    const size = tip && force ? Math.hypot(...force) : 0;
+    $("newton").hidden = size < 0.005;
+    if (size < 0.005) return;
+    const [x, y] = space.pixelOf(tip.map((one, a) => one + 70 * force[a]));
+    const { clientWidth, clientHeight } = $("space");
+    $("newton").textContent = `${size.toFixed(2)} N`;
+    $("newton").style.left = `${Math.min(clientWidth - 70, Math.max(8, x + 10))}px`;
+    $("newton").style.top = `${Math.min(clientHeight - 60, Math.max(46, y - 12))}px`;
+  }
+
+  legend() {
+    const box = this.$("legend");
+    for (const [role, color, text] of legendRows(this.scene, this.series)) {
+      const button = document.createElement("button");
+      button.innerHTML = `<i style="background:${color}"></i>`;
+      button.append(text);
+      this.space.shown[role] ??= true;
+      const on = () => this.space.shown[role];
+      button.setAttribute("aria-pressed", on());
+      button.onclick = () => {
+        this.space.shown[role] = !on();
+        if (this.image) this.image.shown[role] = on();
+        button.setAttribute("aria-pressed", on());
+        this.changed = true;
+      };
+      box.append(button);
+    }
+  }
+
+  controls() {
+    const { $ } = this;
+    $("play").onclick = () => this.play(!this.playing);
+    $("beat-back").onclick = () => this.beat(-1);
+    $("beat-on").onclick = () => this.beat(1);
+    $("speed").onchange = () => (this.speed = Number($("speed").value));
+    $("span").onchange = () => {
+      this.strips.span = Number($("span").value);
+      this.changed = true;
+    };
+    $("theme").onclick = () => this.applyTheme(this.theme === "dark" ? "light" : "dark", true);
+    $("help").onclick = () => $("keys").showModal();
+    for (const button of $("views").children) button.onclick = () => this.view(button.dataset.view);
+    $("cut").onclick = () => this.cut(!this.space.open);
+    $("cut").hidden = !this.scene.image;
+    this.cut(Boolean(this.scene.image));
+    this.drag($("overview"), (x) => this.overview.timeAt(x));
+    this.drag(this.strips.canvas, (x, from) => this.strips.timeAt(x, from));
+    if (this.series.live) document.body.classList.add("live");
+  }
+
+  /** A drag seeks; strips keep the window in which it began. */
+  drag(canvas, timeAt) {
+    const move = (event) => {
+      if (this.series.live) return;
+      const [first, last] = this.strips.window(this.t);
+      this.seek(timeAt(event.clientX - canvas.getBoundingClientRect().left, this.t, first, last));
+    };
+    canvas.onpointerdown = (event) => {
+      this.play(false);
+      canvas.setPointerCapture(event.pointerId);
+      const from = this.t;
+      const place = (one) => this.seek(timeAt(one.clientX - canvas.getBoundingClientRect().left, from));
+      if (!this.series.live) place(event);
+      canvas.onpointermove = canvas === this.strips.canvas ? (one) => !this.series.live && place(one) : move;
+    };
+    canvas.onpointerup = canvas.onpointercancel = () => (canvas.onpointermove = null);
+  }
+
+  view(name) {
+    if (name === "tool") this.cut(false);
+    if (name === "plane" && this.scene.image) this.cut(true);
+    this.space.preset(name);
+  }
+
+  /** The heart cut open at the ultrasound plane, or whole. */
+  cut(open) {
+    this.space.open = open;
+    this.space.dirty = true;
+    this.$("cut").setAttribute("aria-pressed", open);
+  }
+
+  play(on) {
+    if (on && this.t >= this.series.end) this.t = this.series.begin;
+    this.playing = on;
+    this.$("play").textContent = on ? "⏸" : "▶";
+  }
+
+  beat(direction) {
+    this.play(false);
+    this.seek(this.series.beat(this.t, direction));
+  }
+
+  faster(direction) {
+    const next = SPEEDS[SPEEDS.indexOf(this.speed) + direction];
+    if (next) this.$("speed").value = String((this.speed = next));
+  }
+
+  frameStep(direction) {
+    const times = this.series.frames.event_s;
+    const next = times[Math.min(times.length - 1, Math.max(0, this.frame + direction))];
+    if (next !== undefined) this.seek(next + 1e-6);
+  }
+
+  keyboard() {
+    const { series } = this;
+    const step = (event) => (event.shiftKey || this.registration ? 1 : 0.1);
+    const actions = {
+      " ": () => !this.registration && this.play(!this.playing),
+      ArrowLeft: (event) => this.seek(this.t - step(event)),
+      ArrowRight: (event) => this.seek(this.t + step(event)),
+      ArrowUp: () => this.beat(-1),
+      ArrowDown: () => this.beat(1),
+      ",": () => this.frameStep(-1),
+      ".": () => this.frameStep(1),
+      Home: () => this.seek(series.begin),
+      End: () => this.seek(series.end),
+      "-": () => this.faster(-1),
+      "+": () => this.faster(1),
+      c: () => this.cut(!this.space.open),
+      t: () => this.$("theme").click(),
+      h: () => this.$("keys").showModal(),
+      "?": () => this.$("keys").showModal(),
+    };
+    VIEWS.forEach(([name], i) => (actions[i + 1] = () => this.view(name)));
+    addEventListener("keydown", (event) => {
+      if (event.target.matches("select, input") || event.ctrlKey || event.metaKey || event.altKey) return;
+      const action = actions[event.key] ?? actions[event.key.toLowerCase()];
+      if (!action || this.$("keys").open) return;
+      event.preventDefault();
+      action(event);
+    });
+  }
+
+  applyTheme(theme, chosen = false) {
+    this.theme = theme;
+    document.documentElement.dataset.theme = theme;
+    this.$("theme").textContent = theme === "dark" ? "Light" : "Dark";
+    if (chosen) remember(theme);
+    if (!this.space) return;
+    this.space.retheme();
+    this.overview.back = null;
+    this.changed = true;
+  }
+
+  resize() {
+    this.space.resize();
+    this.image?.resize();
+    this.strips.resize();
+    this.overview.resize();
+    this.changed = true;
+  }
+}
+
+function localTheme() {
+  try {
+    const kept = localStorage.getItem("dvf-theme");
+    if (kept) return kept;
+  } catch {
+    // a page from disk may have no storage
+  }
+  return matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+}
+
+function remember(theme) {
+  try {
+    localStorage.setItem("dvf-theme", theme);
+  } catch {
+    // as above
+  }
+}
+
+async function start() {
+  const scene = await loadScene();
+  const [heart, series] = await Promise.all([Heart.of(scene), seriesOf(scene)]);
+  if (scene.planes) planesAsSeries(scene, series);
+  const viewer = new Viewer(scene, heart, series);
+  if (series.live) listen(viewer);
+  viewer.show();
+  await (viewer.frame >= 0 ? viewer.pictures.get(viewer.frame) : null);
+  window.dvf = {
+    ready: true,
+    ready_ms: performance.now(),
+    seek: (t) => viewer.seek(t),
+    state: () => (viewer.show(), viewer.state()),
+    play: () => viewer.play(true),
+    pause: () => viewer.play(false),
+    theme: (name) => viewer.applyTheme(name),
+    view: (name) => viewer.view(name),
+    forceAt: (phase, x, y, z) => forceAt(heart.distance, scene.fixtures, scene.fixtures_cap_n, phase, x, y, z),
+    viewer,
+  };
+  dispatchEvent(new Event("dvf-ready"));
+}
+
+start().catch((error) => {
+  document.getElementById("app").innerHTML = `<p class="failed"></p>`;
+  document.querySelector(".failed").textContent = `The viewer could not start: ${error.message}`;
+  window.dvf = { ready: false, error: String(error) };
+  console.error(error);
+});
