@@ -83,7 +83,8 @@ class CycleSpeed:
     def at(self, phase: FloatArray) -> FloatArray:
         """(...) by linear interpolation around the cycle."""
         turns = np.concatenate([self.phase[-1:] - 1.0, self.phase, self.phase[:1] + 1.0])
-        return np.interp(phase % 1.0, turns, np.concatenate([self.speed[-1:], self.speed, self.speed[:1]]))
+        speeds = np.concatenate([self.speed[-1:], self.speed, self.speed[:1]])
+        return np.asarray(np.interp(phase % 1.0, turns, speeds))
 
 
 def speed_between(amounts: FloatArray, fractions: FloatArray) -> CycleSpeed:
@@ -134,12 +135,12 @@ def _without_heart(images: ImageChange, inside: BoolArray) -> FloatArray:
 
 def _speed(heart: CycleSpeed, phase: FloatArray, step: float) -> FloatArray:
     """(n,) √ of the mean speed over a step of the cycle about each phase."""
-    return np.sqrt(np.mean([heart.at(phase + part * step) for part in SMEAR], axis=0))
+    return np.asarray(np.sqrt(np.mean([heart.at(phase + part * step) for part in SMEAR], axis=0)))
 
 
 def _residual(columns: FloatArray, change: FloatArray) -> tuple[float, FloatArray]:
     """Squared residual of a linear fit, and its coefficients."""
-    fit = np.linalg.lstsq(columns, change, rcond=None)[0]
+    fit = np.asarray(np.linalg.lstsq(columns, change, rcond=None)[0], dtype=np.float64)
     left = change - columns @ fit
     return float(left @ left) + 1e-12, fit
 

@@ -207,14 +207,15 @@ def _checked(
     uses_qform, uses_sform = (code > 0 for code in fields["codes"])
     axes = np.array(fields["sform"]).reshape(3, 4)
     placed = [
+        fields["pixdim"][0],
         *fields["scaling"],
         *(fields["qform"] if uses_qform else ()),
         *(axes.flat if uses_sform else ()),
     ]
-    if not (np.abs(placed) < 1e12).all() or not np.isfinite(sizes).all() or (sizes == 0).any():
+    if not (np.abs(placed) < 1e12).all() or not ((sizes > 0) & (sizes < np.inf)).all():
         raise UnreadableFileError(
             f"{path}: its header holds sizes of voxels ({sizes.tolist()}), a place or a scale that are not "
-            "finite or zero; convert it again"
+            "finite, zero or less; convert it again"
         )
     unit = int(fields["units"][0]) & 7
     if unit in _UNITS:

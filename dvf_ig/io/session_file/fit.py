@@ -123,7 +123,7 @@ def parts_of(recordings: SessionRecordings) -> SessionParts:
     """The same recordings, part by part."""
     scenario = recordings.scenario
     return SessionParts(
-        PreopFiles(scenario.preop, recordings.model),
+        PreopFiles(scenario.preop, recordings.model, recordings.named_patient),
         Sweep(scenario.ultrasound, scenario.ultrasound.stream("tracker", "probe")),
         scenario.fan,
         scenario.ecg,

@@ -20,9 +20,10 @@ from dvf_ig.core import (
     Points,
     PoseStream,
     Rigid,
+    SurfaceSeries,
     VolumeSeries,
 )
-from dvf_ig.io import write_poses
+from dvf_ig.io import write_poses, write_surface_series
 from dvf_ig.io.session_file.agreement.finding import Disagreement
 from dvf_ig.io.session_file.fit import fit_of, parts_of
 from dvf_ig.io.session_file.parts import SessionParts
@@ -203,6 +204,11 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
     "labels of a voxel size in cm": (labels_of(9.0), Disagreement.HEART_NOT_IN_MM, "preop.labels"),
     "a child's heart": (heart_of(45.0), Disagreement.HEART_OF_UNUSUAL_SIZE, "preop.model"),
     "more than a heart": (labels_of(260.0), Disagreement.HEART_OF_UNUSUAL_SIZE, "preop.labels"),
+    "surfaces of somebody else": (
+        lambda parts: replace(parts, preop=replace(parts.preop, named_patient="P-18")),  # type: ignore[type-var]
+        Disagreement.OTHER_PATIENT,
+        "preop.surfaces_folder",
+    ),
     "labels as grey levels": (mr_is_labels, Disagreement.MR_IS_LABELS, "preop.mr"),
     "a tool in m": (tool(1e-3), Disagreement.POSES_NOT_IN_MM, "tool"),
     "a tool in µm": (tool(1e3), Disagreement.POSES_OUT_OF_REACH, "tool"),
@@ -240,7 +246,8 @@ def test_files_that_agree(parts: SessionParts) -> None:
 def test_what_does_not_agree_is_refused_or_told(parts: SessionParts, case: str) -> None:
     change, cause, key = CASES[case]
     fit = fit_of(change(parts))
-    told = [(one.key, one.sentence) for one in (*fit.misfits, *fit.warnings)]
+    told = [(one.key, one.sentence) for one in fit.misfits]
+    told += [(one.key, one.sentence) for one in fit.warnings]
     first_words = cause.value.sentence.split("{", maxsplit=1)[0]
     assert any(where == key and first_words in sentence for where, sentence in told), told
     named = [problem for problem in fit.misfits if first_words in problem.sentence]
@@ -270,6 +277,21 @@ def test_images_that_do_not_beat_say_nothing(parts: SessionParts) -> None:
     assert fit.seen.values() == {"delay_s": None, "drift_s": None, "log_likelihood_ratio": None}
     without_latency = fit_of(replace(beating()(parts), latency=None))
     assert without_latency.seen is None
+
+
+def test_names_of_surfaces_tell_their_patient(lab: Path, beating_sphere: SurfaceSeries) -> None:
+    scale = 80.0 / float(np.ptp(beating_sphere.vertices_mm[0], axis=0).max())
+    sized = replace(beating_sphere, vertices_mm=scale * beating_sphere.vertices_mm)
+    write_surface_series(sized, lab / "surfaces")
+    for path in (lab / "surfaces").glob("*.vtp"):
+        path.rename(path.with_name(f"P-18_{path.name}"))
+    name = beating_sphere.name
+    preop = {"surfaces_folder": "surfaces", "surfaces": [name], "surface": name}
+    read = read_session(write(lab, {**SESSION, "patient_id": "P-17", "preop": preop}))
+    assert read.scenario.preop.surfaces[0].patient_id == "P-17"
+    assert Disagreement.OTHER_PATIENT in {one.cause for one in fit_of(parts_of(read)).warnings}
+    read = read_session(write(lab, {**SESSION, "patient_id": "P-18", "preop": preop}))
+    assert Disagreement.OTHER_PATIENT not in {one.cause for one in fit_of(parts_of(read)).warnings}
 
 
 def test_every_disagreement_has_its_case() -> None:

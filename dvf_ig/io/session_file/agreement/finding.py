@@ -70,6 +70,11 @@ class Disagreement(Enum):
         "the middle of the image lies {mm:.0f} mm from the probe's marker; check that the calibration is of "
         "this probe, and in mm",
     )
+    OTHER_PATIENT = Rule(
+        False,
+        "the surfaces are of patient '{named}' by the names of their files, the session is of '{patient}'; "
+        "check that this is one patient",
+    )
     MR_IS_LABELS = Rule(
         True,
         "the grey levels (mr) and the labels are the same image; give the MR or CT itself as mr",
