@@ -29,6 +29,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dvf-ig replay --config session.yaml -o run --margin adaptive",
         "dvf-ig replay demo -o run --law guidance --delta 3 --m 1 --retiming uniform",
     ),
+    "serve": (
+        "dvf-ig serve --config session.yaml",
+        "dvf-ig serve --config session.yaml --host 192.0.2.7 --allow 192.0.2.7 --page 8080",
+        "dvf-ig serve --config demo --seconds 70 --json",
+    ),
+    "synth stream": ("dvf-ig synth stream demo", "dvf-ig synth stream demo --port 18945 --speed 0.5"),
     "bench": ("dvf-ig bench", "dvf-ig bench --servo 60"),
     "view": ("dvf-ig view run", "dvf-ig view run -o run.html --recording demo"),
     "synth scenario": (

@@ -19,7 +19,7 @@ from dvf_ig.core import DvfIgError, FloatArray, Rigid, read_only_arrays
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.guidance.devices.tracked import TrackedTool
 from dvf_ig.guidance.servo import Servo, ServoInputs
-from dvf_ig.session import GuidanceState, Landmark, Rearm, Session, ToolPose
+from dvf_ig.session import Event, GuidanceState, Landmark, Rearm, Session, ToolPose
 
 from .answers import force_message, pose_message, state_messages
 from .events import EventSource, LiveEvent
@@ -68,7 +68,7 @@ class LiveLoop:
         source: makes events of what is in the inbox.
         link: takes the answers.
         more_events: events from elsewhere than the peers, since the last call.
-        observe: is told every answer.
+        observe: is told every answer; `watch` every event that was pushed.
         tell: is told a sentence about what cannot be used.
     """
 
@@ -81,6 +81,7 @@ class LiveLoop:
     more_events: Callable[[], list[LiveEvent]]
     observe: Callable[[Answer], None]
     tell: Callable[[str], None]
+    watch: Callable[[Event], None] = lambda _: None
     landmarks: tuple[Landmark, ...] = ()
     clock: Callable[[], float] = time.monotonic
     began: bool = False
@@ -137,6 +138,7 @@ class LiveLoop:
             return False
         if tool:
             self._tool_arrived_s = event.arrived_s
+        self.watch(event.event)
         return tool
 
     def _advance(self) -> None:

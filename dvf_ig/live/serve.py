@@ -11,7 +11,7 @@ from dvf_ig.guidance import Fixtures
 from dvf_ig.guidance.devices.tracked import TrackedTool
 from dvf_ig.guidance.servo import Servo
 from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
-from dvf_ig.session import Beside, Landmark, Session, SessionHistory, SessionSetup
+from dvf_ig.session import Beside, Event, Landmark, Session, SessionHistory, SessionSetup
 
 from .devices import DeviceNames, flips_between
 from .ecg.field import EcgField
@@ -26,11 +26,7 @@ LATE_S = 0.02
 EcgEvents = Callable[[], list[LiveEvent]]
 
 
-def _nothing(_: Answer) -> None:
-    """No observer."""
-
-
-def _silent(_: str) -> None:
+def _nothing(_: object) -> None:
     """Nobody to tell."""
 
 
@@ -42,7 +38,7 @@ class LiveOptions:
         config: who sends what.
         landmarks: touched before, in frames "mr" and "tracker"; None where a start pose takes their place.
         ecg: events of an ECG that no peer sends (`dvf_ig.live.ecg`).
-        observe: is told every answer; `tell` a sentence about what cannot be used.
+        observe: is told every answer, `watch` every event; `tell` a sentence about what cannot be used.
         history: of registrations and beats; None keeps the last ones.
     """
 
@@ -50,7 +46,8 @@ class LiveOptions:
     landmarks: tuple[Landmarks, Landmarks] | None = None
     ecg: EcgEvents = no_more
     observe: Callable[[Answer], None] = _nothing
-    tell: Callable[[str], None] = _silent
+    watch: Callable[[Event], None] = _nothing
+    tell: Callable[[str], None] = _nothing
     history: SessionHistory | None = None
     clock: Callable[[], float] = field(default=time.monotonic)
 
@@ -84,6 +81,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
             more_events=options.ecg,
             observe=options.observe,
             tell=options.tell,
+            watch=options.watch,
             landmarks=_touched(options),
             clock=options.clock,
         )

@@ -166,7 +166,9 @@ def test_numbers_that_are_not_finite_are_refused(bad):
     matrix[0, 3] = bad
     assert problem(encode(Message("T", 1.0, Transform(matrix)))) is WireProblem.NOT_FINITE
     assert problem(sealed("POSITION", struct.pack(">3f", 1, bad, 3))) is WireProblem.NOT_FINITE
-    body = bytearray(encode(Message("I", 1.0, Image(np.zeros((1, 2, 2), np.uint8), np.eye(4))))[HEADER_BYTES:])
+    body = bytearray(
+        encode(Message("I", 1.0, Image(np.zeros((1, 2, 2), np.uint8), np.eye(4))))[HEADER_BYTES:]
+    )
     body[12:16] = struct.pack(">f", bad)
     assert problem(sealed("IMAGE", bytes(body))) is WireProblem.NOT_FINITE
 
@@ -199,7 +201,9 @@ def test_sizes_that_do_not_fit_are_refused(kind, body):
 
 
 def test_image_sizes_that_contradict_each_other_are_refused():
-    body = bytearray(encode(Message("I", 1.0, Image(np.zeros((1, 2, 2), np.uint8), np.eye(4))))[HEADER_BYTES:])
+    body = bytearray(
+        encode(Message("I", 1.0, Image(np.zeros((1, 2, 2), np.uint8), np.eye(4))))[HEADER_BYTES:]
+    )
     for at, size in ((6, (3, 2, 1)), (6, (0, 2, 1)), (60, (1, 0, 0)), (66, (1, 2, 1)), (6, (65535,) * 3)):
         wrong = body.copy()
         wrong[at : at + 6] = struct.pack(">3H", *size)
@@ -239,7 +243,9 @@ def test_extended_headers_that_do_not_fit_are_refused(change):
 
 
 @settings(max_examples=300)
-@given(st.binary(max_size=200), st.sampled_from(["TRANSFORM", "IMAGE", "TDATA", "STRING", "STATUS", "QTDATA"]))
+@given(
+    st.binary(max_size=200), st.sampled_from(["TRANSFORM", "IMAGE", "TDATA", "STRING", "STATUS", "QTDATA"])
+)
 def test_any_body_is_a_message_or_refused(body, kind):
     for version in (1, 2):
         try:

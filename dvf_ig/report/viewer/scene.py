@@ -120,7 +120,7 @@ def scene_payload(given: SceneInput) -> dict[str, Any]:
         "distance": _distance(model, low, high),
         "fixtures": [_fixture(one) for one in given.fixtures.fixtures],
         "fixtures_cap_n": given.fixtures.joint_cap_n,
-        "image": None if given.image is None else _image(given.image),
+        "image": None if given.image is None else image_payload(given.image),
         "signals": {"ecg": _signal(given.ecg), "breathing": _signal(given.breathing)},
         "words": words(),
         "age_limit_s": given.age_limit_s,
@@ -193,7 +193,7 @@ def _distance(model: DvfModel, low: FloatArray, high: FloatArray) -> dict[str, A
     }
 
 
-def _image(shape: ImageShape) -> dict[str, Any]:
+def image_payload(shape: ImageShape) -> dict[str, Any]:
     return {
         "columns": shape.columns,
         "rows": shape.rows,
