@@ -10,6 +10,7 @@ from .distance import distance_maps
 from .faults import faults
 from .gating import gating
 from .hearts import hearts
+from .live import live
 from .margins import margins
 from .operators import operators
 from .options import TrialsCommand
@@ -31,6 +32,7 @@ app.command("gating")(gating)
 app.command("retiming")(retiming)
 app.command("training")(training)
 app.command("replay")(replay)
+app.command("live")(live)
 app.command("hearts")(hearts)
 app.command("constants")(constants)
 app.command("margins")(margins)
