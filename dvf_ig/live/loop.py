@@ -4,8 +4,8 @@
     now      ─► Session.state ─► servo        at every tool pose, and STATE_EVERY_S without one
     servo's newest tick ─► force, pose, state to the peers, at most ANSWERS_HZ
 
-Nothing here waits for a peer, a registration or the servo. It begins with the first tool pose: before, no tool
-is lost.
+Nothing here waits for a peer, a registration or the servo. It begins with the first tool pose: before, no
+tool is lost.
 """
 
 import threading
@@ -22,9 +22,10 @@ from dvf_ig.guidance.servo import Servo, ServoInputs
 from dvf_ig.session import Event, GuidanceState, Landmark, Rearm, Session, ToolPose
 
 from .answers import force_message, pose_message, state_messages
-from .events import EventSource, LiveEvent
+from .events import EventSource
 from .link import Inbox, Link
 from .priority import SESSION, schedule_first
+from .timed import LiveEvent
 
 ANSWERS_HZ = 60.0
 STATE_EVERY_S = 0.01

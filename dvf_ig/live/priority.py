@@ -1,4 +1,4 @@
-"""Threads that must answer in milliseconds are scheduled before the machine's other work, where it allows that."""
+"""Threads that must answer in milliseconds are scheduled before other work, where the machine allows it."""
 
 import os
 import threading

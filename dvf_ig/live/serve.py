@@ -15,14 +15,15 @@ from dvf_ig.session import Beside, Event, Landmark, Session, SessionHistory, Ses
 
 from .devices import DeviceNames, flips_between
 from .ecg.field import EcgField
-from .events import EventSource, LiveEvent
+from .events import EventSource
 from .igtl.header import checksum
 from .link import Inbox, Link, connect, listen
 from .link.link import LOOPBACK, is_loopback
 from .loop import Answer, LiveLoop, no_more
+from .timed import LiveEvent
 
 LATE_S = 0.02
-"""No device holds the servo's force here: it is sent every 17 ms, and a servo that is later than that latches."""
+"""No device holds the servo's force here: it is sent every 17 ms, and a servo that is later latches."""
 EcgEvents = Callable[[], list[LiveEvent]]
 
 

@@ -88,7 +88,8 @@ def test_image_place_is_that_of_the_first_pixel():
 def test_image_of_every_type_comes_back(kind, shape):
     pixels = np.arange(np.prod(shape)).reshape(shape).astype(kind)
     back = taken(encode(Message("Image", 1.0, Image(pixels, np.eye(4), lps=True)))).content
-    assert isinstance(back, Image) and back.lps
+    assert isinstance(back, Image)
+    assert back.lps
     assert back.pixels.dtype == pixels.dtype
     np.testing.assert_array_equal(back.pixels, pixels)
 
@@ -118,7 +119,8 @@ def test_positions_are_read_as_transforms(numbers, kind):
 def test_quaternion_tools_are_read():
     tool = struct.pack(">20sBB7f", b"Tool", 3, 0, 1, 2, 3, 0, 0, 0.6, 0.8)
     content = taken(sealed("QTDATA", tool)).content
-    assert isinstance(content, TrackingData) and content.tools[0].name == "Tool"
+    assert isinstance(content, TrackingData)
+    assert content.tools[0].name == "Tool"
     np.testing.assert_allclose(content.tools[0].matrix[:2, 0], (0.28, 0.96), atol=1e-6)
 
 

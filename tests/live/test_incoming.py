@@ -18,7 +18,7 @@ def test_pieces_do_not_matter(sizes):
     for size in [*sizes, len(STREAM)]:
         found += incoming.feed(STREAM[at : at + size])
         at += size
-    assert [type(m.content) for m in found] == [type(m.content) for m in samples()]
+    assert [type(m.content) for m in found if isinstance(m, Message)] == [type(m.content) for m in samples()]
     assert not incoming.within_message
     incoming.close()
 
@@ -27,7 +27,8 @@ def test_what_follows_a_refused_message_is_read():
     bad = bytearray(encode(Message("T", 1.0, Transform(np.eye(4)))))
     bad[-1] ^= 1
     found = Incoming().feed(bytes(bad) + STREAM)
-    assert isinstance(found[0], WireError) and found[0].problem is WireProblem.CHECKSUM
+    assert isinstance(found[0], WireError)
+    assert found[0].problem is WireProblem.CHECKSUM
     assert found[0].device == "T"
     assert len(found) == 1 + len(samples())
 
@@ -59,7 +60,8 @@ def test_closing_within_a_message_is_told():
 def test_wrong_messages_end_in_a_message_or_a_refusal():
     found = feed_wrong_messages(2000, seed=7)
     assert found.clean, found
-    assert found.messages == 2000 and found.accepted > 100
+    assert found.messages == 2000
+    assert found.accepted > 100
     assert {"SIZE", "CHECKSUM", "VALUE", "NOT_FINITE", "TOO_LARGE"} <= set(found.refused)
 
 

@@ -49,7 +49,8 @@ def test_messages_arrive_and_refused_ones_are_counted(pair, no_delay):
     pair[1].sendall(encode(POSE) + bytes(bad) + encode(POSE))
     until(lambda: peer.received == 3)
     kinds = [type(arrival.taken) for arrival in inbox.take(1.0)]
-    assert kinds == [Message, WireError, Message] and peer.refused == 1
+    assert kinds == [Message, WireError, Message]
+    assert peer.refused == 1
     peer.close()
     assert peer.ended is None
 
@@ -60,7 +61,8 @@ def test_half_a_message_ends_the_connection_in_time(pair, no_delay):
     begun = time.monotonic()
     until(lambda: not peer.connected)
     assert time.monotonic() - begun < 1.0
-    assert isinstance(peer.ended, WireError) and peer.ended.problem is WireProblem.TOO_SLOW
+    assert isinstance(peer.ended, WireError)
+    assert peer.ended.problem is WireProblem.TOO_SLOW
 
 
 def test_silence_between_messages_ends_nothing(pair, no_delay):
@@ -77,14 +79,16 @@ def test_peer_that_closes_within_a_message_is_told(pair, no_delay):
     pair[1].sendall(encode(POSE)[:70])
     pair[1].close()
     until(lambda: not peer.connected)
-    assert isinstance(peer.ended, WireError) and peer.ended.problem is WireProblem.CLOSED
+    assert isinstance(peer.ended, WireError)
+    assert peer.ended.problem is WireProblem.CLOSED
 
 
 def test_garbage_ends_the_connection(pair, no_delay):
     peer = Peer(pair[0], "x", Inbox())
     pair[1].sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nAccept: text/html, image/png\r\n\r\n")
     until(lambda: not peer.connected)
-    assert isinstance(peer.ended, WireError) and peer.ended.problem is WireProblem.VERSION
+    assert isinstance(peer.ended, WireError)
+    assert peer.ended.problem is WireProblem.VERSION
 
 
 def test_peer_that_does_not_read_stops_nobody(pair, no_delay):
@@ -95,7 +99,8 @@ def test_peer_that_does_not_read_stops_nobody(pair, no_delay):
         begun = time.thread_time()
         peer.offer(data)
         longest = max(longest, time.thread_time() - begun)
-    assert peer.dropped > 40 and longest < 0.05
+    assert peer.dropped > 40
+    assert longest < 0.05
     got = bytearray()
     while len(got) < len(data):
         got += pair[1].recv(1 << 20)
@@ -108,11 +113,13 @@ def test_full_inbox_refuses_and_counts():
     inbox = Inbox()
     for _ in range(MOST + 5):
         inbox.put(Arrival(0.0, "x", POSE))
-    assert inbox.dropped == 5 and len(inbox.take(0.0)) == MOST
+    assert inbox.dropped == 5
+    assert len(inbox.take(0.0)) == MOST
     for _ in range(400):
         inbox.put(Arrival(0.0, "x", IMAGE))
     assert inbox.dropped > 100
-    assert inbox.take(0.0) and inbox.take(0.0) == []
+    assert inbox.take(0.0)
+    assert inbox.take(0.0) == []
 
 
 def test_client_connects_again_when_its_server_comes_back():
@@ -140,7 +147,8 @@ def test_peers_that_nobody_allowed_are_turned_away():
         with socket.create_connection(("127.0.0.1", server.port)) as stranger:
             stranger.settimeout(3.0)
             assert stranger.recv(1) == b""
-        assert server.turned_away == 1 and not server.peers
+        assert server.turned_away == 1
+        assert not server.peers
 
 
 @pytest.mark.parametrize("role", ["client", "server"])

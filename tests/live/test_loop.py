@@ -78,9 +78,10 @@ def test_servo_gives_the_force_of_the_session(clean):
 
 
 def test_answers_are_what_slicer_and_plus_expect(clean):
-    """The pose takes the tracker's coordinates as they came to RAS; the force goes along the tracker's axes."""
+    """The pose takes the tracker's coordinates as they came to RAS; the force lies along the tracker's axes."""
     pose, force = clean.sent.named("MrFromTracker")[-1], clean.sent.named("ToolForce")[-1]
-    assert isinstance(pose.content, Transform) and isinstance(force.content, Transform)
+    assert isinstance(pose.content, Transform)
+    assert isinstance(force.content, Transform)
     np.testing.assert_allclose(pose.content.matrix, RAS_FROM_LPS @ HOME.matrix, atol=0.2)
     answer = clean.answers[-1]
     np.testing.assert_array_equal(force.content.matrix[:3, 3], answer.force_n)
@@ -91,18 +92,23 @@ def test_answers_are_what_slicer_and_plus_expect(clean):
     assert len(forces) <= 60 * (UNTIL_S - 1.0) + 1
     assert len(forces) > 45 * (UNTIL_S - 1.2)
     first = clean.sent.named("MrFromTracker")[0].stamp_s
-    assert first is not None and first - ORIGIN_S > 11.0
+    assert first is not None
+    assert first - ORIGIN_S > 11.0
     status = clean.sent.named("DvfIg")[-1].content
-    assert isinstance(status, StatusMessage) and (status.code, status.name) == (StatusCode.OK, "OK")
+    assert isinstance(status, StatusMessage)
+    assert (status.code, status.name) == (StatusCode.OK, "OK")
     text = clean.sent.named("DvfIgState")[-1].content
     assert isinstance(text, Text)
     said = json.loads(text.text)
-    assert said["servo"] == "OK" and said["phase_state"] == "LOCKED" and said["reasons"] == []
+    assert said["servo"] == "OK"
+    assert said["phase_state"] == "LOCKED"
+    assert said["reasons"] == []
 
 
 def test_latency_is_from_the_newest_tool_pose(clean):
     latencies = np.array([a.latency_s for a in clean.answers[10:]])
-    assert 0.0 <= np.nanmin(latencies) and np.nanmax(latencies) < 0.012
+    assert np.nanmin(latencies) >= 0.0
+    assert np.nanmax(latencies) < 0.012
 
 
 def test_lost_tool_fades_and_comes_back(toy):
@@ -164,7 +170,8 @@ def test_pose_that_ultrasound_confirms_no_more_is_withheld(toy):
     assert toy.answers[-1].state.supervised.hazards & Hazard.POSE_UNCONFIRMED
     assert np.linalg.norm(toy.answers[-1].force_n) == 0.0
     last = toy.sent.named("MrFromTracker")[-1].stamp_s
-    assert last is not None and last - ORIGIN_S < 19.0
+    assert last is not None
+    assert last - ORIGIN_S < 19.0
 
 
 def test_image_of_another_size_is_told_and_does_no_harm(toy):
@@ -177,4 +184,5 @@ def test_image_of_another_size_is_told_and_does_no_harm(toy):
     arrivals += [arrival(2.003, other), arrival(2.103, colour)]
     arrivals.sort(key=lambda a: a.arrived_s)
     toy.run(arrivals, 3.0)
-    assert len(toy.told) == 2 and toy.answers[-1].state.now_s > 2.9
+    assert len(toy.told) == 2
+    assert toy.answers[-1].state.now_s > 2.9

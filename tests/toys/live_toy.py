@@ -1,4 +1,4 @@
-"""A live loop in simulated time: the toy's streams as messages with a latency, a servo that ticks when told."""
+"""A live loop in simulated time: the toy's streams as messages with a latency, a servo run step by step."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -86,7 +86,8 @@ class LiveToy:
     """A live session of the toy's patient, advanced by `run`."""
 
     def __init__(self, session: Session) -> None:
-        self.now_s, self.sent, self.told = 0.0, Sent(), []
+        self.now_s, self.sent = 0.0, Sent()
+        self.told: list[str] = []
         self.answers: list[Answer] = []
         device, self.inbox = _Tip(), ReadyInbox()
         self.servo = SteppedServo(device)

@@ -116,13 +116,13 @@ def serve(
             refuse_options(given, fixtures)
             options = patient.fixtures
         mode = chosen_retiming(retiming, patient.retiming or of_file)
-        changes = {"host": host, "port": port, "role": "server" if listen else None}
+        changes: dict[str, Any] = {"host": host, "port": port, "role": "server" if listen else None}
         changes["allow"] = None if not allow else (*patient.live.allow, *allow)
         live = patient.live.model_copy(update={key: v for key, v in changes.items() if v is not None})
         setup, landmarks, origin = live_setup(patient, model, with_margin(options, margin), mode, seed)
         typer.echo(origin, err=True)
 
-        result, rows = _served(setup, live, landmarks, page, seconds)
+        result, rows = _served(setup, live, landmarks, patient.folder, page, seconds)
         emit(result, rows, as_json=as_json)
 
 
@@ -130,10 +130,12 @@ def _served(
     setup: "SessionSetup",
     live: "LiveConfig",
     landmarks: "tuple[Landmarks, Landmarks] | None",
+    folder: Path,
     page: int | None,
     seconds: float | None,
 ) -> tuple[dict[str, Any], list[tuple[str, ...]]]:
     """Run the session; what it did, as JSON and for people."""
+    from dvf_ig.live.ecg.source import ecg_events
     from dvf_ig.live.page import PageFeed, PageServer
     from dvf_ig.live.serve import LiveOptions, live_session
     from dvf_ig.live.summary import LiveSummary
@@ -151,6 +153,7 @@ def _served(
     if feed is not None:
         options = replace(options, watch=feed.event)
     with ExitStack() as stack:
+        options = replace(options, ecg=stack.enter_context(ecg_events(live, folder, warn)))
         if feed is not None and page is not None:
             server = stack.enter_context(PageServer(feed, page))
             typer.echo(f"the session is shown at http://127.0.0.1:{server.port}", err=True)

@@ -50,7 +50,7 @@ def live(
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
     latency = result["latency_ms"]
-    rows = [
+    rows: list[tuple[str, ...]] = [
         ("latency, pose in to force out", "median {median:.2f} ms, p99 {p99:.2f} ms".format(**latency)),
         ("same status", f"{100 * result['same_status_share']:.1f} % of answers"),
         ("same supervisor state", f"{100 * result['same_supervisor_share']:.1f} % of answers"),

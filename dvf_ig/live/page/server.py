@@ -26,7 +26,7 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.0"
     timeout = REQUEST_S
 
-    def do_GET(self) -> None:  # noqa: N802  http.server's name
+    def do_GET(self) -> None:
         """One of the three."""
         if self.headers.get("Host", "").rpartition(":")[0] not in _HOSTS:
             self.send_error(403)

@@ -92,7 +92,11 @@ def _registrations(live: LiveRun, replay: Replay) -> list[dict[str, Any]]:
     rows = []
     for i in range(max(len(ours), len(theirs))):
         a, b = (one[i] if i < len(one) else None for one in (ours, theirs))
-        row = {"live": _attempt(a, live.offset_s), "replay": _attempt(b, 0.0), "apart_mm": None}
+        row: dict[str, Any] = {
+            "live": _attempt(a, live.offset_s),
+            "replay": _attempt(b, 0.0),
+            "apart_mm": None,
+        }
         if a is not None and b is not None and a.result is not None and b.result is not None:
             poses = [
                 one.result.target_from_source.inverse().apply_array(center) for one in (a, b) if one.result

@@ -1,7 +1,8 @@
 """Messages that are wrong, by the ten thousand: what the decoder and a connection make of them.
 
 Valid messages of every type are damaged (bits, lengths, counts, cut, joined) with or without a checksum that
-fits, and fed in pieces of any size. Every one must end in a message or in a `WireError`, soon, in bounded memory.
+fits, and fed in pieces of any size. Every one must end in a message or a `WireError`, soon, in bounded
+memory.
 """
 
 import struct
