@@ -175,8 +175,8 @@ class LiveLoop:
         servo = SupervisorState(int(record.state[-1]))
         hazards = Hazard(int(np.bitwise_or.reduce(record.hazards)))
         offset_s = self.source.tool_offset_s
-        stamp_s = state.now_s + offset_s
-        messages = [*pose_message(state, stamp_s), force_message(force_n, t_s + offset_s)]
+        stamp_s = max(0.0, state.now_s + offset_s)
+        messages = [*pose_message(state, stamp_s), force_message(force_n, max(0.0, t_s + offset_s))]
         if state.now_s - self._states_sent_s >= STATES_SENT_EVERY_S:
             self._states_sent_s = state.now_s
             messages += state_messages(state, servo, hazards, stamp_s)

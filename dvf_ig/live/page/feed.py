@@ -30,6 +30,8 @@ from dvf_ig.session.confirmation import MAX_AGE_S
 FRAMES_HZ = 10.0
 ECG_HZ = 250.0
 """The ECG is thinned to this."""
+JUDGED_AFTER_S = 5.0
+"""A registration that heart beats are still to confirm is told as refused when this has passed."""
 KEPT = 512
 """ECG batches, or marks, that wait for the page."""
 
@@ -73,7 +75,7 @@ class PageFeed:
         """An answer was sent."""
         with self._changed:
             self._answer = answer
-            self._note_history()
+            self._note_history(answer.state.now_s)
 
     def event(self, event: Event) -> None:
         """An event was pushed."""
@@ -83,7 +85,7 @@ class PageFeed:
         elif isinstance(event, TrackedFrame) and event.image is not None:
             self._frame = event
 
-    def _note_history(self) -> None:
+    def _note_history(self, now_s: float) -> None:
         """Peaks and registrations that are new; both only grow at their ends."""
         peaks = self._history.peaks
         fresh = []
@@ -95,12 +97,14 @@ class PageFeed:
             self._seen_peak_s = fresh[0]
             self._peaks.extend(reversed(fresh))
         attempts = self._history.attempts
-        newest = attempts[-1] if attempts else None
-        if newest is not None and newest.asked_s > self._seen_attempt_s:
-            self._seen_attempt_s = newest.asked_s
-            kind = "registration" if newest.usable else "refused"
-            mark = {"t_s": newest.ready_s, "until_s": None, "kind": kind, "text": newest.reason}
-            self._marks.append(mark)
+        if attempts and attempts[-1].asked_s > self._seen_attempt_s:
+            newest = attempts[-1]
+            waited_s = now_s - newest.ready_s
+            if newest.usable or waited_s > JUDGED_AFTER_S:
+                self._seen_attempt_s = newest.asked_s
+                kind = "registration" if newest.usable else "refused"
+                mark = {"t_s": newest.ready_s, "until_s": None, "kind": kind, "text": newest.reason}
+                self._marks.append(mark)
 
     # ------------------------------------------------------------------ by the page's thread
 
