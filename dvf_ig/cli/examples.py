@@ -79,6 +79,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "study retiming": ("dvf-ig study retiming --motion physiological -o study",),
     "study training": ("dvf-ig study training --degrees 2,3 -o study",),
     "study live": ("dvf-ig study live demo -o study",),
+    "study messages": ("dvf-ig study messages --count 50000 --seed 1",),
     "study replay": ("dvf-ig study replay --preset lost-ultrasound --seeds 10 -o study",),
     "study hearts": ("dvf-ig study hearts --list threshold --hearts 8 --quality calm -o study",),
     "study constants": ("dvf-ig study constants --hearts 6 -o study",),

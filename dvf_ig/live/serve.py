@@ -20,6 +20,7 @@ from .igtl.header import checksum
 from .link import Inbox, Link, connect, listen
 from .link.link import LOOPBACK, is_loopback
 from .loop import Answer, LiveLoop, no_more
+from .priority import answering_soon
 from .timed import LiveEvent
 
 LATE_S = 0.02
@@ -71,6 +72,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
         checksum(b"compiled or loaded before the first message")
         servo = Servo(fixtures, device, limits=setup.device, watchdog=False, late_s=LATE_S)
         stack.enter_context(servo)
+        stack.enter_context(answering_soon())
         link = stack.enter_context(open_link(config, inbox))
         yield LiveLoop(
             session=session,

@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
 REMEMBERED = 200
 """Registrations and beats that are kept: a session may last for hours."""
-SWITCH_S = 0.001
-"""A thread of ours that waits for the interpreter gets it after this, not after the usual 5 ms."""
 
 
 def serve(
@@ -175,7 +173,6 @@ def _run(loop: "LiveLoop", seconds: float | None) -> None:
     """Until the time is over, or Ctrl-C."""
     from dvf_ig.live.serve import run_in_thread
 
-    sys.setswitchinterval(SWITCH_S)
     if sys.stdin.isatty():
         threading.Thread(target=_watch_keys, args=(loop,), daemon=True).start()
     thread, stop = run_in_thread(loop)

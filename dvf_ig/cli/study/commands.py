@@ -12,6 +12,7 @@ from .gating import gating
 from .hearts import hearts
 from .live import live
 from .margins import margins
+from .messages import messages
 from .operators import operators
 from .options import TrialsCommand
 from .pairs import pairs
@@ -33,6 +34,7 @@ app.command("retiming")(retiming)
 app.command("training")(training)
 app.command("replay")(replay)
 app.command("live")(live)
+app.command("messages")(messages)
 app.command("hearts")(hearts)
 app.command("constants")(constants)
 app.command("margins")(margins)

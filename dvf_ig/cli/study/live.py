@@ -22,16 +22,12 @@ def live(
     does something else besides, the live session sees the difference.
     """
     with command(threads):
-        import sys
-
-        from dvf_ig.cli.serve.command import SWITCH_S
         from dvf_ig.io import cached_model, output_folder, read_scenario, write_json
         from dvf_ig.replay import run_replay
         from dvf_ig.replay.start import landmarks_start
         from dvf_ig.study.live.compare import comparison
         from dvf_ig.study.live.run import run_live
 
-        sys.setswitchinterval(SWITCH_S)
         recorded = read_scenario(scenario)
         with progress("replay") as report:
             model = cached_model(recorded.preop).model
