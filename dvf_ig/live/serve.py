@@ -59,7 +59,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
     """Connected, or listening, and ready to `run`; everything ends with the context.
 
     Raises:
-        InvalidInputError: an address that cannot be used, or one of another machine that nobody allowed.
+        InvalidInputError: as `open_link`; names in `allow` that are no addresses.
     """
     config, inbox = options.config, Inbox()
     fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
@@ -102,21 +102,27 @@ def open_link(config: LiveConfig, inbox: Inbox) -> Link:
     """As a client of a server on this machine or of one that is allowed; as a server for those who are.
 
     Raises:
-        InvalidInputError: another machine that `allow` does not name.
+        InvalidInputError: as `require_allowed`, or the address cannot be listened at.
     """
-    allowed = (LOOPBACK, *config.allow)
+    require_allowed(config)
     if config.role == "server":
-        if not is_loopback(config.host) and not config.allow:
-            raise InvalidInputError(
-                f"{config.host} can be reached from other machines; name those that may connect (--allow)"
-            )
-        return listen(config.host, config.port, inbox, allowed)
-    if not is_loopback(config.host) and config.host not in allowed:
+        return listen(config.host, config.port, inbox, (LOOPBACK, *config.allow))
+    return connect(config.host, config.port, inbox)
+
+
+def require_allowed(config: LiveConfig) -> None:
+    """Raise InvalidInputError where poses would come from another machine that `allow` does not name."""
+    if is_loopback(config.host):
+        return
+    if config.role == "server" and not config.allow:
+        raise InvalidInputError(
+            f"{config.host} can be reached from other machines; name those that may connect (--allow)"
+        )
+    if config.role == "client" and config.host not in config.allow:
         raise InvalidInputError(
             f"{config.host} is another machine; poses come from it only if you allow it: "
             f"--allow {config.host}"
         )
-    return connect(config.host, config.port, inbox)
 
 
 def device_names(config: LiveConfig) -> DeviceNames:

@@ -106,6 +106,8 @@ def serve(
     In a terminal, r and Enter re-arms after a latch; the network never does.
     """
     with command(threads):
+        from dvf_ig.live.serve import require_allowed
+
         patient = read_patient(config)
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
@@ -117,6 +119,7 @@ def serve(
         changes: dict[str, Any] = {"host": host, "port": port, "role": "server" if listen else None}
         changes["allow"] = None if not allow else (*patient.live.allow, *allow)
         live = patient.live.model_copy(update={key: v for key, v in changes.items() if v is not None})
+        require_allowed(live)
         setup, landmarks, origin = live_setup(patient, model, with_margin(options, margin), mode, seed)
         typer.echo(origin, err=True)
 
