@@ -10,8 +10,17 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
+from toy_ball import ball_model
 
-from dvf_ig.core import FloatArray, InvalidInputError, PoseMotion, RetimingCurve, Rigid
+from dvf_ig.core import (
+    FloatArray,
+    InvalidInputError,
+    PhaseForecast,
+    PhaseState,
+    PoseMotion,
+    RetimingCurve,
+    Rigid,
+)
 from dvf_ig.guidance import (
     Confinement,
     Contribution,
@@ -29,12 +38,11 @@ from dvf_ig.guidance import (
     SupervisorState,
     compose,
 )
+from dvf_ig.guidance.blend import Blend
 from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, SimulatedServo
 from dvf_ig.guidance.supervisor import SLEW_SPEED_M_S
 from dvf_ig.kernels.servo import published
-from tests.guidance.servo.conftest import beat
-from tests.toys.toy_ball import ball_model
 
 HOSTILE = np.array(
     [
@@ -61,6 +69,7 @@ STIFF = DeviceLimits(stiffness_n_per_m=4000.0)
 ROUNDING = 1e-9
 
 Finding = str
+BLENDS: tuple[Blend, ...] = ("force", "distance", "periodic")
 MODEL = ball_model()
 
 
@@ -88,8 +97,18 @@ def transform(rng: np.random.Generator) -> PoseAndPhase:
     """Pose and phase as functions of time, each of which may be unknown from some moment on."""
     start, end = pose(rng, "tracker"), pose(rng, "tracker")
     motion = PoseMotion.towards(start, end, float(rng.uniform(0.0, 0.2)), np.zeros(3))
-    clock = beat(
-        phi=float(rng.random()), rr_s=float(10 ** rng.uniform(-0.6, 0.6)), until_s=float(rng.exponential(2.0))
+    clock = PhaseForecast(
+        since_s=0.0,
+        until_s=float(rng.exponential(2.0)),
+        state=PhaseState.LOCKED,
+        state_after=PhaseState.LOST,
+        phi=float(rng.random()),
+        r_s=-0.08,
+        cycles=0.0,
+        rr_s=float(10 ** rng.uniform(-0.6, 0.6)),
+        spread=0.05,
+        catch_up=3.0,
+        r_timing_s=0.005,
     )
     spread = None if rng.random() < 0.3 else float(10 ** rng.uniform(-3, 3)) * np.eye(6)
     until_s = math.inf if rng.random() < 0.7 else float(rng.exponential(1.0))
@@ -120,7 +139,7 @@ def wrong_with(
 
 def evaluate_batch(rng: np.random.Generator) -> Iterator[Finding]:
     """Points of a model, through a pose, at phases."""
-    blend = rng.choice(["force", "distance", "periodic"])
+    blend = BLENDS[rng.integers(3)]
     evaluator = Evaluator(MODEL, law(rng), blend=blend, device=STIFF)
     hostile = float(rng.choice([0.0, 0.01, 0.2]))
     xyz = numbers(rng, (POINTS, 3), 18.0, hostile)
@@ -135,7 +154,7 @@ def evaluate_batch(rng: np.random.Generator) -> Iterator[Finding]:
 
 def guide_batch(rng: np.random.Generator) -> Iterator[Finding]:
     """Tool tips of a tracker at times, through pose and phase."""
-    evaluator = Evaluator(MODEL, law(rng), blend=rng.choice(["force", "distance", "periodic"]), device=STIFF)
+    evaluator = Evaluator(MODEL, law(rng), blend=BLENDS[rng.integers(3)], device=STIFF)
     hostile = float(rng.choice([0.0, 0.01, 0.2]))
     tip, t_s = numbers(rng, (POINTS, 3), 18.0, hostile), numbers(rng, (POINTS,), 3.0, hostile)
     given = np.where(rng.random(POINTS) < 0.9, 0, rng.integers(0, 6, POINTS))
@@ -189,8 +208,7 @@ class Corrupted:
 def servo_batch(rng: np.random.Generator) -> Iterator[Finding]:
     """The servo with a session that changes its mind, a tool that jumps and damaged numbers."""
     parts = tuple(
-        FixtureOptions(law(rng), str(rng.choice(["force", "distance", "periodic"])), name=str(i))
-        for i in range(rng.integers(1, 5))
+        FixtureOptions(law(rng), BLENDS[rng.integers(3)], name=str(i)) for i in range(rng.integers(1, 5))
     )
     cap_n = None if rng.random() < 0.5 else float(10 ** rng.uniform(-2, 0.5))
     fixtures = Fixtures(MODEL, FixtureSet(parts, cap_n), device=STIFF)
@@ -241,7 +259,8 @@ def _wrong_with_record(
     sent = np.concatenate([before[None], record.sent_n])
     known = ~np.isin(record.status, [Status.STALE_TOOL])
     yield from wrong_with(record.sent_n, cap_n, np.ones(len(record), bool), record.status, known, kind)
-    yield from wrong_with(record.wanted_n, cap_n, ~hit, record.status, known, f"{kind}, wanted")
+    if not damaged:
+        yield from wrong_with(record.wanted_n, cap_n, ~hit, record.status, known, f"{kind}, wanted")
     step, length = longest(np.diff(sent, axis=0)), longest(sent)
     fading = (record.state == SupervisorState.FADE) | (record.state == SupervisorState.LATCHED)
     if (step[~fading] > slew_n * (1.0 + 1e-6)).any():

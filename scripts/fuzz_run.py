@@ -16,6 +16,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+from scripts import fuzz_cli
 from scripts.fuzz_mutations import damaged, resealed
 from scripts.fuzz_readers import READERS, unfit, write_seeds
 
@@ -171,15 +172,27 @@ def main() -> int:
         metavar="N",
         help="N files of each reader and those found before, and no more; keeps nothing",
     )
+    parser.add_argument("--cli", type=int, metavar="N", help="N damaged command lines, and no files")
+    parser.add_argument("--kill", type=int, metavar="N", help="N kills of each writing command, and no files")
+    parser.add_argument("--command", action="append", metavar="NAME", help="of --kill; default: all")
     parser.add_argument("--forces", type=int, metavar="N", help="N forces at hostile places, and no files")
     for hidden in ("--child", "--seeds"):
         parser.add_argument(hidden, help=argparse.SUPPRESS)
     for hidden in ("--first", "--count"):
         parser.add_argument(hidden, type=int, help=argparse.SUPPRESS)
     given = parser.parse_args()
+    if given.child == "cli":
+        fuzz_cli.child(given.seed, given.first, given.count, Path(given.seeds))
+        return 0
     if given.child:
         child(given.child, given.seed, given.first, given.count, Path(given.seeds))
         return 0
+    if given.kill:
+        from scripts.fuzz_kill import WRITERS, fuzz_kill
+
+        return 1 if fuzz_kill(given.kill, given.seed, given.command or list(WRITERS)) else 0
+    if given.cli:
+        return 1 if fuzz_cli.fuzz_cli(given.cli, given.seed) else 0
     if given.forces:
         from scripts.fuzz_forces import fuzz_forces
 

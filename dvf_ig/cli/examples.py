@@ -30,6 +30,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dvf-ig replay session.mcap -o again",
         "dvf-ig replay demo -o run --law guidance --delta 3 --m 1 --retiming uniform",
     ),
+    "serve": (
+        "dvf-ig serve --config session.yaml",
+        "dvf-ig serve --config session.yaml --host 192.0.2.7 --allow 192.0.2.7 --page 8080",
+        "dvf-ig serve --config demo --seconds 70 --json",
+    ),
+    "synth stream": ("dvf-ig synth stream demo", "dvf-ig synth stream demo --port 18945 --speed 0.5"),
     "bench": ("dvf-ig bench", "dvf-ig bench --servo 60"),
     "view": ("dvf-ig view run", "dvf-ig view run -o run.html --recording demo"),
     "export slicer": (
@@ -84,6 +90,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "study gating": ("dvf-ig study gating --records mitdb -o study",),
     "study retiming": ("dvf-ig study retiming --motion physiological -o study",),
     "study training": ("dvf-ig study training --degrees 2,3 -o study",),
+    "study live": ("dvf-ig study live demo -o study",),
+    "study messages": ("dvf-ig study messages --count 50000 --seed 1",),
     "study replay": ("dvf-ig study replay --preset lost-ultrasound --seeds 10 -o study",),
     "study hearts": ("dvf-ig study hearts --list threshold --hearts 8 --quality calm -o study",),
     "study constants": ("dvf-ig study constants --hearts 6 -o study",),

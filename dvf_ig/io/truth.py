@@ -84,10 +84,10 @@ _MOST = {
     "respiration_mm": limits.LENGTH_MM,
     "phi": 2.0,
     "model_phase": 2.0,
-    "normal": 2.0,
+    "normal": 10.0,
     "video_drift_ppm": 1e6,
 }
-"""The largest magnitude of each; those of phases and unit vectors leave room for rounding."""
+"""The largest magnitude of each; phases and unit vectors have room for rounding."""
 
 
 def read_truth(folder: Path) -> ScenarioTruth:
@@ -157,6 +157,8 @@ def _image_document(image: ImageMap) -> dict[str, Any]:
 
 
 def _image(document: dict[str, Any]) -> ImageMap:
+    if not np.max(document["probe_from_image_scale_mm_per_px"]) <= limits.SPACING_MM[1]:
+        raise InvalidInputError(f"a pixel of its images is wider than {limits.SPACING_MM[1]:g} mm")
     return ImageMap(
         rigid_from_matrix(document["probe_from_image_rigid"], "probe", "image"),
         document["probe_from_image_scale_mm_per_px"],

@@ -15,8 +15,7 @@ SETTLE_S = 1.0
 class PeerClock:
     """The clock of one peer; stamps in the order in which they came."""
 
-    offset_s: float = -inf
-    """The peer's clock less this machine's."""
+    _largest_s: float = field(default=-inf, init=False)
     _first_s: float | None = field(default=None, init=False)
     settled: bool = field(default=False, init=False)
 
@@ -26,7 +25,12 @@ class PeerClock:
             self._first_s = arrived_s
         self.settled = self.settled or arrived_s - self._first_s >= SETTLE_S
         if not self.settled:
-            self.offset_s = max(self.offset_s, stamp_s - arrived_s)
+            self._largest_s = max(self._largest_s, stamp_s - arrived_s)
+
+    @property
+    def offset_s(self) -> float:
+        """The peer's clock less this machine's; none of a peer that stamps nothing."""
+        return self._largest_s if self._largest_s > -inf else 0.0
 
     def local_s(self, stamp_s: float | None, arrived_s: float) -> float:
         """A stamp by this machine's clock; the arrival where the sender gave none."""

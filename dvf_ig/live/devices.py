@@ -80,8 +80,8 @@ class DeviceNames:
         pixels = message.content.pixels
         if pixels.ndim != 3 or len(pixels) != 1 or pixels.dtype != np.uint8:
             raise InvalidInputError(
-                f"image '{message.device}' has shape {pixels.shape} and type {pixels.dtype}; needed one slice "
-                "of uint8: let PLUS send brightness images (US_IMG_BRIGHTNESS)"
+                f"image '{message.device}' has shape {pixels.shape} and type {pixels.dtype}; needed one "
+                "slice of uint8: let PLUS send brightness images (US_IMG_BRIGHTNESS)"
             )
         return np.ascontiguousarray(np.flip(pixels[0], self.flips))
 

@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,17 +14,11 @@ from .devices import DeviceNames, Posed, Role
 from .ecg.field import EcgField
 from .frames import SAME_S, FramePairing
 from .link import Arrival
+from .timed import LiveEvent
 
 REFERENCE_S = 0.1
 """A reference's pose counts for poses stamped up to so long after it: three frames at 30 Hz."""
 MOST_HELD = 8192
-
-
-class LiveEvent(NamedTuple):
-    """An event, and when the message that completed it came."""
-
-    arrived_s: float
-    event: Event
 
 
 class EventSource:
@@ -120,7 +113,7 @@ class EventSource:
         tracker_from_reference = self._reference[1]
         if tracker_from_reference is None or not np.isfinite(tracker_from_reference).all():
             return None
-        return np.linalg.solve(tracker_from_reference, matrix)
+        return np.asarray(np.linalg.solve(tracker_from_reference, matrix), dtype=np.float64)
 
     def _say(self, sentence: str) -> None:
         if sentence not in self._told and len(self._told) < 100:

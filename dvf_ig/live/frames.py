@@ -1,4 +1,4 @@
-"""Images and the poses of the probe that belong to them: both come with stamps of one clock, one after the other.
+"""Images and the probe's poses that belong to them: both come with stamps of one clock, one after the other.
 
 PLUS sends image and pose of one tracked frame with the same stamp. Where a peer stamps both by themselves,
 the pose is interpolated between its neighbours.
@@ -61,7 +61,7 @@ class FramePairing:
         return done
 
     def _complete(self) -> list[TrackedFrame]:
-        done = []
+        done: list[TrackedFrame] = []
         while self._images and self._poses:
             first = self._images[0]
             same = next((p for p in reversed(self._poses) if abs(p.t_s - first.t_s) <= SAME_S), None)

@@ -4,8 +4,8 @@
     now      ─► Session.state ─► servo        at every tool pose, and STATE_EVERY_S without one
     servo's newest tick ─► force, pose, state to the peers, at most ANSWERS_HZ
 
-Nothing here waits for a peer, a registration or the servo. It begins with the first tool pose: before, no tool
-is lost.
+Nothing here waits for a peer, a registration or the servo. It begins with the first tool pose: before, no
+tool is lost.
 """
 
 import threading
@@ -19,12 +19,13 @@ from dvf_ig.core import DvfIgError, FloatArray, Rigid, read_only_arrays
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.guidance.devices.tracked import TrackedTool
 from dvf_ig.guidance.servo import Servo, ServoInputs
-from dvf_ig.session import GuidanceState, Landmark, Rearm, Session, ToolPose
+from dvf_ig.session import Event, GuidanceState, Landmark, Rearm, Session, ToolPose
 
 from .answers import force_message, pose_message, state_messages
-from .events import EventSource, LiveEvent
+from .events import EventSource
 from .link import Inbox, Link
 from .priority import SESSION, schedule_first
+from .timed import LiveEvent
 
 ANSWERS_HZ = 60.0
 STATE_EVERY_S = 0.01
@@ -68,7 +69,7 @@ class LiveLoop:
         source: makes events of what is in the inbox.
         link: takes the answers.
         more_events: events from elsewhere than the peers, since the last call.
-        observe: is told every answer.
+        observe: is told every answer; `watch` every event that was pushed.
         tell: is told a sentence about what cannot be used.
     """
 
@@ -81,6 +82,7 @@ class LiveLoop:
     more_events: Callable[[], list[LiveEvent]]
     observe: Callable[[Answer], None]
     tell: Callable[[str], None]
+    watch: Callable[[Event], None] = lambda _: None
     landmarks: tuple[Landmark, ...] = ()
     clock: Callable[[], float] = time.monotonic
     began: bool = False
@@ -137,6 +139,7 @@ class LiveLoop:
             return False
         if tool:
             self._tool_arrived_s = event.arrived_s
+        self.watch(event.event)
         return tool
 
     def _advance(self) -> None:
@@ -172,8 +175,8 @@ class LiveLoop:
         servo = SupervisorState(int(record.state[-1]))
         hazards = Hazard(int(np.bitwise_or.reduce(record.hazards)))
         offset_s = self.source.tool_offset_s
-        stamp_s = state.now_s + offset_s
-        messages = [*pose_message(state, stamp_s), force_message(force_n, t_s + offset_s)]
+        stamp_s = max(0.0, state.now_s + offset_s)
+        messages = [*pose_message(state, stamp_s), force_message(force_n, max(0.0, t_s + offset_s))]
         if state.now_s - self._states_sent_s >= STATES_SENT_EVERY_S:
             self._states_sent_s = state.now_s
             messages += state_messages(state, servo, hazards, stamp_s)

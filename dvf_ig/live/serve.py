@@ -11,26 +11,24 @@ from dvf_ig.guidance import Fixtures
 from dvf_ig.guidance.devices.tracked import TrackedTool
 from dvf_ig.guidance.servo import Servo
 from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
-from dvf_ig.session import Beside, Landmark, Session, SessionHistory, SessionSetup
+from dvf_ig.session import Beside, Event, Landmark, Session, SessionHistory, SessionSetup
 
 from .devices import DeviceNames, flips_between
 from .ecg.field import EcgField
-from .events import EventSource, LiveEvent
+from .events import EventSource
 from .igtl.header import checksum
 from .link import Inbox, Link, connect, listen
 from .link.link import LOOPBACK, is_loopback
 from .loop import Answer, LiveLoop, no_more
+from .priority import answering_soon
+from .timed import LiveEvent
 
 LATE_S = 0.02
-"""No device holds the servo's force here: it is sent every 17 ms, and a servo that is later than that latches."""
+"""No device holds the servo's force here: it is sent every 17 ms, and a servo that is later latches."""
 EcgEvents = Callable[[], list[LiveEvent]]
 
 
-def _nothing(_: Answer) -> None:
-    """No observer."""
-
-
-def _silent(_: str) -> None:
+def _nothing(_: object) -> None:
     """Nobody to tell."""
 
 
@@ -42,7 +40,7 @@ class LiveOptions:
         config: who sends what.
         landmarks: touched before, in frames "mr" and "tracker"; None where a start pose takes their place.
         ecg: events of an ECG that no peer sends (`dvf_ig.live.ecg`).
-        observe: is told every answer; `tell` a sentence about what cannot be used.
+        observe: is told every answer, `watch` every event; `tell` a sentence about what cannot be used.
         history: of registrations and beats; None keeps the last ones.
     """
 
@@ -50,7 +48,8 @@ class LiveOptions:
     landmarks: tuple[Landmarks, Landmarks] | None = None
     ecg: EcgEvents = no_more
     observe: Callable[[Answer], None] = _nothing
-    tell: Callable[[str], None] = _silent
+    watch: Callable[[Event], None] = _nothing
+    tell: Callable[[str], None] = _nothing
     history: SessionHistory | None = None
     clock: Callable[[], float] = field(default=time.monotonic)
 
@@ -60,7 +59,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
     """Connected, or listening, and ready to `run`; everything ends with the context.
 
     Raises:
-        InvalidInputError: an address that cannot be used, or one of another machine that nobody allowed.
+        InvalidInputError: as `open_link`; names in `allow` that are no addresses.
     """
     config, inbox = options.config, Inbox()
     fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
@@ -73,6 +72,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
         checksum(b"compiled or loaded before the first message")
         servo = Servo(fixtures, device, limits=setup.device, watchdog=False, late_s=LATE_S)
         stack.enter_context(servo)
+        stack.enter_context(answering_soon())
         link = stack.enter_context(open_link(config, inbox))
         yield LiveLoop(
             session=session,
@@ -84,6 +84,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
             more_events=options.ecg,
             observe=options.observe,
             tell=options.tell,
+            watch=options.watch,
             landmarks=_touched(options),
             clock=options.clock,
         )
@@ -101,21 +102,27 @@ def open_link(config: LiveConfig, inbox: Inbox) -> Link:
     """As a client of a server on this machine or of one that is allowed; as a server for those who are.
 
     Raises:
-        InvalidInputError: another machine that `allow` does not name.
+        InvalidInputError: as `require_allowed`, or the address cannot be listened at.
     """
-    allowed = (LOOPBACK, *config.allow)
+    require_allowed(config)
     if config.role == "server":
-        if not is_loopback(config.host) and not config.allow:
-            raise InvalidInputError(
-                f"{config.host} can be reached from other machines; name those that may connect (--allow)"
-            )
-        return listen(config.host, config.port, inbox, allowed)
-    if not is_loopback(config.host) and config.host not in allowed:
+        return listen(config.host, config.port, inbox, (LOOPBACK, *config.allow))
+    return connect(config.host, config.port, inbox)
+
+
+def require_allowed(config: LiveConfig) -> None:
+    """Raise InvalidInputError where poses would come from another machine that `allow` does not name."""
+    if is_loopback(config.host):
+        return
+    if config.role == "server" and not config.allow:
+        raise InvalidInputError(
+            f"{config.host} can be reached from other machines; name those that may connect (--allow)"
+        )
+    if config.role == "client" and config.host not in config.allow:
         raise InvalidInputError(
             f"{config.host} is another machine; poses come from it only if you allow it: "
             f"--allow {config.host}"
         )
-    return connect(config.host, config.port, inbox)
 
 
 def device_names(config: LiveConfig) -> DeviceNames:

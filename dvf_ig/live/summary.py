@@ -98,4 +98,4 @@ def _ms(seconds: float | None) -> float | None:
 def _latency(latency: dict[str, float | None]) -> str:
     if latency["median"] is None:
         return "no force was sent for a tool pose"
-    return "median {median:.2f} ms, p99 {p99:.2f} ms, max {max:.2f} ms".format(**latency)
+    return ", ".join(f"{name} {value:.2f} ms" for name, value in latency.items() if value is not None)

@@ -16,11 +16,11 @@ This is research software, not a medical device: nothing here may guide a treatm
 
 The scene is that of the pre-operative images (RAS). What was tracked hangs on `{root}`:
 
-    {root}               the registration: diag(-1, -1, 1) mr_from_tracker, mm
-      ProbeToTracker          probe at the moment that the image shows (latency {lag_ms:.1f} ms taken off)
+    {root:<24}the registration: diag(-1, -1, 1) mr_from_tracker, mm
+      {probe:<24}probe at the moment that the image shows (latency {lag_ms:.1f} ms taken off)
         ImageToProbe          image calibration: pixels to mm
           ultrasound
-      ToolToTracker           where a tool and its tip are known
+      {tool:<24}where a tool and its tip are known
         tool_tip
       landmarks_touched
 
@@ -74,11 +74,14 @@ def readme_text(frames: Mapping[str, str], run: ExportedRun, shown: int, fractio
         fractions: when in the cycle each surface is.
     """
     root = next(name for name in frames if name.endswith("ToRas.tfm")).removesuffix(".tfm")
+    tracker = root.removesuffix("ToRas")
     poses, bound = len(run.poses), run.bound_mm
     head = _HEAD.format(
         title=run.scenario.name,
         frames=shown,
         root=root,
+        probe=f"ProbeTo{tracker}",
+        tool=f"ToolTo{tracker}",
         lag_ms=1000 * run.ultrasound.lag_s,
         poses="The registration is one pose."
         if poses == 1

@@ -10,8 +10,9 @@
        │  └─ tool_tip
        └─ landmarks_touched
 
-Device coordinates are taken as they stand, as Slicer does with PLUS sequences: a node's matrix is ours, and
-RAS comes in once, in TrackerToRas = diag(−1, −1, 1)·mr_from_tracker.
+Where poses are relative to a reference marker, its name stands for "Tracker". Device coordinates are taken as
+they stand, as Slicer does with PLUS sequences: a node's matrix is ours, and RAS comes in once, in
+TrackerToRas = diag(−1, −1, 1)·mr_from_tracker.
 """
 
 from dataclasses import dataclass, field
@@ -38,7 +39,7 @@ from .slicer_readme import readme_text
 
 SCENE, README = "scene.mrml", "README.md"
 HEART_COLOR = (0.84, 0.37, 0.0)
-IMAGE, PROBE, TOOL = "ImageToProbe", "ProbeToTracker", "ToolToTracker"
+IMAGE = "ImageToProbe"
 
 
 @dataclass(slots=True)
@@ -167,9 +168,10 @@ def _tracked(out: SceneFolder, frames: ShownFrames) -> list[tuple[str, str]]:
     """What hangs on the tracker; sequences, each with the node that shows it, the images first."""
     run, scene = out.run, out.scene
     by_number = np.array([RAS_FROM_LPS @ pose.matrix for _, pose in run.poses])
-    name = join_transform("ras", run.scenario.tracked_against)
+    tracker = run.scenario.tracked_against  # as it is called in the lab's own sequences
+    name = join_transform("ras", tracker)
     placed, of_pose = _moving(out, name, by_number[frames.pose], frames.event_s, None)
-    probe, of_probe = _moving(out, PROBE, frames.probe, frames.event_s, placed)
+    probe, of_probe = _moving(out, join_transform(tracker, "probe"), frames.probe, frames.event_s, placed)
     write_node_transform(
         run.ultrasound.probe_from_image.matrix, out.place(f"{IMAGE}.tfm", "probe_from_image")
     )
@@ -192,7 +194,7 @@ def _tracked(out: SceneFolder, frames: ShownFrames) -> list[tuple[str, str]]:
     browsed = [(scene.add_sequence("ultrasound frames", sequence, index="time", unit="s"), shown)]
     browsed += [of_probe, of_pose]
     if frames.tool is not None and run.tip is not None:
-        tool, of_tool = _moving(out, TOOL, frames.tool, frames.event_s, placed)
+        tool, of_tool = _moving(out, join_transform(tracker, "tool"), frames.tool, frames.event_s, placed)
         browsed.append(of_tool)
         tip = Landmarks(("tool tip",), Points("tool", run.tip.xyz_mm))
         write_node_points(tip, out.place("tool_tip.mrk.json", "tool"), tracked=True)

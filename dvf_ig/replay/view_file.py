@@ -97,8 +97,8 @@ def read_view_file(run: Path) -> ViewFile:
     try:
         rows = [[np.nan] * 12 if row is None else row for row in content["poses"]["mr_from_tracker"]]
         return ViewFile(
-            recording=run / content["recording"],
-            model=None if content["model"] is None else run / content["model"],
+            recording=_place(run, content["recording"]),
+            model=None if content["model"] is None else _place(run, content["model"]),
             paths=tuple(None if one is None else _path_target(one) for one in content["paths"]),
             r_peaks_s=_floats(content["r_peaks_s"]),
             pose_t_s=_floats(content["poses"]["t_s"]),
@@ -133,6 +133,10 @@ def _floats(values: Any) -> FloatArray:
 def _relative(path: Path, run: Path) -> str:
     """Both may move together, and no name of a folder above them is told."""
     return Path(os.path.relpath(path.resolve(), run.resolve())).as_posix()
+
+
+def _place(run: Path, relative: str) -> Path:
+    return Path(os.path.normpath(run / relative))
 
 
 def _thinned(ticks: Ticks) -> tuple[FloatArray, FloatArray]:

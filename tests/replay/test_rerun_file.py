@@ -16,7 +16,7 @@ from dvf_ig.replay.run_folder import read_ticks
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[tuple[float, dict[str, Any]]]]:
     """Of each entity, (seconds, components) of every row."""
-    reader = pytest.importorskip("rerun.chunk", reason="rerun-sdk (170 MB) is not installed")
+    reader = pytest.importorskip("rerun.chunk", reason="rerun-sdk (0.7 GB) is not installed")
     folder = tmp_path_factory.mktemp("rerun")
     (folder / "ticks.csv").write_text(ticks_csv())
     assert write_rerun(run_folder(), ball_model(), read_ticks(folder / "ticks.csv"), folder / "run.rrd") == 7

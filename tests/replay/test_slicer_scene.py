@@ -7,6 +7,7 @@ RAS in the scene; a transform sequence holds *transform to parent* as it stands.
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -196,10 +197,21 @@ def test_mr_and_surfaces_lie_where_they_were(folder: Path) -> None:
     shown = [slicer.named(f"heart_{i:03d}") for i in range(4)]
     visible = [slicer.nodes[slicer.references(n)["display"]].attrib["visibility"] for n in shown]
     assert visible == ["true", "false", "false", "false"]
-    for node in shown:
+    for node, surface in zip(shown, ball_model().reference, strict=True):
         mesh = open3d.io.read_triangle_mesh(str(slicer.file(node)))
-        np.testing.assert_allclose(np.asarray(mesh.vertices), np.eye(3), atol=1e-6)
+        np.testing.assert_allclose(np.asarray(mesh.vertices), surface.vertices_mm, atol=1e-4)
         assert b"SPACE=LPS" in slicer.file(node).read_bytes()[:80]
+
+
+def test_a_reference_marker_keeps_its_name(tmp_path: Path) -> None:
+    """A lab's own sequence with ProbeToReference goes under ReferenceToRas."""
+    run = run_folder()
+    scenario = replace(run.scenario, tracked_against="reference", tool=None, landmarks_tracker=None)
+    frames = write_slicer_scene(replace(run, scenario=scenario), ball_model(), tmp_path)
+    assert frames["ReferenceToRas.seq.mha"] == "ras_from_reference"
+    assert frames["ProbeToReference.tfm"] == "reference_from_probe"
+    assert "ProbeToReference" in (tmp_path / "README.md").read_text()
+    assert not {name for name in frames if "Tool" in name or "Tracker" in name}
 
 
 CLASSES = {

@@ -151,7 +151,7 @@ def test_values_at_the_cursor_are_those_of_the_table(opened: Page, run: Path) ->
     contact = max(range(len(rows)), key=lambda i: abs(float(rows[i]["force_tracker_x_n"])))
     for i in (0, 3000, contact, len(rows) - 1):
         row = rows[i]
-        shown = opened.run("dvf.seek(arguments[0]); return dvf.state()", float(row["t_s"]))
+        shown = opened.run("return dvf.seek(arguments[0])", float(row["t_s"]))
         for name in (
             "t_s",
             "phi",
@@ -180,7 +180,7 @@ def test_the_contour_lies_on_the_models_surface(opened: Page, run: Path, model: 
     """Its points, through the frame's own matrix, are where the model's distance is zero."""
     from dvf_ig.guidance import Evaluator, Sigmoid
 
-    shown = opened.run("dvf.seek(arguments[0]); return dvf.state()", 14.5)
+    shown = opened.run("return dvf.seek(arguments[0])", 14.5)
     organ = next(one for one in shown["contours"] if one["role"] == "organ")
     pixels = np.array(organ["segments"]).reshape(-1, 2)
     assert len(pixels) > 50
@@ -239,7 +239,7 @@ def test_a_registration_is_shown_plane_by_plane(
     opened.open(page.as_uri())
     opened.until("return window.dvf && (window.dvf.ready || window.dvf.error)")
     for i, plane in enumerate(planes):
-        shown = opened.run("dvf.seek(arguments[0]); return dvf.state()", i + 0.3)
+        shown = opened.run("return dvf.seek(arguments[0])", i + 0.3)
         assert shown["frame"] == i
         assert plane.name in opened.run("return document.getElementById('frame').textContent")
         assert any(one["role"] == "organ" and len(one["segments"]) > 100 for one in shown["contours"])

@@ -2,8 +2,10 @@
 
 import sys
 import threading
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -29,11 +31,13 @@ from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit,
 from .setup import live_setup, read_patient
 
 if TYPE_CHECKING:
+    from dvf_ig.core import Landmarks
     from dvf_ig.io.session_file.live import LiveConfig
-    from dvf_ig.live.loop import LiveLoop
+    from dvf_ig.live.loop import Answer, LiveLoop
+    from dvf_ig.session import SessionSetup
 
-SWITCH_S = 0.001
-"""A thread of ours that waits for the interpreter gets it after this, not after the usual 5 ms."""
+REMEMBERED = 200
+"""Registrations and beats that are kept: a session may last for hours."""
 
 
 def serve(
@@ -74,6 +78,12 @@ def serve(
     seconds: Annotated[
         float | None, typer.Option("--seconds", min=0.1, help="End after so long (default: Ctrl-C).")
     ] = None,
+    page: Annotated[
+        int | None,
+        typer.Option(
+            "--page", min=0, max=65535, help="Show the session at http://127.0.0.1:PORT; 0 takes a free one."
+        ),
+    ] = None,
     law: LawOption = None,
     gamma: GammaOption = None,
     delta: DeltaOption = None,
@@ -91,11 +101,13 @@ def serve(
 ) -> None:
     """Take poses, ultrasound and ECG from PLUS or 3D Slicer (OpenIGTLink), and send back pose and force.
 
-    Sends MrFromTracker and ToolForce (TRANSFORM, at most 60 a second), DvfIg (STATUS) and DvfIgState (STRING).
-    Other machines are refused unless --allow names them. At the end latency and counts are printed. In a
-    terminal, r and Enter re-arms after a latch; the network never does.
+    Sends MrFromTracker and ToolForce (TRANSFORM, at most 60 a second), DvfIg (STATUS) and DvfIgState
+    (STRING). Other machines are refused unless --allow names them. At the end latency and counts are printed.
+    In a terminal, r and Enter re-arms after a latch; the network never does.
     """
     with command(threads):
+        from dvf_ig.live.serve import require_allowed
+
         patient = read_patient(config)
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
@@ -104,22 +116,53 @@ def serve(
             refuse_options(given, fixtures)
             options = patient.fixtures
         mode = chosen_retiming(retiming, patient.retiming or of_file)
-        changes = {"host": host, "port": port, "role": "server" if listen else None}
+        changes: dict[str, Any] = {"host": host, "port": port, "role": "server" if listen else None}
         changes["allow"] = None if not allow else (*patient.live.allow, *allow)
         live = patient.live.model_copy(update={key: v for key, v in changes.items() if v is not None})
+        require_allowed(live)
         setup, landmarks, origin = live_setup(patient, model, with_margin(options, margin), mode, seed)
         typer.echo(origin, err=True)
 
-        from dvf_ig.live.serve import LiveOptions, live_session
-        from dvf_ig.live.summary import LiveSummary
+        result, rows = _served(setup, live, landmarks, patient.folder, page, seconds)
+        emit(result, rows, as_json=as_json)
 
-        summary = LiveSummary()
-        running = LiveOptions(live, landmarks=landmarks, observe=summary.add, tell=warn)
-        with live_session(setup, running) as loop:
-            _tell_where(live, loop)
-            _run(loop, seconds)
-            result = summary.result(loop)
-        emit(result, summary.table(result), as_json=as_json)
+
+def _served(
+    setup: "SessionSetup",
+    live: "LiveConfig",
+    landmarks: "tuple[Landmarks, Landmarks] | None",
+    folder: Path,
+    page: int | None,
+    seconds: float | None,
+) -> tuple[dict[str, Any], list[tuple[str, ...]]]:
+    """Run the session; what it did, as JSON and for people."""
+    from dvf_ig.live.ecg.source import ecg_events
+    from dvf_ig.live.page import PageFeed, PageServer
+    from dvf_ig.live.serve import LiveOptions, live_session
+    from dvf_ig.live.summary import LiveSummary
+    from dvf_ig.session import SessionHistory
+
+    summary, history = LiveSummary(), SessionHistory(REMEMBERED)
+    feed = None if page is None else PageFeed(setup, live.ecg.rate_hz, history)
+
+    def observe(answer: "Answer") -> None:
+        summary.add(answer)
+        if feed is not None:
+            feed.observe(answer)
+
+    options = LiveOptions(live, landmarks=landmarks, observe=observe, tell=warn, history=history)
+    if feed is not None:
+        options = replace(options, watch=feed.event)
+    with ExitStack() as stack:
+        options = replace(options, ecg=stack.enter_context(ecg_events(live, folder, warn)))
+        if feed is not None and page is not None:
+            server = stack.enter_context(PageServer(feed, page))
+            typer.echo(f"the session is shown at http://127.0.0.1:{server.port}", err=True)
+        loop = stack.enter_context(live_session(setup, options))
+        _tell_where(live, loop)
+        _run(loop, seconds)
+        result = summary.result(loop)
+    return result, summary.table(result)
 
 
 def _tell_where(live: "LiveConfig", loop: "LiveLoop") -> None:
@@ -133,7 +176,6 @@ def _run(loop: "LiveLoop", seconds: float | None) -> None:
     """Until the time is over, or Ctrl-C."""
     from dvf_ig.live.serve import run_in_thread
 
-    sys.setswitchinterval(SWITCH_S)
     if sys.stdin.isatty():
         threading.Thread(target=_watch_keys, args=(loop,), daemon=True).start()
     thread, stop = run_in_thread(loop)

@@ -10,7 +10,9 @@ from .distance import distance_maps
 from .faults import faults
 from .gating import gating
 from .hearts import hearts
+from .live import live
 from .margins import margins
+from .messages import messages
 from .operators import operators
 from .options import TrialsCommand
 from .pairs import pairs
@@ -31,6 +33,8 @@ app.command("gating")(gating)
 app.command("retiming")(retiming)
 app.command("training")(training)
 app.command("replay")(replay)
+app.command("live")(live)
+app.command("messages")(messages)
 app.command("hearts")(hearts)
 app.command("constants")(constants)
 app.command("margins")(margins)

@@ -23,8 +23,8 @@ def stream(
 ) -> None:
     """Wait for `dvf-ig serve` (or another client) on this machine, and send it a recording once.
 
-    Device names as PLUS has them: ProbeToTracker and ToolToTracker (TRANSFORM), Image_Tracker (IMAGE), EcgData
-    (STRING). Stamps are the recording's, put to today. The truth is not sent.
+    Device names as PLUS has them: ProbeToTracker and ToolToTracker (TRANSFORM), Image_Tracker (IMAGE),
+    EcgData (STRING). Stamps are the recording's, put to today. The truth is not sent.
     """
     with command(lists_inputs=False):
         import time

@@ -1,4 +1,4 @@
-"""A tracked tool in place of a haptic device: the servo reads its predicted tip, and others render the force."""
+"""A tracked tool in place of a haptic device: the servo reads its predicted tip, others render the force."""
 
 import numpy as np
 

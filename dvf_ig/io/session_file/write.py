@@ -53,6 +53,7 @@ def session_text(draft: SessionDraft, found: Mapping[str, str | None]) -> str:
         _calibration(draft, found),
         _start(draft, found),
         _fixtures(),
+        _live(),
     ]
     body = "\n\n".join("\n".join(block) for block in blocks) + "\n"
     return f"{_MARK}{_checksum(body)}\n{body}"
@@ -249,4 +250,15 @@ def _fixtures() -> list[str]:
         "#   - {law: forbidden, gamma: 1.0, depth_mm: 0.0, cap_n: 0.6}",
         "# retiming: two-segment  # how the beat is mapped to the model's cycle; or uniform",
         "# margin: off  # by which fixtures are widened: off, fixed (2 mm), a number of mm, or adaptive",
+    ]
+
+
+def _live() -> list[str]:
+    return [
+        "# What PLUS or 3D Slicer sends, for dvf-ig serve (guide/live.md).",
+        "# live:",
+        "#   probe: ProbeToTracker",
+        "#   tool: ToolToTracker",
+        "#   image: Image_Tracker",
+        "#   ecg: {field: EcgData, rate_hz: 500}",
     ]

@@ -37,7 +37,7 @@ LONGEST_S = 0.05
 
 @device_function
 def read_tracked(context: Any, now_ns: int, out: Any) -> int:
-    """The tip now; the origin before the first was published, when no session has spoken and no force is given."""
+    """The tip now; the origin before the first one, when no session has spoken and no force is given."""
     c, n = carray(context, CONTEXT_SIZE, np.int64), carray(context, CONTEXT_SIZE, np.float64)
     position = carray(out, 3)
     read, left = n[READ : READ + TIP_SIZE], n[LEFT : LEFT + 7]

@@ -7,6 +7,7 @@ alternate between leads), as in a recorded sequence (`dvf_ig.io.plus.ecg_field`)
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.io import limits
 from dvf_ig.live.igtl import Message, Text
 from dvf_ig.session import EcgSamples
 
@@ -51,6 +52,8 @@ class EcgField:
         first_s = self._clock.first_s(len(values), seen_s)
         if given is not None:
             first_s = _number(given) - offset_s
+        if not abs(first_s) <= limits.TIME_S:
+            raise InvalidInputError(f"{self._name}Timestamp is '{given}'; needed seconds")
         return EcgSamples(first_s, values)
 
 
@@ -59,7 +62,8 @@ def _numbers(text: str, leads: int) -> FloatArray:
     parts = text.replace(",", " ").replace(";", " ").split()
     if not parts or len(parts) > LONGEST or len(parts) % leads:
         raise InvalidInputError(f"an ECG batch has {len(parts)} values of {leads} leads")
-    return np.array([_number(part) for part in parts]).reshape(-1, leads)
+    values = np.array([_number(part) for part in parts])
+    return np.where(np.isfinite(values), values, np.nan).reshape(-1, leads)
 
 
 def _number(text: str) -> float:

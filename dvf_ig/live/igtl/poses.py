@@ -58,7 +58,7 @@ def encode_tracking(data: TrackingData) -> bytes:
 
 
 def decode_position(content: memoryview) -> Transform:
-    """POSITION and QTRANS: a translation, and a quaternion in whole, without its last number, or not at all."""
+    """POSITION and QTRANS: a translation, and a quaternion, whole, without its last number, or not at all."""
     if len(content) not in _POSITION_BYTES:
         raise WireError(WireProblem.SIZE)
     return Transform(_posed(np.frombuffer(content, dtype=">f4").astype(np.float64)))

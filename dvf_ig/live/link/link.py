@@ -3,7 +3,7 @@
 import socket
 import threading
 from collections.abc import Callable, Sequence
-from ipaddress import ip_address
+from ipaddress import IPv4Address, IPv6Address, ip_address
 
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.live.igtl import Message, encode
@@ -105,8 +105,9 @@ def listen(host: str, port: int, inbox: Inbox | None, allowed: Sequence[str] = (
         port: 0 lets the system choose; `Link.port` says which.
         allowed: addresses; others are turned away before a byte of theirs is read.
     Raises:
-        InvalidInputError: the address cannot be listened at.
+        InvalidInputError: the address cannot be listened at, or an allowed one is none.
     """
+    welcome = _addresses(allowed)
     try:
         server = socket.create_server((host, port))
     except OSError as exc:
@@ -114,7 +115,6 @@ def listen(host: str, port: int, inbox: Inbox | None, allowed: Sequence[str] = (
             f"cannot listen at {host}:{port} ({exc.strerror or exc}); choose another --port, or end the "
             "program that uses it"
         ) from exc
-    welcome = {ip_address(address) for address in allowed}
     server.settimeout(0.1)
 
     def run(link: Link) -> None:
@@ -141,3 +141,11 @@ def is_loopback(host: str) -> bool:
         return host == "localhost" or ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+def _addresses(names: Sequence[str]) -> set[IPv4Address | IPv6Address]:
+    """Raises InvalidInputError where one is no address."""
+    try:
+        return {ip_address(name) for name in names}
+    except ValueError as exc:
+        raise InvalidInputError(f"{exc}; give addresses such as 192.0.2.7 (--allow)") from exc

@@ -108,7 +108,7 @@ def scene_payload(given: SceneInput) -> dict[str, Any]:
         "distance": distance_payload(model),
         "fixtures": [_fixture(one) for one in given.fixtures.fixtures],
         "fixtures_cap_n": given.fixtures.joint_cap_n,
-        "image": None if given.image is None else _image(given.image),
+        "image": None if given.image is None else image_payload(given.image),
         "signals": {"ecg": _signal(given.ecg), "breathing": _signal(given.breathing)},
         "words": words(),
         "age_limit_s": given.age_limit_s,
@@ -200,7 +200,7 @@ def distance_payload(model: DvfModel) -> dict[str, Any]:
     }
 
 
-def _image(shape: ImageShape) -> dict[str, Any]:
+def image_payload(shape: ImageShape) -> dict[str, Any]:
     return {
         "columns": shape.columns,
         "rows": shape.rows,

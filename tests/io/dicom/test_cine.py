@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from dvf_ig.core import UnreadableFileError
 from dvf_ig.io import describe, image_dimension, read_volume_series
 from dvf_ig.io.dicom.cine import read_dicom_cine
+from dvf_ig.io.dicom.header import read_images
+from dvf_ig.io.dicom.stack import CineStack, stack_of
 
 pydicom = pytest.importorskip("pydicom", reason="pydicom writes the DICOM images of these tests")
 
@@ -128,21 +130,33 @@ def test_rescale_slope_and_other_files(tmp_path: Path, caplog: pytest.LogCapture
     assert "1 files that are no DICOM" in caplog.text
 
 
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tags as pydicom finds them, which starts no process."""
+    monkeypatch.setattr("dvf_ig.io.dicom.header.read_headers", tags_by_pydicom)
+
+
+def stack(folder: Path) -> CineStack:
+    return stack_of(folder, read_images(sorted(path for path in folder.rglob("*") if path.is_file())))
+
+
+@pytest.mark.usefixtures("quick")
 def test_without_trigger_times_the_order_is_that_of_the_instances(tmp_path: Path) -> None:
     def untimed(data: Any, number: int, phase: int) -> None:
         del data.TriggerTime, data.NominalInterval
 
-    cine = read_dicom_cine(write(tmp_path / "cine", untimed))
-    assert cine.timing.timing_assumed
-    assert cine.timing.rr_assumed
-    assert cine.values[3, 0, 0, 0] == 3000
+    found = stack(write(tmp_path / "cine", untimed))
+    assert found.timing.timing_assumed
+    assert found.timing.rr_assumed
+    assert [[image.number for image in row] for row in found.images] == [[1, 2, 3, 4, 5]] * SLICES
 
 
+@pytest.mark.usefixtures("quick")
 def test_an_rr_interval_that_cannot_be_is_not_used(tmp_path: Path) -> None:
     def short(data: Any, number: int, phase: int) -> None:
         data.NominalInterval = 500
 
-    timing = read_dicom_cine(write(tmp_path / "cine", short)).timing
+    timing = stack(write(tmp_path / "cine", short)).timing
     assert timing.rr_assumed
     assert timing.rr_s == pytest.approx(RR_MS.mean() / 1000 * 1.02, rel=1e-3)
 
@@ -203,15 +217,13 @@ def moved_slice(data: Any, number: int, phase: int) -> None:
         (set_in(0, PixelSpacing=[1e-9, 1]), (), "pixels have sides"),
     ],
 )
+@pytest.mark.usefixtures("quick")
 def test_what_is_no_stack_is_refused_in_one_sentence(
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     change: Change | None,
     leave_out: tuple[tuple[int, int], ...],
     message: str,
 ) -> None:
-    """Tags as pydicom finds them, which starts no process."""
-    monkeypatch.setattr("dvf_ig.io.dicom.header.read_headers", tags_by_pydicom)
     written = write(tmp_path / "cine", change, leave_out)
     with pytest.raises(UnreadableFileError, match=message) as refused:
         read_dicom_cine(written)

@@ -28,11 +28,10 @@ class Viewer {
     this.controls();
     this.keyboard();
     addEventListener("resize", () => this.resize());
-    new ResizeObserver(() => this.resize()).observe(this.$("space"));
+    const watch = new ResizeObserver(() => this.resize());
+    for (const one of [this.$("space"), this.image?.canvas, this.strips.canvas]) if (one) watch.observe(one);
     this.resize();
     this.space.preset("front");
-    if (this.registration) this.show();
-    if (this.registration) this.view("plane");
     requestAnimationFrame((now) => this.tick(now));
   }
 
@@ -59,7 +58,7 @@ class Viewer {
   /** What is shown: the tick's values, its frame, and what lies in the image. */
   state() {
     const values = this.series.at(this.t);
-    const frame = this.frame;
+    const frame = this.shownFrame ?? -1;
     return {
       ...values,
       cursor_s: this.t,
@@ -90,7 +89,8 @@ class Viewer {
     const { series } = this;
     const values = series.at(this.t);
     if (!values) return;
-    const frame = this.frame;
+    const frame = this.decoded(this.frame);
+    this.shownFrame = frame;
     const matrix = frame < 0 ? null : series.frames.mr_from_pixel[frame];
     const plane = matrix ? planeOf(matrix) : null;
     const tip = series.vector(values, "tip_mr", "_mm");
@@ -109,24 +109,48 @@ class Viewer {
     if (this.image) this.picture(frame, { plane, tip, force, margin: values.margin_mm ?? 0, phase: frame < 0 ? null : series.frames.model_phase[frame] });
   }
 
+  /** The frame to show: the wanted one, or, until its picture is decoded, the last one, with its own contour. */
+  decoded(wanted) {
+    if (wanted < 0) return -1;
+    const { event_s } = this.series.frames;
+    if (this.pictures.ready(wanted)) {
+      this.shownEvent = event_s[wanted];
+      return wanted;
+    }
+    const event = event_s[wanted];
+    this.pictures.get(wanted).then(() => {
+      // by now another frame may be wanted: the decoded one nearest to it is shown meanwhile
+      const now = event_s[this.frame];
+      if (this.shownEvent === undefined || Math.abs(event - now) < Math.abs(this.shownEvent - now)) this.shownEvent = event;
+      this.changed = true;
+    });
+    const before = this.shownEvent === undefined ? -1 : event_s.indexOf(this.shownEvent);
+    return before >= 0 && this.pictures.ready(before) ? before : -1;
+  }
+
+  /** Seeks, and gives what is shown once the frame of that time is decoded. */
+  async seekShown(t) {
+    this.seek(t);
+    if (this.frame >= 0) await this.pictures.get(this.frame);
+    this.show();
+    return this.state();
+  }
+
   picture(frame, moment) {
     const bitmap = frame < 0 ? null : this.pictures.ready(frame);
-    const other = this.anatomy?.ready(frame) ?? null;
-    if (this.anatomy && !other) this.anatomy.get(frame).then(() => (this.changed = true));
-    this.image.draw({ ...moment, other, bitmap: bitmap ?? this.lastBitmap ?? null });
+    const other = frame < 0 ? null : (this.anatomy?.ready(frame) ?? null);
+    if (this.anatomy && frame >= 0 && !other) this.anatomy.get(frame).then(() => (this.changed = true));
+    this.image.draw({ ...moment, other, bitmap });
     if (moment.plane) this.space.contours(this.image.contours, moment.plane);
-    if (bitmap) {
-      if (this.lastBitmap !== bitmap) this.space.picture(bitmap);
-      this.lastBitmap = bitmap;
-    } else if (frame >= 0) {
-      this.pictures.get(frame).then(() => (this.changed = true));
-    }
+    if (bitmap && this.lastBitmap !== bitmap) this.space.picture(bitmap);
+    this.lastBitmap = bitmap;
     for (let next = frame + 1; this.playing && next < Math.min(frame + 6, this.series.frames.images.length); next++)
       this.pictures.get(next);
   }
 
   planeTexts(frame) {
     const plane = this.scene.planes[frame];
+    if (!plane) return;
     this.$("time").textContent = `plane ${frame + 1} of ${this.scene.planes.length}`;
     this.$("frame").textContent = [plane.name, plane.place, plane.moment].filter(Boolean).join(" · ");
     if (!this.told) this.$("numbers").innerHTML = outcomeRows(this.scene);
@@ -135,7 +159,7 @@ class Viewer {
 
   texts(values, frame, plane) {
     const { $, series } = this;
-    $("time").textContent = `${this.t.toFixed(3)} s of ${series.end.toFixed(1)} s`;
+    $("time").textContent = series.live ? `${this.t.toFixed(1)} s` : `${this.t.toFixed(3)} s of ${series.end.toFixed(1)} s`;
     $("overview").setAttribute("aria-valuenow", this.t.toFixed(3));
     $("overview").setAttribute("aria-valuetext", `${this.t.toFixed(1)} s`);
     $("overview").setAttribute("aria-valuemin", series.begin.toFixed(3));
@@ -338,12 +362,12 @@ async function start() {
   if (scene.planes) planesAsSeries(scene, series);
   const viewer = new Viewer(scene, heart, series);
   if (series.live) listen(viewer);
-  viewer.show();
-  await (viewer.frame >= 0 ? viewer.pictures.get(viewer.frame) : null);
+  await viewer.seekShown(viewer.t);
+  if (viewer.registration) viewer.view("plane");
   window.dvf = {
     ready: true,
     ready_ms: performance.now(),
-    seek: (t) => viewer.seek(t),
+    seek: (t) => viewer.seekShown(t),
     state: () => (viewer.show(), viewer.state()),
     play: () => viewer.play(true),
     pause: () => viewer.play(false),

@@ -245,7 +245,10 @@ export class Strips {
     if (!signal) return;
     const from = Math.max(0, lastBefore(signal.t, first));
     const to = Math.min(signal.t.length - 1, lastBefore(signal.t, last) + 1);
-    if (!row.scaled || this.series.live) row.scaled = robustRange(signal.values);
+    if (!row.scaled || Math.abs(signal.values.length - row.counted) > 250) {
+      row.scaled = robustRange(signal.values);
+      row.counted = signal.values.length;
+    }
     const [low, high] = row.scaled;
     const y = (value) => row.top + row.height * (0.94 - (0.88 * (value - low)) / (high - low));
     this.trace(row, from, to, (i) => signal.t[i], (i) => signal.values[i], x, y);

@@ -1,0 +1,98 @@
+"""An ECG of the Lab Streaming Layer (pylsl, optional); its stamps are put to this machine's clock."""
+
+import importlib
+import time
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import MissingDependencyError
+from dvf_ig.session import EcgSamples
+
+FIND_WITHIN_S = 5.0
+CORRECT_EVERY_S = 5.0
+MOST_SAMPLES = 1 << 16
+GAP_SAMPLES = 1.5
+"""Stamps that lie further apart than so many samples are a gap; what follows is a batch of its own."""
+
+
+class LslEcg:
+    """Samples of a stream, found by its name and looked for again when it is lost.
+
+    Args:
+        name: of the stream.
+        rate_hz: samples a second.
+        channels: that are leads; empty takes all.
+        tell: is told what is wrong.
+    Raises:
+        MissingDependencyError: pylsl, or the library that it needs, is absent.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        rate_hz: float,
+        channels: Sequence[int],
+        tell: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._lsl = _pylsl()
+        self._name, self._rate_hz, self._channels = name, rate_hz, list(channels)
+        self._tell, self._clock = tell, clock
+        self._inlet: Any = None
+        self._correction_s, self._corrected_s = 0.0, float("-inf")
+
+    def read(self) -> list[EcgSamples]:
+        """Samples since the last call; none while there is no such stream."""
+        if self._inlet is None:
+            self._find()
+            return []
+        try:
+            if self._clock() - self._corrected_s > CORRECT_EVERY_S:
+                self._correction_s, self._corrected_s = self._inlet.time_correction(2.0), self._clock()
+            rows, stamps = self._inlet.pull_chunk(timeout=0.0, max_samples=MOST_SAMPLES)
+        except (self._lsl.util.LostError, self._lsl.util.TimeoutError):
+            self._tell(f"the LSL stream '{self._name}' is lost; it is looked for again")
+            self._inlet = None
+            return []
+        if not stamps:
+            return []
+        values = np.array(rows, dtype=np.float64)
+        if self._channels:
+            values = values[:, self._channels]
+        offset_s = self._clock() - self._lsl.local_clock() + self._correction_s
+        return batches(np.array(stamps) + offset_s, values, self._rate_hz)
+
+    def _find(self) -> None:
+        found = self._lsl.resolve_byprop("name", self._name, 1, FIND_WITHIN_S)
+        if not found:
+            self._tell(f"no LSL stream is named '{self._name}' yet")
+            return
+        info = found[0]
+        if max(self._channels, default=0) >= info.channel_count():
+            self._tell(f"the LSL stream '{self._name}' has {info.channel_count()} channels")
+            return
+        self._inlet, self._corrected_s = self._lsl.StreamInlet(info, recover=False), float("-inf")
+
+
+def batches(t_s: Any, values: Any, rate_hz: float) -> list[EcgSamples]:
+    """Runs of even samples.
+
+    Args:
+        t_s: (n,) stamps; values: (n, leads).
+    """
+    cuts = np.flatnonzero(np.diff(t_s) > GAP_SAMPLES / rate_hz) + 1
+    edges = [0, *cuts.tolist(), len(t_s)]
+    return [EcgSamples(float(t_s[a]), values[a:b]) for a, b in pairwise(edges)]
+
+
+def _pylsl() -> Any:
+    try:
+        return importlib.import_module("pylsl")
+    except (ImportError, RuntimeError) as exc:
+        raise MissingDependencyError(
+            "an ECG of the Lab Streaming Layer needs pylsl and liblsl: pip install 'dvf-ig[lsl]'; "
+            f"or let PLUS send the ECG as field data ({str(exc).splitlines()[0]})"
+        ) from exc

@@ -1,0 +1,195 @@
+"""An ECG in a file that another program is still writing: CSV, a line a sample, or EDF, a record at a time.
+
+What a file says of time is not used: a sample was taken just before it appeared (`batches`). The file may
+appear later, and begins anew where it becomes shorter; what stands in it at first is passed over.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.session import EcgSamples
+
+from .batches import BatchClock
+
+PIECE_BYTES = 1 << 20
+LONGEST_LINE = 1 << 16
+_TIMES = ("t", "t_s", "time", "time_s", "timestamp", "seconds")
+"""Headings of a column that is no lead."""
+_EDF_HEADER, _EDF_SIGNAL = 256, 256
+
+
+class CsvTail:
+    """New lines of a growing CSV; every column that is a number in each is a lead, but for one named time.
+
+    Args:
+        path: of the file; need not be there yet.
+        rate_hz: samples a second.
+        clock: this machine's monotonic clock.
+        tell: is told what cannot be used.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        rate_hz: float,
+        tell: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._path, self._clock, self._tell = path, clock, tell
+        self._times = BatchClock(rate_hz)
+        self._at: int | None = None
+        self._rest = b""
+        self._columns: list[int] | None = None
+
+    def read(self) -> list[EcgSamples]:
+        """Samples of the lines that were completed since the last call."""
+        try:
+            data = self._new_bytes()
+        except OSError:
+            return []
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if len(self._rest) > LONGEST_LINE:
+            self._tell(f"{self._path} has a line of more than {LONGEST_LINE} characters; it is passed over")
+            self._rest = b""
+        values = self._values(lines)
+        if values is None:
+            return []
+        return [EcgSamples(self._times.first_s(len(values), self._clock()), values)]
+
+    def _new_bytes(self) -> bytes:
+        size = self._path.stat().st_size
+        with self._path.open("rb") as file:
+            if self._at is None:
+                self._columns = _columns(file.readline(LONGEST_LINE))
+                self._at = size
+            elif size < self._at:
+                self._at, self._rest = 0, b""
+            file.seek(self._at)
+            data = file.read(PIECE_BYTES)
+        self._at += len(data)
+        return data
+
+    def _values(self, lines: list[bytes]) -> FloatArray | None:
+        """(n, leads); NaN where a line is no sample, as a gap keeps its time."""
+        rows = [_numbers(line, self._columns) for line in lines if line.strip()]
+        leads = max((len(row) for row in rows), default=0)
+        if not leads:
+            return None
+        values = np.full((len(rows), leads), np.nan)
+        for i, row in enumerate(rows):
+            if len(row) == leads:
+                values[i] = row
+        return values
+
+
+class EdfTail:
+    """New records of a growing EDF whose signals all have one rate; arguments as of `CsvTail`.
+
+    Raises:
+        InvalidInputError: on reading, of a file that is no such EDF.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        rate_hz: float,
+        tell: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._path, self._clock, self._tell = path, clock, tell
+        self._times, self._rate_hz = BatchClock(rate_hz), rate_hz
+        self._layout: _EdfLayout | None = None
+        self._at = 0
+
+    def read(self) -> list[EcgSamples]:
+        """Samples of the records that were completed since the last call."""
+        try:
+            size = self._path.stat().st_size
+            with self._path.open("rb") as file:
+                if self._layout is None:
+                    self._layout = _edf_layout(file.read(_EDF_HEADER + 64 * _EDF_SIGNAL), self._rate_hz)
+                    self._at = self._layout.begin + (size - self._layout.begin) // self._layout.bytes * (
+                        self._layout.bytes
+                    )
+                file.seek(self._at)
+                data = file.read(PIECE_BYTES)
+        except OSError:
+            return []
+        except InvalidInputError as error:
+            self._tell(f"{self._path}: {error}")
+            return []
+        whole = len(data) - len(data) % self._layout.bytes
+        self._at += whole
+        if not whole:
+            return []
+        values = self._layout.values(data[:whole])
+        return [EcgSamples(self._times.first_s(len(values), self._clock()), values)]
+
+
+class _EdfLayout:
+    """Where samples lie in a record, and what they mean."""
+
+    def __init__(self, begin: int, leads: int, samples: int, gain: FloatArray, offset: FloatArray) -> None:
+        self.begin, self.bytes = begin, 2 * leads * samples
+        self._leads, self._samples, self._gain, self._offset = leads, samples, gain, offset
+
+    def values(self, data: bytes) -> FloatArray:
+        """(n, leads) in the file's unit."""
+        raw = np.frombuffer(data, dtype="<i2").reshape(-1, self._leads, self._samples)
+        return np.asarray(raw.transpose(0, 2, 1).reshape(-1, self._leads) * self._gain + self._offset)
+
+
+def _edf_layout(head: bytes, rate_hz: float) -> _EdfLayout:
+    """From the header of an EDF.
+
+    Raises:
+        InvalidInputError: none, signals of several rates, or another rate than was stated.
+    """
+    try:
+        begin, seconds = int(head[184:192]), float(head[244:252])
+        leads = int(head[252:256])
+
+        def numbers(first: int, size: int) -> FloatArray:
+            at = _EDF_HEADER + first * leads
+            return np.array([float(head[at + i * size : at + (i + 1) * size]) for i in range(leads)])
+
+        low, high = numbers(104, 8), numbers(112, 8)
+        least, most = numbers(120, 8), numbers(128, 8)
+        samples = numbers(216, 8)
+    except ValueError as exc:
+        raise InvalidInputError(f"it is no EDF ({exc}); the file may be a CSV: name it .csv") from exc
+    ok = 1 <= leads <= 64 and seconds > 0 and len(set(samples.tolist())) == 1 and (most > least).all()
+    if not ok or not math.isclose(samples[0] / seconds, rate_hz, rel_tol=1e-3):
+        raise InvalidInputError(
+            f"its {leads} signals have {samples.tolist()[:4]} samples in {seconds:g} s; needed one rate, "
+            f"{rate_hz:g} Hz"
+        )
+    gain = (high - low) / (most - least)
+    return _EdfLayout(begin, leads, int(samples[0]), gain, low - gain * least)
+
+
+def _columns(first_line: bytes) -> list[int] | None:
+    """Columns that are leads by a table's heading; None where there is no heading: all of them."""
+    cells = first_line.decode("utf-8", "replace").replace(";", ",").strip().split(",")
+    if all(_is_number(cell) for cell in cells):
+        return None
+    return [i for i, cell in enumerate(cells) if cell.strip().lower() not in _TIMES]
+
+
+def _numbers(line: bytes, columns: list[int] | None) -> list[float]:
+    cells = line.decode("utf-8", "replace").replace(";", ",").split(",")
+    chosen = cells if columns is None else [cells[i] for i in columns if i < len(cells)]
+    return [float(cell) if _is_number(cell) else math.nan for cell in chosen]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

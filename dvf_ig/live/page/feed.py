@@ -1,0 +1,188 @@
+"""What a running session tells its page: the scene, and an event up to 30 times a second.
+
+The session's thread only leaves references here; a thread of the page makes JSON of them, and of a picture
+what the page needs, and only while somebody looks.
+"""
+
+import json
+import threading
+from collections import deque
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import FloatArray
+from dvf_ig.live.loop import Answer
+from dvf_ig.report.viewer import (
+    ImageShape,
+    SceneInput,
+    frame_event,
+    image_shape,
+    scene_payload,
+    state_event,
+)
+from dvf_ig.report.viewer.frames import SENT_COLUMNS
+from dvf_ig.report.viewer.scene import image_payload
+from dvf_ig.session import EcgSamples, Event, GuidanceState, SessionHistory, SessionSetup, TrackedFrame
+from dvf_ig.session.confirmation import MAX_AGE_S
+
+FRAMES_HZ = 10.0
+ECG_HZ = 250.0
+"""The ECG is thinned to this."""
+JUDGED_AFTER_S = 5.0
+"""A registration that heart beats are still to confirm is told as refused when this has passed."""
+KEPT = 512
+"""ECG batches, or marks, that wait for the page."""
+
+
+class PageFeed:
+    """Between a session and its page.
+
+    Args:
+        setup: of the session.
+        ecg_hz: rate of the ECG.
+        history: of the session.
+    """
+
+    def __init__(self, setup: SessionSetup, ecg_hz: float, history: SessionHistory) -> None:
+        self._setup, self._history = setup, history
+        self._ecg_hz, self._every = ecg_hz, max(1, round(ecg_hz / ECG_HZ))
+        self._shape: ImageShape | None = None
+        self._scene = scene_payload(
+            SceneInput(
+                kind="live",
+                title=f"live: {setup.heart.model.patient_id}",
+                model=setup.heart.model,
+                fixtures=setup.fixtures,
+                image=None,
+                ecg=("ECG", ""),
+                age_limit_s=MAX_AGE_S,
+            )
+        )
+        self._changed = threading.Lock()
+        self._answer: Answer | None = None
+        self._ecg: deque[EcgSamples] = deque(maxlen=KEPT)
+        self._frame: TrackedFrame | None = None
+        self._frame_s = self._told_s = float("-inf")
+        self._peaks: deque[float] = deque(maxlen=KEPT)
+        self._marks: deque[dict[str, Any]] = deque(maxlen=KEPT)
+        self._seen_peak_s = self._seen_attempt_s = float("-inf")
+
+    # ------------------------------------------------------------------ by the session's thread
+
+    def observe(self, answer: Answer) -> None:
+        """An answer was sent."""
+        with self._changed:
+            self._answer = answer
+            self._note_history(answer.state.now_s)
+
+    def event(self, event: Event) -> None:
+        """An event was pushed."""
+        if isinstance(event, EcgSamples):
+            with self._changed:
+                self._ecg.append(event)
+        elif isinstance(event, TrackedFrame) and event.image is not None:
+            self._frame = event
+
+    def _note_history(self, now_s: float) -> None:
+        """Peaks and registrations that are new; both only grow at their ends."""
+        peaks = self._history.peaks
+        fresh = []
+        for peak in reversed(peaks):
+            if peak.t_s <= self._seen_peak_s:
+                break
+            fresh.append(peak.t_s)
+        if fresh:
+            self._seen_peak_s = fresh[0]
+            self._peaks.extend(reversed(fresh))
+        attempts = self._history.attempts
+        if attempts and attempts[-1].asked_s > self._seen_attempt_s:
+            newest = attempts[-1]
+            waited_s = now_s - newest.ready_s
+            if newest.usable or waited_s > JUDGED_AFTER_S:
+                self._seen_attempt_s = newest.asked_s
+                kind = "registration" if newest.usable else "refused"
+                mark = {"t_s": newest.ready_s, "until_s": None, "kind": kind, "text": newest.reason}
+                self._marks.append(mark)
+
+    # ------------------------------------------------------------------ by the page's thread
+
+    def scene(self) -> str:
+        """scene.json; the image's size is known with the first frame."""
+        shape = self._shape_of(self._frame)
+        return json.dumps(
+            {**self._scene, "image": None if shape is None else image_payload(shape)}, allow_nan=False
+        )
+
+    def next_event(self) -> str | None:
+        """What is new since the last call, as JSON; None where nothing is."""
+        with self._changed:
+            answer, batches = self._answer, list(self._ecg)
+            peaks, marks = list(self._peaks), list(self._marks)
+            if answer is None or answer.state.now_s <= self._told_s:
+                return None
+            self._told_s = answer.state.now_s
+            self._ecg.clear()
+            self._peaks.clear()
+            self._marks.clear()
+        state = _as_sent(answer)
+        event = state_event(state)
+        if batches:
+            event["ecg"] = self._thinned(batches)
+        if peaks:
+            event["r_peaks_s"] = [round(t_s, 4) for t_s in peaks]
+        if marks:
+            event["marks"] = marks
+        frame = self._frame
+        if frame is not None and frame.t_s - self._frame_s >= 1.0 / FRAMES_HZ:
+            self._frame_s = frame.t_s
+            placed = self._placed(frame, state)
+            if placed is not None:
+                event["frame"] = placed
+        return json.dumps(event, allow_nan=False)
+
+    def _thinned(self, batches: list[EcgSamples]) -> dict[str, list[float | None]]:
+        t_s = np.concatenate([b.start_s + np.arange(len(b.samples)) / self._ecg_hz for b in batches])
+        values = np.concatenate([b.samples[:, 0] for b in batches])
+        kept = slice(None, None, self._every)
+        return {
+            "t_s": [round(t, 4) for t in t_s[kept].tolist()],
+            "values": [float(f"{v:.5g}") if np.isfinite(v) else None for v in values[kept].tolist()],
+        }
+
+    def _shape_of(self, frame: TrackedFrame | None) -> ImageShape | None:
+        if self._shape is None and frame is not None and frame.image is not None:
+            rows, columns = frame.image.shape
+            pixel_mm = self._setup.calibrations.probe_from_image.scale_mm_per_px.tolist()
+            self._shape = image_shape(rows, columns, pixel_mm, self._setup.fan, SENT_COLUMNS)
+        return self._shape
+
+    def _placed(self, frame: TrackedFrame, state: GuidanceState) -> dict[str, Any] | None:
+        shape = self._shape_of(frame)
+        if shape is None or frame.image is None:
+            return None
+        event_s = frame.t_s + self._setup.calibrations.lag_s
+        phase = state.model_phase if np.isfinite(state.model_phase) else None
+        return frame_event(frame.image, shape, event_s, phase, self._mr_from_pixel(frame, state))
+
+    def _mr_from_pixel(self, frame: TrackedFrame, state: GuidanceState) -> FloatArray | None:
+        """(3, 3) by the pose in use and the probe's pose recorded with the frame."""
+        pose = state.transform.pose
+        if pose is None or frame.tracker_from_probe is None or state.now_s >= state.transform.pose_until_s:
+            return None
+        probe_from_pixel = self._setup.calibrations.probe_from_image.matrix[:, [0, 1, 3]]
+        mr_from_tracker = pose.matrices(np.array([state.now_s]))[0]
+        return np.asarray(mr_from_tracker @ frame.tracker_from_probe @ probe_from_pixel)
+
+
+def _as_sent(answer: Answer) -> GuidanceState:
+    """The session's state with the force that the servo sent, and what it found."""
+    supervised = answer.state.supervised
+    sent = replace(
+        supervised,
+        force_n=answer.force_n,
+        state=max(answer.servo, supervised.state),
+        hazards=supervised.hazards | answer.hazards,
+    )
+    return replace(answer.state, supervised=sent)

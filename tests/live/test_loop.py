@@ -1,0 +1,172 @@
+"""A live session on the toy's patient: what it sends, and what it does when a source fails."""
+
+import json
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from live_toy import LATENCY_S, ORIGIN_S, LiveToy, arrival, arrivals_of
+from toy_session import GUIDED_S, HOME, run, toy_setup, toy_streams
+
+from dvf_ig.guidance import Hazard, Status, SupervisorState
+from dvf_ig.live.igtl import Message, StatusCode, Text, Transform, WireError, WireProblem
+from dvf_ig.live.igtl import Status as StatusMessage
+from dvf_ig.live.link import Arrival
+from dvf_ig.session import Session
+
+UNTIL_S = 14.5
+RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+@pytest.fixture
+def toy(known_images: None) -> Iterator[LiveToy]:
+    with Session(toy_setup()) as session:
+        yield LiveToy(session)
+
+
+def streams_of(until_s: float) -> list[Arrival]:
+    return arrivals_of(toy_streams(until_s, chunk=5))
+
+
+def without(arrivals: list[Arrival], device: str, from_s: float, until_s: float) -> list[Arrival]:
+    """The same without a device's messages in a span."""
+    return [
+        a
+        for a in arrivals
+        if not (isinstance(a.taken, Message) and a.taken.device == device and from_s < a.arrived_s < until_s)
+    ]
+
+
+def states(toy: LiveToy, from_s: float, until_s: float) -> list[SupervisorState]:
+    """Of the servo's supervisor, which has the last word."""
+    return [a.servo for a in toy.answers if from_s < a.state.now_s < until_s]
+
+
+@pytest.mark.usefixtures("known_images")
+def test_live_session_says_what_a_session_that_is_pushed_says(clean):
+    """The peer's clock is put to the local one so that the latency counts as none."""
+    live = [a.state for a in clean.answers]
+    with Session(toy_setup()) as session:
+        direct = run(session, toy_streams(UNTIL_S, chunk=5).merged(), [s.now_s - LATENCY_S for s in live])
+    pairs = [(a, b) for a, b in zip(live, direct, strict=True) if a.now_s > 1.3]
+    assert len(pairs) > 600
+    same = [a.status is b.status and a.supervisor is b.supervisor for a, b in pairs]
+    assert np.mean(same) > 0.98
+    guided = [(a, b) for a, b in pairs if a.now_s > GUIDED_S + 0.5]
+    assert all(a.status is Status.OK for a, _ in guided)
+    apart = [np.linalg.norm(a.force_n - b.force_n) for a, b in guided]
+    assert np.max(apart) < 0.005 < np.median([np.linalg.norm(b.force_n) for _, b in guided])
+    assert clean.told == []
+
+
+def test_servo_gives_the_force_of_the_session(clean):
+    steady = [a for a in clean.answers if a.state.now_s > UNTIL_S - 1.0]
+    assert {a.servo for a in steady} == {SupervisorState.OK}
+    apart = [np.linalg.norm(a.force_n - a.state.force_n) for a in steady]
+    assert np.median(apart) < 0.02 < np.median([np.linalg.norm(a.force_n) for a in steady])
+
+
+def test_answers_are_what_slicer_and_plus_expect(clean):
+    """The pose takes the tracker's coordinates as they came to RAS; the force lies along its axes."""
+    pose, force = clean.sent.named("MrFromTracker")[-1], clean.sent.named("ToolForce")[-1]
+    assert isinstance(pose.content, Transform)
+    assert isinstance(force.content, Transform)
+    np.testing.assert_allclose(pose.content.matrix, RAS_FROM_LPS @ HOME.matrix, atol=0.2)
+    answer = clean.answers[-1]
+    np.testing.assert_array_equal(force.content.matrix[:3, 3], answer.force_n)
+    np.testing.assert_array_equal(force.content.matrix[:3, :3], np.eye(3))
+    assert force.stamp_s is not None
+    assert abs(force.stamp_s - ORIGIN_S - UNTIL_S) < 0.05
+    forces = clean.sent.named("ToolForce")
+    assert len(forces) <= 60 * (UNTIL_S - 1.0) + 1
+    assert len(forces) > 45 * (UNTIL_S - 1.2)
+    first = clean.sent.named("MrFromTracker")[0].stamp_s
+    assert first is not None
+    assert first - ORIGIN_S > 11.0
+    status = clean.sent.named("DvfIg")[-1].content
+    assert isinstance(status, StatusMessage)
+    assert (status.code, status.name) == (StatusCode.OK, "OK")
+    text = clean.sent.named("DvfIgState")[-1].content
+    assert isinstance(text, Text)
+    said = json.loads(text.text)
+    assert said["servo"] == "OK"
+    assert said["phase_state"] == "LOCKED"
+    assert said["reasons"] == []
+
+
+def test_latency_is_from_the_newest_tool_pose(clean):
+    latencies = np.array([a.latency_s for a in clean.answers[10:]])
+    assert np.nanmin(latencies) >= 0.0
+    assert np.nanmax(latencies) < 0.012
+
+
+def test_lost_tool_fades_and_comes_back(toy):
+    """Poses that are said to be missing for 0.2 s, and then none at all."""
+    streams = toy_streams(15.5, chunk=5)
+    missing = [p if p.t_s < 13.5 or p.t_s > 13.7 else type(p)(p.t_s, None) for p in streams.tool]
+    streams.tool = [p for p in missing if not 13.7 < p.t_s < 13.9]
+    toy.run(arrivals_of(streams), 15.5)
+    assert SupervisorState.OK in states(toy, 13.3, 13.5)
+    assert states(toy, 13.65, 13.9)[0] is SupervisorState.FADE
+    gone = [a for a in toy.answers if 13.85 < a.state.now_s < 13.9]
+    assert all(np.linalg.norm(a.force_n) == 0.0 for a in gone)
+    assert states(toy, 15.0, 15.5)[-1] is SupervisorState.OK
+    assert np.linalg.norm(toy.answers[-1].force_n) > 0.02
+
+
+def test_tool_that_was_long_gone_needs_the_operator(toy):
+    """Nothing that a peer sends re-arms; the operator at this machine does, where little force is wanted."""
+    streams = toy_streams(16.5, chunk=5)
+    streams.tool = [p for p in streams.tool if not 13.0 < p.t_s < 14.5]
+    arrivals = arrivals_of(streams)
+    toy.run(arrivals, 16.0)
+    assert states(toy, 15.5, 16.0)[-1] is SupervisorState.LATCHED
+    assert toy.answers[-1].state.supervisor is SupervisorState.LATCHED
+    assert toy.sent.named("DvfIg")[-1].content.code == StatusCode.DISABLED
+    toy.loop.ask_rearm()
+    toy.run(arrivals, 16.5)
+    assert toy.answers[-1].state.rearmed is not None
+
+
+def test_tool_pose_that_is_not_finite_latches(toy):
+    arrivals = streams_of(14.5)
+    bad = WireError(WireProblem.NOT_FINITE, "TRANSFORM", "ToolToTracker", 13.5 + ORIGIN_S)
+    arrivals = without(arrivals, "ToolToTracker", 13.5, 13.508)
+    arrivals.append(arrival(13.5, bad))
+    arrivals.sort(key=lambda a: a.arrived_s)
+    toy.run(arrivals, 14.5)
+    assert states(toy, 13.3, 13.48)[-1] is SupervisorState.OK
+    assert states(toy, 14.0, 14.5)[-1] is SupervisorState.LATCHED
+    assert "not finite" in toy.told[0]
+
+
+def test_lost_ecg_loses_the_phase_and_finds_it_again(toy):
+    toy.run(without(streams_of(19.0), "EcgData", 13.0, 14.5), 19.0)
+    lost = [a for a in toy.answers if 14.2 < a.state.now_s < 14.5]
+    assert all(a.state.supervised.hazards & Hazard.NO_PHASE for a in lost)
+    assert toy.answers[-1].state.status is Status.OK
+
+
+def test_pose_that_ultrasound_confirms_no_more_is_withheld(toy):
+    """Without images the pose ages until it is not sent any more, and the force has faded."""
+    arrivals = without(streams_of(20.0), "Image_Tracker", 13.0, 99.0)
+    toy.run(arrivals, 20.0)
+    assert toy.answers[-1].state.supervised.hazards & Hazard.POSE_UNCONFIRMED
+    assert np.linalg.norm(toy.answers[-1].force_n) == 0.0
+    last = toy.sent.named("MrFromTracker")[-1].stamp_s
+    assert last is not None
+    assert last - ORIGIN_S < 19.0
+
+
+def test_image_of_another_size_is_told_and_does_no_harm(toy):
+    from dvf_ig.live.igtl import Image
+
+    arrivals = streams_of(3.0)
+    other = Message("Image_Tracker", 2.003 + ORIGIN_S, Image(np.zeros((1, 5, 7), np.uint8), np.eye(4)))
+    colour = Message("Image_Tracker", 2.103 + ORIGIN_S, Image(np.zeros((1, 5, 7, 3), np.uint8), np.eye(4)))
+    arrivals = without(arrivals, "Image_Tracker", 2.0, 2.02)
+    arrivals += [arrival(2.003, other), arrival(2.103, colour)]
+    arrivals.sort(key=lambda a: a.arrived_s)
+    toy.run(arrivals, 3.0)
+    assert len(toy.told) == 2
+    assert toy.answers[-1].state.now_s > 2.9

@@ -1,0 +1,105 @@
+"""The live page: what it serves, to whom, and what its events say."""
+
+import http.client
+import json
+import threading
+
+import numpy as np
+import pytest
+from live_toy import LiveToy
+from toy_session import CENTER
+
+from dvf_ig.core import InvalidInputError
+from dvf_ig.live.page import PageFeed, PageServer
+
+
+@pytest.fixture(scope="module")
+def feed(watched: tuple[LiveToy, PageFeed]) -> PageFeed:
+    """After a live session in which nothing went wrong."""
+    return watched[1]
+
+
+@pytest.fixture(scope="module")
+def told(feed: PageFeed) -> dict[str, object]:
+    """The first event, with all that had gathered."""
+    event = feed.next_event()
+    assert event is not None
+    return json.loads(event)
+
+
+def test_event_says_what_was_sent(feed, told):
+    assert told["supervisor"] == "ok"
+    assert told["status"] == "ok"
+    assert abs(told["t_s"] - 14.5) < 0.05
+    force = [told[f"force_tracker_{axis}_n"] for axis in "xyz"]
+    assert np.linalg.norm(force) > 0.02
+    tip = np.array([told[f"tip_mr_{axis}_mm"] for axis in "xyz"])
+    assert np.linalg.norm(tip - CENTER) < 8.0
+    assert len(told["r_peaks_s"]) in (16, 17, 18)
+    assert told["marks"][0]["kind"] == "registration"
+    assert len(told["ecg"]["t_s"]) == len(told["ecg"]["values"]) > 2000
+    assert told["frame"]["mime"] == "image/jpeg"
+    placed = np.array(told["frame"]["mr_from_pixel"])
+    np.testing.assert_allclose(np.linalg.norm(placed[:, :2], axis=0), (4.0, 4.0), rtol=1e-3)
+    assert feed.next_event() is None
+
+
+def test_scene_knows_the_image_once_one_has_come(feed, told):
+    scene = json.loads(feed.scene())
+    assert scene["kind"] == "live"
+    assert (scene["image"]["columns"], scene["image"]["rows"]) == (24, 24)
+
+
+@pytest.fixture
+def server(feed):
+    with PageServer(feed, 0) as server:
+        yield server
+
+
+def answer(port: int, method: str, path: str, host: str | None = None) -> tuple[int, str, bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+    try:
+        connection.putrequest(method, path, skip_host=True)
+        connection.putheader("Host", host or f"127.0.0.1:{port}")
+        connection.endheaders()
+        got = connection.getresponse()
+        return got.status, got.getheader("Content-Type") or "", got.read()
+    finally:
+        connection.close()
+
+
+def test_three_addresses_and_nothing_else(server):
+    status, kind, body = answer(server.port, "GET", "/")
+    assert (status, kind) == (200, "text/html; charset=utf-8")
+    assert b'id="dvf-scene"' in body
+    status, kind, body = answer(server.port, "GET", "/scene.json")
+    assert (status, kind) == (200, "application/json")
+    assert json.loads(body)["schema"] == "dvf_ig.view/1"
+    for path in ("/index.html", "/../etc/passwd", "/events/", "/?x"):
+        assert answer(server.port, "GET", path)[0] == 404
+    for method in ("POST", "PUT", "DELETE", "HEAD", "OPTIONS"):
+        assert answer(server.port, method, "/")[0] == 501
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example:80"])
+def test_other_names_for_this_machine_are_refused(server, host):
+    assert answer(server.port, "GET", "/scene.json", host)[0] == 403
+
+
+def test_events_come_as_they_happen(server, feed):
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
+    connection.request("GET", "/events")
+    got = connection.getresponse()
+    assert got.getheader("Content-Type") == "text/event-stream"
+    feed._told_s = float("-inf")
+    line = got.readline()
+    assert line.startswith(b"data: {")
+    assert json.loads(line[6:])["status"] == "ok"
+    got.close()
+    connection.close()
+    assert threading.active_count() < 30
+
+
+def test_port_that_is_taken_is_a_sentence(server, feed):
+    with pytest.raises(InvalidInputError, match="--page"):
+        PageServer(feed, server.port)

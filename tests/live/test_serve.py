@@ -1,0 +1,126 @@
+"""`dvf-ig serve` and `dvf-ig synth stream`: a recording through both, and what is refused before."""
+
+import json
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from toy_session import toy_setup
+from typer.testing import CliRunner
+
+from dvf_ig.cli.main import app
+from dvf_ig.core import Scenario, UnreadableFileError
+from dvf_ig.io import read_live_patient
+from dvf_ig.io.session_file.live import EcgFieldConfig, EcgTailConfig, LiveConfig
+from dvf_ig.live.link import Inbox, connect, listen
+from dvf_ig.live.player import ECG, IMAGE, PROBE, TOOL, messages_of, play
+
+RUNNER = CliRunner()
+
+
+def run(*arguments: object) -> Any:
+    return RUNNER.invoke(app, [str(argument) for argument in arguments])
+
+
+def test_recording_is_sent_as_plus_names_it(scenario: Scenario) -> None:
+    """Every pose, image and sample, in order of time; a pose that was not tracked says so."""
+    sent = list(messages_of(scenario, 1000.0))
+    assert [t_s for t_s, _ in sent] == sorted(t_s for t_s, _ in sent)
+    by_name = {name: [m for _, m in sent if m.device == name] for name in (PROBE, TOOL, IMAGE, ECG)}
+    assert scenario.tool is not None
+    assert len(by_name[TOOL]) == len(scenario.tool)
+    assert len(by_name[PROBE]) == len(scenario.ultrasound)
+    assert len(by_name[IMAGE]) == int(scenario.ultrasound.image_valid.sum())
+    stamps = [m.stamp_s for m in by_name[PROBE]]
+    assert stamps == pytest.approx((scenario.ultrasound.t_s + 1000.0).tolist())
+    missing = [m.fields.get("TransformStatus") == "MISSING" for m in by_name[TOOL]]
+    assert missing == [not valid for valid in scenario.tool.valid.tolist()]
+
+
+def test_recording_comes_over_loopback(scenario: Scenario) -> None:
+    """The first second of it, as fast as it goes; all that was sent arrives."""
+    inbox, stop = Inbox(), threading.Event()
+    with listen("127.0.0.1", 0, None) as server, connect("127.0.0.1", server.port, inbox):
+        while not server.peers:
+            stop.wait(0.005)
+        timer = threading.Timer(0.1, stop.set)
+        timer.start()
+        sent = play(scenario, server, speed=10.0, origin_s=1000.0, stop=stop)
+        timer.join()
+        arrived = []
+        while len(arrived) < sent:
+            taken = inbox.take(2.0)
+            assert taken, "not all arrived"
+            arrived += taken
+    assert {a.taken.device for a in arrived} == {PROBE, TOOL, IMAGE, ECG}
+    assert server.dropped == 0
+
+
+@pytest.fixture
+def toy_patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a configuration names is the toy's patient."""
+    live = LiveConfig(ecg=EcgFieldConfig(rate_hz=250.0))
+    patient = SimpleNamespace(fixtures=None, retiming=None, live=live, folder=Path())
+    monkeypatch.setattr("dvf_ig.cli.serve.command.read_patient", lambda _: patient)
+    monkeypatch.setattr("dvf_ig.cli.serve.command.live_setup", lambda *_: (toy_setup(), None, "toy"))
+    monkeypatch.setattr("dvf_ig.live.page.feed.scene_payload", lambda _: {})
+
+
+@pytest.mark.usefixtures("toy_patient")
+def test_serve_ends_after_its_time_and_says_what_it_did() -> None:
+    done = run("serve", "--config", "x", "--listen", "--port", 0, "--seconds", 0.3, "--page", 0, "--json")
+    assert done.exit_code == 0, done.stderr
+    assert "listening at 127.0.0.1:" in done.stderr
+    assert "shown at http://127.0.0.1:" in done.stderr
+    result = json.loads(done.stdout)
+    assert result["answers"] == 0
+    assert result["latency_ms"]["median"] is None
+    assert result["connections"] == 0
+
+
+@pytest.mark.usefixtures("toy_patient")
+def test_other_machine_needs_allow() -> None:
+    done = run("serve", "--config", "x", "--host", "192.0.2.7", "--seconds", 0.1)
+    assert done.exit_code == 3
+    assert "--allow 192.0.2.7" in done.stderr
+
+
+def test_session_without_live_says_what_to_write(tmp_path: Path) -> None:
+    file = tmp_path / "session.yaml"
+    file.write_text("schema: dvf_ig.session/1\npreop: {model: heart.npz}\n")
+    with pytest.raises(UnreadableFileError, match="live"):
+        read_live_patient(file)
+    done = run("serve", "--config", file)
+    assert done.exit_code == 3
+    assert "ecg: {field" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("live: {ecg: {field: EcgData, rate_hz: 500}, prob: x}", "unknown key prob"),
+        ("live: {ecg: {lsl: x}}", "rate_hz"),
+        ("live: {port: 70000, ecg: {rate_hz: 500}}", "port"),
+        ("live: {probe: P}", "ecg"),
+        ("live: {image_orientation: XX, ecg: {rate_hz: 500}}", "image_orientation"),
+    ],
+)
+def test_live_section_that_is_wrong_names_its_key(tmp_path: Path, line: str, expected: str) -> None:
+    file = tmp_path / "session.yaml"
+    file.write_text(
+        "schema: dvf_ig.session/1\npreop: {model: heart.npz}\n"
+        f"calibration: {{probe: probe.json, latency: 0.05, tip: tip.json}}\n{line}\n"
+    )
+    with pytest.raises(UnreadableFileError, match=expected):
+        read_live_patient(file)
+
+
+def test_kinds_of_ecg_are_told_apart() -> None:
+    from dvf_ig.io.session_file.live import LiveConfig
+
+    assert isinstance(LiveConfig.model_validate({"ecg": {"rate_hz": 500}}).ecg, EcgFieldConfig)
+    assert isinstance(
+        LiveConfig.model_validate({"ecg": {"tail": "x.csv", "rate_hz": 500}}).ecg, EcgTailConfig
+    )
