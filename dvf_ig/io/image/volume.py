@@ -226,14 +226,17 @@ def _require_finite(path: Path, values: AnyArray) -> None:
     """In a 3-D image NaN stands for what was not imaged, as beside an ultrasound's fan; infinity for nothing.
 
     Raises:
-        UnreadableFileError: a voxel is infinite, or NaN in a cyclic image of the whole field of view.
+        UnreadableFileError: a voxel is infinite or beyond GREY_VALUE, or NaN in a cyclic image.
     """
-    if values.dtype.kind != "f" or (np.isfinite(values.max()) and np.isfinite(values.min())):
+    if values.dtype.kind != "f" or max(abs(values.max()), abs(values.min())) <= limits.GREY_VALUE:
         return
-    if values.ndim == 4 or np.isinf(values).any():
-        count = np.count_nonzero(~np.isfinite(values))
+    allowed = np.abs(values) <= limits.GREY_VALUE
+    if values.ndim == 3:
+        allowed |= np.isnan(values)
+    if not allowed.all():
         raise UnreadableFileError(
-            f"{path} holds {count} voxels that are not finite; needed numbers: set them to 0"
+            f"{path} holds {np.count_nonzero(~allowed)} voxels that are not finite or beyond "
+            f"{limits.GREY_VALUE:g}; needed numbers: set them to 0"
         )
 
 
