@@ -16,6 +16,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+from scripts import fuzz_cli
 from scripts.fuzz_mutations import damaged, resealed
 from scripts.fuzz_readers import READERS, unfit, write_seeds
 
@@ -24,15 +25,20 @@ FOUND = Path("tests/io/found")
 SLOW_S = 2.0
 """A read that takes longer is a finding; after HANG_S the child is ended."""
 HANG_S = 20.0
-MEMORY_BYTES = 3 << 29
-"""Above what the program and its libraries take themselves; files here have 10 kB."""
-BATCH = 200
+MEMORY_BYTES = 1 << 29
+"""Memory in use above what the program and its libraries take themselves; files here have 10 kB."""
+ADDRESS_BYTES = 3 << 29
+"""Addresses above those of the program, beyond which the system refuses; libraries reserve without use."""
+BATCH = 5000
+MEMORY_DISK = Path("/dev/shm")
+"""Where it is there, files are damaged in memory: a disk takes longer to write than a reader to read."""
 
 
 def outcome(reader: str, path: Path) -> str | None:
     """What is wrong with how a file is read; None where it is read, or refused in a sentence."""
     from dvf_ig.core.errors import DvfIgError
 
+    in_use = _peak_bytes(reset=True)
     began = time.process_time()
     try:
         with warnings.catch_warnings():
@@ -47,8 +53,21 @@ def outcome(reader: str, path: Path) -> str | None:
         found = (
             f"{type(error).__name__} in {Path(own[-1].filename).name}:{own[-1].name}" if own else repr(error)
         )
-    taken = time.process_time() - began
+    taken, more = time.process_time() - began, _peak_bytes(reset=False) - in_use
+    if found is None and more > MEMORY_BYTES:
+        return f"memory: {more >> 20} MiB"
     return f"slow: {taken:.1f} s" if found is None and taken > SLOW_S else found
+
+
+def _peak_bytes(*, reset: bool) -> int:
+    """The most memory this process has had in use since the last reset (proc(5): VmHWM); 0 where unknown."""
+    try:
+        if reset:
+            Path("/proc/self/clear_refs").write_text("5")
+        lines = Path("/proc/self/status").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) << 10 for line in lines if line.startswith("VmHWM")), 0)
 
 
 def case(reader: str, seed: int, number: int, seeds: Path) -> tuple[str, bytes]:
@@ -61,8 +80,10 @@ def case(reader: str, seed: int, number: int, seeds: Path) -> tuple[str, bytes]:
 
 def child(reader: str, seed: int, first: int, count: int, seeds: Path) -> None:
     """Read `count` damaged files; each begins with its number on stdout and ends with what is wrong."""
+    for name in READERS[reader][0]:  # loads and compiles what reading needs, once
+        outcome(reader, seeds / name)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_BYTES, used + MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_AS, (used + ADDRESS_BYTES, used + ADDRESS_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     for number in range(first, first + count):
         name, data = case(reader, seed, number, seeds)
@@ -81,7 +102,7 @@ def run_batch(reader: str, seed: int, first: int, count: int, seeds: Path) -> tu
     arguments = ["--child", reader, "--seed", str(seed), "--first", str(first), "--count", str(count)]
     command = [sys.executable, "-m", "scripts.fuzz_run", *arguments, "--seeds", str(seeds)]
     found: dict[int, str] = {}
-    with tempfile.TemporaryDirectory() as scratch:
+    with tempfile.TemporaryDirectory(dir=MEMORY_DISK if MEMORY_DISK.is_dir() else None) as scratch:
         copy = Path(scratch) / "seeds"
         shutil.copytree(seeds, copy)
         command[-1] = str(copy)
@@ -93,7 +114,7 @@ def run_batch(reader: str, seed: int, first: int, count: int, seeds: Path) -> tu
                 time.sleep(0.05)
                 if log.stat().st_size != size:
                     size, since = log.stat().st_size, time.monotonic()
-                if time.monotonic() - since > HANG_S + 20 * (size == 0):
+                if time.monotonic() - since > HANG_S + 60 * (size == 0):
                     process.kill()
         lines = log.read_text().splitlines()
     for line in lines:
@@ -151,15 +172,32 @@ def main() -> int:
         metavar="N",
         help="N files of each reader and those found before, and no more; keeps nothing",
     )
+    parser.add_argument("--cli", type=int, metavar="N", help="N damaged command lines, and no files")
+    parser.add_argument("--kill", type=int, metavar="N", help="N kills of each writing command, and no files")
+    parser.add_argument("--command", action="append", metavar="NAME", help="of --kill; default: all")
+    parser.add_argument("--forces", type=int, metavar="N", help="N forces at hostile places, and no files")
     for hidden in ("--child", "--seeds"):
         parser.add_argument(hidden, help=argparse.SUPPRESS)
     for hidden in ("--first", "--count"):
         parser.add_argument(hidden, type=int, help=argparse.SUPPRESS)
     given = parser.parse_args()
+    if given.child == "cli":
+        fuzz_cli.child(given.seed, given.first, given.count, Path(given.seeds))
+        return 0
     if given.child:
         child(given.child, given.seed, given.first, given.count, Path(given.seeds))
         return 0
-    with tempfile.TemporaryDirectory() as scratch:
+    if given.kill:
+        from scripts.fuzz_kill import WRITERS, fuzz_kill
+
+        return 1 if fuzz_kill(given.kill, given.seed, given.command or list(WRITERS)) else 0
+    if given.cli:
+        return 1 if fuzz_cli.fuzz_cli(given.cli, given.seed) else 0
+    if given.forces:
+        from scripts.fuzz_forces import fuzz_forces
+
+        return 1 if fuzz_forces(given.forces, given.seed) else 0
+    with tempfile.TemporaryDirectory(dir=MEMORY_DISK if MEMORY_DISK.is_dir() else None) as scratch:
         seeds = Path(scratch) / "seeds"
         seeds.mkdir()
         write_seeds(seeds)

@@ -1,4 +1,4 @@
-"""Runs the tours of the guide: ``bash`` blocks line by line in one folder, ``python`` blocks as one program."""
+"""Runs the tours of the guide: ``bash`` blocks line by line in a folder, ``python`` blocks as one program."""
 
 import os
 import re

@@ -1,20 +1,23 @@
-"""Shared by all tests: where the real recordings are, one short synthetic intervention, and its replay."""
+"""Shared by all tests: where the real recordings are, one short synthetic intervention, and its replay.
+
+The package is imported in the fixtures: the process that hands the tests out to others needs none of it.
+"""
 
 import os
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 from hypothesis import settings
-from toy_ball import ball_model
-from toy_sphere import beating_sphere_series, sphere
 
-from data_synth.scenario.presets import ScenarioSpec
-from data_synth.scenario.recording import ImagedHeart, imaged_heart, phantom_scenario
-from dvf_ig.core import DvfModel, Scenario, SurfaceSeries
-from dvf_ig.io import cached_model, write_scenario
-from dvf_ig.replay import Replay, run_replay
+if TYPE_CHECKING:
+    import numpy as np
+
+    from data_synth.scenario.recording import ImagedHeart
+    from dvf_ig.core import DvfModel, Scenario, SurfaceSeries
+    from dvf_ig.replay import Replay
 
 settings.register_profile("dvf_ig", deadline=None, derandomize=True)
 settings.load_profile("dvf_ig")
@@ -51,42 +54,70 @@ def data_dir() -> Path:
 
 
 @pytest.fixture(scope="session")
-def imaged() -> ImagedHeart:
+def imaged() -> "ImagedHeart":
     """The heart of `scenario` and its pre-operative images, for other recordings of it."""
+    from data_synth import ScenarioSpec
+    from data_synth.scenario.recording import imaged_heart
+
     return imaged_heart(ScenarioSpec(motion="paper5mm", seed=77))
 
 
 @pytest.fixture(scope="session")
-def scenario(imaged: ImagedHeart) -> Scenario:
+def scenario(imaged: "ImagedHeart") -> "Scenario":
     """17 s of the synthetic operating room: long enough to register and to touch."""
+    from data_synth import ScenarioSpec, phantom_scenario
+
     spec = ScenarioSpec(preset="calm", motion="paper5mm", seconds=17.0, seed=77)
     return phantom_scenario(spec, imaged=imaged)
 
 
 @pytest.fixture(scope="session")
-def written(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(scenario: "Scenario", tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The scenario's folder, for tests that only read it."""
+    from dvf_ig.io import write_scenario
+
     folder = tmp_path_factory.mktemp("written") / "scenario"
     write_scenario(scenario, folder)
     return folder
 
 
 @pytest.fixture(scope="session")
-def replay(scenario: Scenario) -> Replay:
+def shared_hearts() -> Iterator[None]:
+    """Replays of one patient with one model share what `build_heart` makes of these two alone."""
+    from dvf_ig.replay import engine
+    from dvf_ig.session.heart import build_heart
+
+    made = lru_cache(maxsize=2)(build_heart)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(engine, "build_heart", lambda preop, model=None, progress=None: made(preop, model))
+        yield
+
+
+@pytest.fixture(scope="session")
+def replay(scenario: "Scenario", shared_hearts: None) -> "Replay":
+    from dvf_ig.io import cached_model
+    from dvf_ig.replay import run_replay
+
     return run_replay(scenario, model=cached_model(scenario.preop).model, seed=0)
 
 
 @pytest.fixture(scope="session")
-def ball() -> DvfModel:
+def ball() -> "DvfModel":
     """A beating, drifting ball whose distance field is known in closed form."""
+    from toy_ball import ball_model
+
     return ball_model()
 
 
 @pytest.fixture(scope="session")
-def sphere_of() -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+def sphere_of() -> "Callable[..., tuple[np.ndarray, np.ndarray]]":
+    from toy_sphere import sphere
+
     return sphere
 
 
 @pytest.fixture(scope="session")
-def beating_sphere() -> SurfaceSeries:
+def beating_sphere() -> "SurfaceSeries":
+    from toy_sphere import beating_sphere_series
+
     return beating_sphere_series()

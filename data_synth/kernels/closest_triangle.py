@@ -16,6 +16,8 @@ from numba import njit
 
 from dvf_ig.core import AnyArray
 
+Vector = tuple[float, float, float]
+
 VERTEX, EDGE, FACE = 0, 3, 6
 """Feature codes: vertex 0–2, edge 3–5 (edge k from corner k to corner k+1), face 6."""
 
@@ -53,48 +55,72 @@ class Phase(NamedTuple):
 @njit(cache=True)
 def _closest(p: AnyArray, a: AnyArray, b: AnyArray, c: AnyArray, out: AnyArray) -> int:
     """Nearest point of triangle abc to p, written to `out`; returns the feature code."""
-    ab, ac, ap = b - a, c - a, p - a
+    ab, ac, ap = _from_to(a, b), _from_to(a, c), _from_to(a, p)
     d1, d2 = _dot(ab, ap), _dot(ac, ap)
     if d1 <= 0.0 and d2 <= 0.0:
-        out[:] = a
+        _set(a, out)
         return VERTEX
-    bp = p - b
+    bp = _from_to(b, p)
     d3, d4 = _dot(ab, bp), _dot(ac, bp)
     if d3 >= 0.0 and d4 <= d3:
-        out[:] = b
+        _set(b, out)
         return VERTEX + 1
     vc = d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        out[:] = a + (d1 / (d1 - d3)) * ab
+        _set(a, out)
+        _add(d1 / (d1 - d3), ab, out)
         return EDGE
-    cp = p - c
+    cp = _from_to(c, p)
     d5, d6 = _dot(ab, cp), _dot(ac, cp)
     if d6 >= 0.0 and d5 <= d6:
-        out[:] = c
+        _set(c, out)
         return VERTEX + 2
     vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        out[:] = a + (d2 / (d2 - d6)) * ac
+        _set(a, out)
+        _add(d2 / (d2 - d6), ac, out)
         return EDGE + 2
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        out[:] = b + ((d4 - d3) / ((d4 - d3) + (d5 - d6))) * (c - b)
+        _set(b, out)
+        _add((d4 - d3) / ((d4 - d3) + (d5 - d6)), _from_to(b, c), out)
         return EDGE + 1
     scale = 1.0 / (va + vb + vc)
-    out[:] = a + (vb * scale) * ab + (vc * scale) * ac
+    _set(a, out)
+    _add(vb * scale, ab, out)
+    _add(vc * scale, ac, out)
     return FACE
 
 
 @njit(cache=True)
-def _dot(u: AnyArray, v: AnyArray) -> float:
+def _from_to(u: AnyArray, v: AnyArray) -> Vector:
+    return v[0] - u[0], v[1] - u[1], v[2] - u[2]
+
+
+@njit(cache=True)
+def _dot(u: Vector, v: Vector) -> float:
     return float(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
 
 
 @njit(cache=True)
-def _cross(u: AnyArray, v: AnyArray, out: AnyArray) -> None:
-    out[0] = u[1] * v[2] - u[2] * v[1]
-    out[1] = u[2] * v[0] - u[0] * v[2]
-    out[2] = u[0] * v[1] - u[1] * v[0]
+def _cross(u: Vector, v: Vector) -> Vector:
+    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+
+
+@njit(cache=True)
+def _set(v: Vector | AnyArray, out: AnyArray) -> None:
+    out[0], out[1], out[2] = v[0], v[1], v[2]
+
+
+@njit(cache=True)
+def _add(share: float, v: Vector, out: AnyArray) -> None:
+    for k in range(3):
+        out[k] += share * v[k]
+
+
+@njit(cache=True)
+def _vector(v: AnyArray) -> Vector:
+    return v[0], v[1], v[2]
 
 
 @njit(cache=True)
@@ -105,51 +131,55 @@ def _vertex(mesh: Mesh, phase: Phase, index: int, out: AnyArray) -> None:
 
 
 @njit(cache=True)
-def _normal(mesh: Mesh, phase: Phase, triangle: int, corners: AnyArray, out: AnyArray) -> None:
+def _normal(mesh: Mesh, phase: Phase, triangle: int, corners: AnyArray) -> Vector:
     """Unit normal of a triangle between two cached phases; fills `corners` (3, 3)."""
     for k in range(3):
         _vertex(mesh, phase, mesh.triangles[triangle, k], corners[k])
-    _cross(corners[1] - corners[0], corners[2] - corners[0], out)
-    length = np.sqrt(_dot(out, out))
+    x, y, z = _cross(_from_to(corners[0], corners[1]), _from_to(corners[0], corners[2]))
+    length = np.sqrt(_dot((x, y, z), (x, y, z)))
     if length > 0.0:
-        out /= length
+        return x / length, y / length, z / length
+    return x, y, z
 
 
 @njit(cache=True)
 def _pseudo_normal(mesh: Mesh, phase: Phase, triangle: int, feature: int, out: AnyArray) -> None:
     """Outward pseudo-normal (not of unit length) of a feature of `triangle`."""
-    corners, normal = np.empty((3, 3)), np.empty(3)
+    corners = np.empty((3, 3))
     if feature >= EDGE:
-        _normal(mesh, phase, triangle, corners, out)
+        _set(_normal(mesh, phase, triangle, corners), out)
         if feature < FACE and mesh.neighbour[triangle, feature - EDGE] >= 0:
-            _normal(mesh, phase, mesh.neighbour[triangle, feature - EDGE], corners, normal)
-            out += normal
+            _add(1.0, _normal(mesh, phase, mesh.neighbour[triangle, feature - EDGE], corners), out)
         return
     vertex = mesh.triangles[triangle, feature]
-    out[:] = 0.0
+    _set((0.0, 0.0, 0.0), out)
     for slot in range(mesh.start[vertex], mesh.start[vertex + 1]):
         other = mesh.around[slot]
-        _normal(mesh, phase, other, corners, normal)
+        normal = _normal(mesh, phase, other, corners)
         for k in range(3):
             if mesh.triangles[other, k] == vertex:
-                u = corners[(k + 1) % 3] - corners[k]
-                v = corners[(k + 2) % 3] - corners[k]
+                u = _from_to(corners[k], corners[(k + 1) % 3])
+                v = _from_to(corners[k], corners[(k + 2) % 3])
                 cosine = _dot(u, v) / np.sqrt(_dot(u, u) * _dot(v, v) + 1e-300)
-                out += np.arccos(min(1.0, max(-1.0, cosine))) * normal
+                _add(np.arccos(min(1.0, max(-1.0, cosine))), normal, out)
 
 
 @njit(cache=True)
 def _smooth_normal(mesh: Mesh, phase: Phase, triangle: int, point: AnyArray, out: AnyArray) -> None:
     """Outward unit normal at a point of `triangle`: its corners' unit pseudo-normals by area weights."""
-    corners, face, spoke, vertex_normal = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
-    _normal(mesh, phase, triangle, corners, face)
-    out[:] = 0.0
+    corners, vertex_normal = np.empty((3, 3)), np.empty(3)
+    face = _normal(mesh, phase, triangle, corners)
+    _set((0.0, 0.0, 0.0), out)
     for k in range(3):
-        _cross(corners[(k + 1) % 3] - point, corners[(k + 2) % 3] - point, spoke)
+        spoke = _cross(_from_to(point, corners[(k + 1) % 3]), _from_to(point, corners[(k + 2) % 3]))
         share = max(_dot(spoke, face), 0.0)
         _pseudo_normal(mesh, phase, triangle, k, vertex_normal)
-        out += share / np.sqrt(_dot(vertex_normal, vertex_normal) + 1e-300) * vertex_normal
-    out /= np.sqrt(_dot(out, out) + 1e-300)
+        along = _vector(vertex_normal)
+        _add(share / np.sqrt(_dot(along, along) + 1e-300), along, out)
+    whole = _vector(out)
+    length = np.sqrt(_dot(whole, whole) + 1e-300)
+    for k in range(3):
+        out[k] /= length
 
 
 @njit(cache=True)
@@ -172,7 +202,7 @@ def _nearest(p: AnyArray, mesh: Mesh, phase: Phase, best_point: AnyArray) -> tup
             distance = np.sqrt(step_x * step_x + step_y * step_y + step_z * step_z)
             if distance < best:
                 best, best_triangle, best_feature = distance, t, feature
-                best_point[:] = candidate
+                _set(candidate, best_point)
     return best, best_triangle, best_feature
 
 
@@ -216,8 +246,8 @@ def signed_distances(
         phase = Phase(lower[i], upper[i], weights[i])
         length, triangle, feature = _nearest(points[i], mesh, phase, nearest)
         _pseudo_normal(mesh, phase, triangle, feature, normal)
-        offset = points[i] - nearest
-        outside = _dot(offset, normal) > 0.0
+        outside = _dot(_from_to(nearest, points[i]), _vector(normal)) > 0.0
         distance[i] = -length if outside else length
         _smooth_normal(mesh, phase, triangle, nearest, normal)
-        gradient[i] = -normal
+        for k in range(3):
+            gradient[i, k] = -normal[k]

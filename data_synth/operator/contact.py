@@ -85,7 +85,7 @@ class MovingSurface:
 
     def distance(self, points_mm: FloatArray, model_phase: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Signed distance (n,) mm, positive inside, and its unit gradient (n, 3), each at its own phase."""
-        points = np.ascontiguousarray(points_mm, dtype=np.float64)
+        points = np.array(points_mm, dtype=np.float64, order="C")
         low, high, weight = self._bracket(np.broadcast_to(model_phase, len(points)))
         distance, gradient = np.empty(len(points)), np.empty((len(points), 3))
         signed_distances(points, low, high, weight, self.mesh, distance, gradient)

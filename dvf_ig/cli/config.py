@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -154,6 +155,7 @@ def init(
         wrote(output)
         for problem in verdict.misfits:
             warn(f"a replay cannot use {in_options(problem.sentence)}")
+        _warn_of(verdict)
         lacking = [problem.key for problem in verdict.missing if problem.concerns("register")]
         if lacking:
             _refuse([f"{output} is written, but register cannot run yet; it lacks: {', '.join(lacking)}"])
@@ -191,12 +193,11 @@ def validate(
         config, folder = _read(session)
         verdict = judge_session(config, folder, str(session))
         told = found(verdict.parts)
+        if not _wrong(verdict, purpose) and verdict.parts.recorded_calibrations:
+            verdict = _calibrated(verdict, config, folder, str(session))
         emit(_payload(session, verdict, told), _rows(session, verdict, told, {}), as_json=as_json)
-        wrong = list(verdict.hindrances(purpose or "register"))
-        if purpose is None:
-            wrong += [problem for problem in verdict.misfits if problem not in wrong]
-        if not wrong and verdict.parts.recorded_calibrations:
-            wrong = _calibrations_refused(config, folder, str(session))
+        wrong = _wrong(verdict, purpose)
+        _warn_of(verdict)
         if wrong:
             _refuse([in_keys(problem.sentence) for problem in wrong])
 
@@ -217,17 +218,34 @@ def _read(session: Path) -> "tuple[SessionDraft, Path]":
     return read_session_draft(session), session.parent
 
 
-def _calibrations_refused(config: "SessionDraft", folder: Path, named_by: str) -> "list[Problem]":
-    """What a replay would say of calibrations that are still recordings."""
+def _wrong(verdict: "Verdict", purpose: "Use | None") -> "list[Problem]":
+    """What keeps the files from a purpose; without one, all that does not fit."""
+    wrong = list(verdict.hindrances(purpose or "register"))
+    if purpose is None:
+        wrong += [problem for problem in verdict.misfits if problem not in wrong]
+    return wrong
+
+
+def _calibrated(verdict: "Verdict", config: "SessionDraft", folder: Path, named_by: str) -> "Verdict":
+    """The same with what a replay would say of calibrations that are still recordings."""
     from dvf_ig.io.session_file.draft import complete
+    from dvf_ig.io.session_file.fit import fit_of, parts_of
     from dvf_ig.io.session_file.problem import ProblemList
     from dvf_ig.io.session_file.read import read_recordings
-    from dvf_ig.replay.calibrations import calibrate
+    from dvf_ig.replay.calibrations import calibrate, calibrated
 
     problems = ProblemList()
     with problems.about("calibration"):
-        calibrate(read_recordings(complete(config), folder, named_by).scenario, seed=0)
-    return problems.found
+        recordings = read_recordings(complete(config), folder, named_by)
+        done = calibrate(recordings.scenario, seed=0)
+        fit = fit_of(parts_of(replace(recordings, scenario=calibrated(recordings.scenario, done))))
+        return replace(verdict, misfits=fit.misfits, warnings=fit.warnings, seen=fit.seen)
+    return replace(verdict, misfits=(*verdict.misfits, *problems.found))
+
+
+def _warn_of(verdict: "Verdict") -> None:
+    for found in verdict.warnings:
+        warn(f"{found.key}: {found.sentence}")
 
 
 def _readiness(use: "Use", verdict: "Verdict") -> str:
@@ -253,6 +271,8 @@ def _payload(path: Path, verdict: "Verdict", told: Mapping[str, str | None]) -> 
             for kind, problems in kinds.items()
             for p in problems
         ],
+        "ecg_delay": None if verdict.seen is None else verdict.seen.values(),
+        "warnings": [{"key": w.key, "cause": w.cause.name, "sentence": w.sentence} for w in verdict.warnings],
     }
 
 
@@ -265,6 +285,8 @@ def _rows(
     for key, label in PARTS.items():
         text = told[key] or ("cannot be used" if any(k.startswith(key) for k in wrong) else "-")
         rows.append((label, text))
+    if verdict.seen is not None:
+        rows.append(("ECG and images", verdict.seen.sentence))
     rows += [(use, _readiness(use, verdict)) for use in USES]
     rows += [("missing", f"{p.error} ({options.get(p.key, p.key)})") for p in verdict.missing]
     return [*rows]

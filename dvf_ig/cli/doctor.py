@@ -15,7 +15,6 @@ REQUIRED = (
     "scipy",
     "SimpleITK",
     "scikit-image",
-    "open3d",
     "opencv-contrib-python-headless",
     "numba",
     "typer",
@@ -25,7 +24,8 @@ REQUIRED = (
     "jsonschema",
     "matplotlib",
 )
-EXTRAS = {"wfdb": "ecg"}
+EXTRAS = {"wfdb": ("ecg", "WFDB records"), "open3d": ("open3d", "points touched on the heart")}
+"""Optional package to the extra that brings it, and what needs it."""
 SYSTEM_LIBRARIES = {
     "EGL": "libegl1",
     "GL": "libgl1",
@@ -50,15 +50,17 @@ def checks() -> list[Check]:
     """Every check, in the order in which a user would mend them."""
     python = platform.python_version()
     out = [Check("Python >= 3.11", python if sys.version_info >= (3, 11) else None, "install Python 3.11")]
+    with_open3d = _version("open3d") is not None
     if sys.platform.startswith("linux"):
         for library, package in SYSTEM_LIBRARIES.items():
             found = ctypes.util.find_library(library)
-            out.append(Check(f"system library {package}", found, f"sudo apt-get install {package}"))
+            remedy = f"sudo apt-get install {package}"
+            out.append(Check(f"system library {package}", found, remedy, needed=with_open3d))
     remedy = "run scripts/setup, or pip install dvf-ig"
     out += [Check(f"package {name}", _version(name), remedy) for name in REQUIRED]
     out += [
-        Check(f"optional package {name}", _version(name), f'pip install "dvf-ig[{extra}]"', needed=False)
-        for name, extra in EXTRAS.items()
+        Check(f"{name} for {use}", _version(name), f'pip install "dvf-ig[{extra}]"', needed=False)
+        for name, (extra, use) in EXTRAS.items()
     ]
     return out
 
@@ -75,7 +77,7 @@ def verdict(missing: int, optional: int) -> str:
     if missing:
         return f"not ready: {_things(missing)} needed and missing; get what is named above, from the top"
     if optional:
-        return f"ready; {_things(optional)} optional and missing, and only needed for what it is named with"
+        return f"ready; {_things(optional)} optional and missing"
     return "ready: nothing is missing"
 
 

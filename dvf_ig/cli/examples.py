@@ -27,6 +27,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "replay": (
         "dvf-ig replay demo -o run",
         "dvf-ig replay --config session.yaml -o run --margin adaptive",
+        "dvf-ig replay session.mcap -o again",
         "dvf-ig replay demo -o run --law guidance --delta 3 --m 1 --retiming uniform",
     ),
     "serve": (
@@ -37,6 +38,17 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "synth stream": ("dvf-ig synth stream demo", "dvf-ig synth stream demo --port 18945 --speed 0.5"),
     "bench": ("dvf-ig bench", "dvf-ig bench --servo 60"),
     "view": ("dvf-ig view run", "dvf-ig view run -o run.html --recording demo"),
+    "export slicer": (
+        "dvf-ig export slicer run -o scene",
+        "dvf-ig export slicer registration --recording session.yaml -o scene",
+    ),
+    "export mcap": ("dvf-ig export mcap run -o session.mcap",),
+    "export rerun": ("dvf-ig export rerun run -o session.rrd",),
+    "serve": (
+        "dvf-ig serve --config session.yaml",
+        "dvf-ig serve --config session.yaml --listen --port 18944 --margin adaptive",
+    ),
+    "synth stream": ("dvf-ig synth stream demo", "dvf-ig synth stream demo --speed 2 --port 18945"),
     "synth scenario": (
         "dvf-ig synth scenario --preset calm --motion paper5mm --seconds 60 --seed 1 -o demo",
         "dvf-ig synth scenario --preset lost-ultrasound --heart varied --seed 2 -o demo",

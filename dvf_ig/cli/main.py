@@ -8,6 +8,7 @@ import dvf_ig
 from dvf_ig.cli import bench, config, doctor, evaluate, force, gate, replay, view
 from dvf_ig.cli.calibrate import commands as calibrate
 from dvf_ig.cli.examples import show_examples
+from dvf_ig.cli.export import commands as export
 from dvf_ig.cli.inspect import command as inspect
 from dvf_ig.cli.model import commands as model
 from dvf_ig.cli.register import command as register
@@ -36,6 +37,7 @@ app.command("evaluate")(evaluate.evaluate)
 app.command("replay")(replay.replay)
 app.command("serve")(serve.serve)
 app.command("view")(view.view)
+app.add_typer(export.app, name="export")
 app.add_typer(config.app, name="config")
 app.add_typer(study.app, name="study")
 app.command("bench")(bench.bench)

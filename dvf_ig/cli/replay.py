@@ -34,7 +34,8 @@ def replay(
         Path, typer.Option("-o", "--out", help="Folder for the result, its page, the pose and the ticks.")
     ],
     scenario: Annotated[
-        Path | None, typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`); or give --config.")
+        Path | None,
+        typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`) or LOG.mcap; or give --config."),
     ] = None,
     config: Annotated[
         Path | None,
@@ -63,7 +64,7 @@ def replay(
     Calibrates tool, probe and latency, detects heart beats, registers ultrasound to the model and evaluates
     the fixtures at the tool tip every millisecond. Where the folder holds the truth, every error is printed.
     The pose goes to ITK, 3D Slicer and PLUS files, the ticks to a table (see the guide, results of a replay).
-    Exits 7 after writing its evidence when no registration could be used.
+    Exits 7 after writing its evidence when no registration could be used, or no force was given.
     """
     with command(threads):
         from dvf_ig.core import QualityGateError
@@ -74,7 +75,7 @@ def replay(
             write_json,
             write_text,
         )
-        from dvf_ig.replay import require_replayable, result_of, run_replay, table
+        from dvf_ig.replay import result_of, run_replay, table
         from dvf_ig.replay.outputs import NAMES, require_own_outputs, write_outputs
         from dvf_ig.replay.report import report_html
         from dvf_ig.replay.view_file import VIEW, write_view_file
@@ -88,8 +89,6 @@ def replay(
             options = recordings.fixtures
         mode = chosen_retiming(retiming, recordings.retiming or of_file)
         recorded = recordings.scenario
-        if config is None:
-            require_replayable(recorded)
         with output_folder(out):
             require_own_outputs(out)
             built, origin = patient_model(recorded.preop, recordings.model or model)
@@ -113,15 +112,19 @@ def replay(
         typer.echo(origin, err=True)
         for name in ("result.json", "report.html", VIEW, *frames):
             wrote(out / name, frames.get(name))
+        for warning in result["warnings"]:
+            warn(f"{warning['key']}: {warning['sentence']}")
         if done.poses and done.history.updates[-1].pose is None:
             warn("at the end no pose was in use: mr_from_tracker is the last one before it was suspended")
         if not done.poses:
             reason = result["registrations"][-1]["reason"] if done.attempts else "the recording is too short"
             raise QualityGateError(f"no registration could be used, so no force was given: {reason}")
+        if result["no_force"] is not None:
+            raise QualityGateError(f"no force was given: {result['no_force']}")
 
 
 def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "SessionRecordings":
-    """The recordings of a scenario folder or of a SESSION.yaml."""
+    """The recordings of a scenario folder or of a SESSION.yaml, which agree."""
     from dvf_ig.io import SessionRecordings, read_scenario, read_session
     from dvf_ig.io.session_file.fit import require_fit
 
@@ -129,8 +132,14 @@ def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "Se
         raise typer.BadParameter("give a scenario folder or --config SESSION.yaml, not both")
     if scenario is None and config is None:
         raise typer.BadParameter("what is to be replayed? give a scenario folder, or --config SESSION.yaml")
+    if scenario is not None and scenario.suffix == ".mcap":
+        from dvf_ig.replay.session_log_read import read_session_log
+
+        return read_session_log(scenario)
     if config is None:
-        return SessionRecordings(read_scenario(scenario or Path()), None, None, None)
+        of_folder = SessionRecordings(read_scenario(scenario or Path()), None, None, None)
+        require_fit(of_folder, "replay")
+        return of_folder
     if model is not None:
         raise typer.BadParameter(f"{config} says whose model it is (preop.model); leave out --model")
     recordings = read_session(config)

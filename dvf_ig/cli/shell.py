@@ -4,6 +4,7 @@ Results go to stdout (a table, or one JSON value with --json); messages, progres
 files go to stderr.
 """
 
+import errno
 import json
 import logging
 import os
@@ -77,8 +78,21 @@ def command(threads: int | None = None, *, lists_inputs: bool = True) -> Iterato
         with _notes_of_warnings(), _inputs_listed() if lists_inputs else nullcontext():
             yield
     except DvfIgError as error:
-        typer.secho(f"error: {error}", err=True, fg=typer.colors.RED)
+        typer.secho(f"error: {_one_line(str(error))}", err=True, fg=typer.colors.RED)
         raise typer.Exit(exit_code(error)) from error
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        name = str(error.filename)
+        typer.secho(
+            f"error: a file cannot have the name '{_one_line(name[:60])}…', which is too long", err=True
+        )
+        raise typer.Exit(3) from error
+
+
+def _one_line(text: str) -> str:
+    """A message whose names of files may hold anything, without line breaks and controls of a terminal."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 @contextmanager
@@ -155,12 +169,12 @@ def emit(result: Mapping[str, Any], rows: Sequence[tuple[str, ...]], *, as_json:
 def wrote(path: Path, frame: str | None = None) -> None:
     """Tell the user about a file and the frame of what is in it."""
     note = f"  (frame {frame})" if frame else ""
-    typer.echo(f"wrote {path}{note}", err=True)
+    typer.echo(_one_line(f"wrote {path}{note}"), err=True)
 
 
 def warn(message: str) -> None:
     """One sentence that the user should know although the command goes on."""
-    typer.secho(f"note: {message}", err=True, fg=typer.colors.YELLOW)
+    typer.secho(f"note: {_one_line(message)}", err=True, fg=typer.colors.YELLOW)
 
 
 @contextmanager

@@ -1,15 +1,13 @@
 """`dvf-ig view`: a replay as one HTML file that plays."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from .patient_model import patient_model
+from .recorded import ModelOption, RecordingOption, read_recording, require_place
 from .shell import JsonFlag, ThreadsOption, command, emit, wrote
-
-if TYPE_CHECKING:
-    from dvf_ig.io import SessionRecordings
 
 
 def view(
@@ -17,24 +15,19 @@ def view(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="HTML file to write (default: RUN/view.html).")
     ] = None,
-    recording: Annotated[
-        Path | None,
-        typer.Option("--recording", help="The recording, if it was moved: scenario folder or SESSION.yaml."),
-    ] = None,
-    model: Annotated[
-        Path | None, typer.Option("--model", help="The patient's model, if its file was moved.")
-    ] = None,
+    recording: RecordingOption = None,
+    model: ModelOption = None,
     as_json: JsonFlag = False,
     threads: ThreadsOption = None,
 ) -> None:
-    """Write a replay as one HTML file that plays in a browser, without a network: heart, ultrasound, tool, force.
+    """Write a replay as one HTML file that plays in a browser, without a network.
 
-    Every number that it shows is one of ticks.csv in RUN.
+    It shows the beating heart, ultrasound, tool, force and signals; its numbers are those of RUN/ticks.csv.
     """
     with command(threads):
         from dvf_ig.io import provenance_fields, refuse_foreign, write_text
-        from dvf_ig.replay.run_folder import read_run
-        from dvf_ig.replay.view import require_replayed, run_payload
+        from dvf_ig.replay.run_folder import read_run, require_same_recording
+        from dvf_ig.replay.view import run_payload
         from dvf_ig.report.viewer import viewer_html
 
         path = out or run / "view.html"
@@ -42,13 +35,12 @@ def view(
             refuse_foreign(path)
         recorded = read_run(run)
         source = recording or recorded.view.recording
-        if not source.exists():
-            raise typer.BadParameter(_moved("recording", source, run, "--recording FOLDER or SESSION.yaml"))
+        require_place("recording", source, run, "--recording FOLDER or SESSION.yaml")
         model = model or recorded.view.model
-        if model is not None and not model.is_file():
-            raise typer.BadParameter(_moved("model", model, run, "--model FILE"))
-        recordings = _read(source)
-        require_replayed(recorded, provenance_fields()["inputs"], source)
+        if model is not None:
+            require_place("model", model, run, "--model FILE")
+        recordings = read_recording(source)
+        require_same_recording(recorded.result, run, provenance_fields()["inputs"])
         built, origin = patient_model(recordings.scenario.preop, recordings.model or model)
         payload = run_payload(recorded, recordings.scenario, built)
         page = viewer_html(payload)
@@ -66,17 +58,3 @@ def view(
         emit(result, rows, as_json=as_json)
         typer.echo(origin, err=True)
         wrote(path)
-
-
-def _moved(what: str, place: Path, run: Path, option: str) -> str:
-    return f"the {what} that {run} names is not at {place}; say where it is with {option}"
-
-
-def _read(source: Path) -> "SessionRecordings":
-    from dvf_ig.io import SessionRecordings, read_scenario, read_session
-
-    return (
-        SessionRecordings(read_scenario(source), None, None, None)
-        if source.is_dir()
-        else read_session(source)
-    )

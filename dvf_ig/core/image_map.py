@@ -35,6 +35,10 @@ class ImageMap:
         scale = frozen_floats(self.scale_mm_per_px, "pixel scale", (2,))
         if (scale <= 0).any():
             raise InvalidInputError(f"pixel scale is {scale.tolist()} mm/px; both must be positive")
+        if not abs(self.shear_deg) <= MAX_SHEAR_DEG:
+            raise InvalidInputError(
+                f"the image axes are {self.shear_deg:g}° off orthogonal; needed at most {MAX_SHEAR_DEG:g}°"
+            )
         object.__setattr__(self, "scale_mm_per_px", scale)
 
     @property

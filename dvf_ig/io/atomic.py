@@ -82,7 +82,7 @@ def output_folder(folder: Path) -> Iterator[Path]:
     Raises:
         OutputError: a file is in the way, or not permitted.
     """
-    made = [p for p in (folder, *folder.parents) if not p.exists()]
+    made = [p for p in (folder, *folder.parents) if not os.path.exists(p)]
     make_folder(folder)
     try:
         yield folder

@@ -6,19 +6,19 @@ is killed leaves the old or the new; elsewhere by two renames, which are undone 
 
 import ctypes
 import errno
-import fcntl
 import hashlib
 import json
 import os
 import shutil
 import uuid
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from dvf_ig.core.errors import OutputError
 
 from .atomic import failure_reason, make_folder, output_place, write_text
+from .swap_journal import alone_in, complete_alone, journal
 
 LISTING = ".written_by_dvf_ig.json"
 """In a folder of ours: each of its files with its SHA-256."""
@@ -29,15 +29,16 @@ _UNSUPPORTED = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EPERM)
 
 
 @contextmanager
-def files_together(folder: Path, names: Collection[str]) -> Iterator[Path]:
+def files_together(folder: Path, names: Collection[str] | None = None) -> Iterator[Path]:
     """A temporary folder whose files take their places in `folder` when the block ends well: all, or none.
 
-    Two processes that write into one folder do so one after the other: its files are of one of them.
+    Two processes that write into one folder do so one after the other: its files are of one of them. What a
+    process that was killed left undone is done by the next that reads or writes there (`swap_journal`).
 
     Args:
         folder: exists.
         names: every file that may be written; those that the block leaves out are removed from `folder`, so
-            that nothing of an earlier run lies beside the results of this one.
+            that nothing of an earlier run lies beside the results of this one. None: those that it writes.
     Raises:
         OutputError: not writable, or a folder has the name of a file.
     """
@@ -46,11 +47,14 @@ def files_together(folder: Path, names: Collection[str]) -> Iterator[Path]:
     try:
         new.mkdir()
         yield new
-        with _alone_in(place):
-            for name in names:
+        unique = list(dict.fromkeys(names)) if names is not None else sorted(p.name for p in new.iterdir())
+        with alone_in(place):
+            complete_alone(place)
+            for name in unique:
                 if (place / name).is_dir():
                     raise OutputError(f"cannot write {folder / name}: it is a folder; choose another output")
-            _swap_all([(new / name, place / name) for name in dict.fromkeys(names)])
+            with journal(place, new, unique):
+                _swap_all([(new / name, place / name) for name in unique])
     except OSError as exc:
         raise OutputError(f"cannot write into {folder}: {failure_reason(exc, place / 'file')}") from exc
     finally:
@@ -123,18 +127,6 @@ def _hashes(folder: Path) -> dict[str, str]:
 def _sha256(path: Path) -> str:
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-@contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """No other process of ours swaps files in the folder; where it cannot be locked (NFS), unguarded."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
 
 
 def _swap_all(pairs: list[tuple[Path, Path]]) -> None:

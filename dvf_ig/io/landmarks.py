@@ -2,8 +2,9 @@
 
 import csv
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -90,26 +91,40 @@ def write_landmarks(landmarks: Landmarks, path: Path | str) -> None:
     path = Path(path)
     if not path.name.lower().endswith(".json"):
         raise OutputError(f"cannot write {path}: landmarks are written as .mrk.json; change the ending")
+    write_json(path, markup_document(landmarks, "LPS"))
+
+
+def markup_document(
+    landmarks: Landmarks, system: Literal["LPS", "RAS"], descriptions: Sequence[str] = ()
+) -> dict[str, Any]:
+    """3D Slicer markups as a JSON object.
+
+    Args:
+        system: which coordinate system the numbers, written as they stand, are said to be of.
+        descriptions: one a point, or none.
+    """
+    told = tuple(descriptions) or ("",) * len(landmarks.names)
+    rows = zip(landmarks.names, told, landmarks.points.xyz_mm.tolist(), strict=True)
     points = [
         {
             "id": str(i + 1),
             "label": name,
-            "description": "",
+            "description": description,
             "position": xyz,
             "selected": True,
             "locked": False,
             "visibility": True,
             "positionStatus": "defined",
         }
-        for i, (name, xyz) in enumerate(zip(landmarks.names, landmarks.points.xyz_mm.tolist(), strict=True))
+        for i, (name, description, xyz) in enumerate(rows)
     ]
     markup = {
         "type": "Fiducial",
-        "coordinateSystem": "LPS",
+        "coordinateSystem": system,
         "coordinateUnits": "mm",
         "controlPoints": points,
     }
-    write_json(path, {"@schema": _SCHEMA, "markups": [markup]})
+    return {"@schema": _SCHEMA, "markups": [markup]}
 
 
 def _landmarks(path: Path, names: list[str], xyz: FloatArray, frame: str) -> Landmarks:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import FrameMismatchError, InvalidInputError, OutputError
 from dvf_ig.core.rigid import Rigid, rigidity_defect
 
@@ -67,14 +68,18 @@ def write_transform(rigid: Rigid, path: Path | str, error_mm: float | None = Non
     if path.suffix.lower() not in (".tfm", ".txt"):
         raise OutputError(f"cannot write {path}: transforms are written as .tfm; change the ending")
     refuse_foreign(path.with_suffix(".json"), kind="transform")
-    numbers = " ".join(map(repr, [*rigid.rotation.ravel().tolist(), *rigid.translation_mm.tolist()]))
-    write_text(
-        path,
-        "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\n"
-        f"Parameters: {numbers}\nFixedParameters: 0 0 0\n",
-    )
+    write_text(path, affine_text(rigid.matrix))
     sidecar = {"from": rigid.source, "to": rigid.target, "convention": CONVENTION, "error_mm": error_mm}
     write_sidecar(path.with_suffix(".json"), sidecar, "transform")
+
+
+def affine_text(matrix: FloatArray) -> str:
+    """A (4, 4) affine matrix as the text of an ITK transform, every digit kept."""
+    numbers = " ".join(map(repr, [*matrix[:3, :3].ravel().tolist(), *matrix[:3, 3].tolist()]))
+    return (
+        "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\n"
+        f"Parameters: {numbers}\nFixedParameters: 0 0 0\n"
+    )
 
 
 def write_transforms(rigid: Rigid, path: Path | str, error_mm: float | None = None) -> tuple[Path, Path]:

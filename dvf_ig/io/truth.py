@@ -2,6 +2,7 @@
 
 import io
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,21 @@ def write_truth(truth: ScenarioTruth, folder: Path) -> None:
     )
 
 
+_MOST = {
+    "t_s": limits.TIME_S,
+    "lag_s": limits.TIME_S,
+    "tip_mr_mm": limits.LENGTH_MM,
+    "distance_mm": limits.LENGTH_MM,
+    "mismatch_mm": limits.LENGTH_MM,
+    "respiration_mm": limits.LENGTH_MM,
+    "phi": 2.0,
+    "model_phase": 2.0,
+    "normal": 10.0,
+    "video_drift_ppm": 1e6,
+}
+"""The largest magnitude of each; phases and unit vectors have room for rounding."""
+
+
 def read_truth(folder: Path) -> ScenarioTruth:
     """Read the truth of a scenario.
 
@@ -97,6 +113,8 @@ def read_truth(folder: Path) -> ScenarioTruth:
 
 def _truth(folder: Path, document: dict[str, Any]) -> ScenarioTruth:
     tool = _read_arrays(folder / "tool.npz", _TOOL)
+    _require_plausible(folder / "tool.npz", tool)
+    _require_plausible(folder / "truth.json", document)
     for name, told in (("tip_mm", document["tip_mm"]), ("targets", list(document["targets"].values()))):
         limits.require_lengths(told, name)
     calibrated = document.get("calibrated_probe_from_image")
@@ -114,12 +132,19 @@ def _truth(folder: Path, document: dict[str, Any]) -> ScenarioTruth:
         tool=ToolTruth(*(tool[name] for name in _TOOL)),
         mismatch_mm=float(document["mismatch_mm"]),
         later_probe_from_image=tuple(
-            (float(entry["from_s"]), _image(entry)) for entry in document.get("later_probe_from_image", ())
+            (_start_s(entry), _image(entry)) for entry in document.get("later_probe_from_image", ())
         ),
         calibrated_probe_from_image=None if calibrated is None else _image(calibrated),
         video_drift_ppm=float(document.get("video_drift_ppm", 0.0)),
         respiration_mm=float(document.get("respiration_mm", 0.0)),
     )
+
+
+def _require_plausible(path: Path, values: Mapping[str, Any]) -> None:
+    for name in _MOST.keys() & values.keys():
+        largest = float(np.abs(np.asarray(values[name], dtype=np.float64)).max(initial=0.0))
+        if not largest <= _MOST[name]:
+            raise UnreadableFileError(f"{path}: {name} reaches {largest:g}; needed at most {_MOST[name]:g}")
 
 
 def _image_document(image: ImageMap) -> dict[str, Any]:
@@ -132,6 +157,8 @@ def _image_document(image: ImageMap) -> dict[str, Any]:
 
 
 def _image(document: dict[str, Any]) -> ImageMap:
+    if not np.max(document["probe_from_image_scale_mm_per_px"]) <= limits.SPACING_MM[1]:
+        raise InvalidInputError(f"a pixel of its images is wider than {limits.SPACING_MM[1]:g} mm")
     return ImageMap(
         rigid_from_matrix(document["probe_from_image_rigid"], "probe", "image"),
         document["probe_from_image_scale_mm_per_px"],
@@ -141,8 +168,14 @@ def _image(document: dict[str, Any]) -> ImageMap:
 
 def _timed_pose(entry: dict[str, Any]) -> tuple[float, Rigid]:
     """A pose and when it starts to hold; JSON's null stands for "from the beginning"."""
-    start_s = -math.inf if entry["from_s"] is None else float(entry["from_s"])
+    start_s = -math.inf if entry["from_s"] is None else _start_s(entry)
     return start_s, rigid_from_matrix(entry["matrix"], "mr", "tracker")
+
+
+def _start_s(entry: dict[str, Any]) -> float:
+    start_s = float(entry["from_s"])
+    limits.require_times(start_s, "from_s")
+    return start_s
 
 
 def _surface(folder: Path, header: dict[str, Any]) -> SurfaceSeries:

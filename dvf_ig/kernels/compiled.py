@@ -1,6 +1,7 @@
 """Compilation of the kernels: without the GIL, cached on disk, division by zero gives inf.
 
 Kernels are compiled anew for read-only arrays, so callers hand over writable copies of what users give them.
+They copy arrays element by element: for `a[:] = b` numba compiles its error message, 2 s in each process.
 The disk cache follows the file of the outer kernel alone: after an edit to a function that is inlined into
 another file's kernel, delete `dvf_ig/kernels/__pycache__`.
 
@@ -16,17 +17,19 @@ from numba import config, njit
 
 P = ParamSpec("P")
 R = TypeVar("R")
+OPTIONS = {"nogil": True, "cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""None is called from C: that wrapper would be a twentieth of the compiling."""
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """A function called from Python or from other kernels."""
-    compiled: Callable[P, R] = njit(nogil=True, cache=True, error_model="numpy")(function)
+    compiled: Callable[P, R] = njit(**OPTIONS)(function)
     return compiled
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """A function called from other kernels only; always inlined into its caller."""
-    compiled: Callable[P, R] = njit(nogil=True, cache=True, error_model="numpy", forceinline=True)(function)
+    compiled: Callable[P, R] = njit(**OPTIONS, forceinline=True)(function)
     return compiled
 
 

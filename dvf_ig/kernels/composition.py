@@ -130,19 +130,10 @@ def _solve_multipliers(work: FloatArray, count: int) -> None:
 
 
 @kernel
-def without_inward_part(
-    forces_n: FloatArray,
-    caps_n: FloatArray,
-    forbidden: FloatArray,
-    order: FloatArray,
-    guidance_n: FloatArray,
-    work: FloatArray,
-) -> None:
-    """Take from `guidance_n` (3,), in place, what leads into the forbidden regions.
-
-    The minimiser of ½|x − F|² + ½ Σ f/(1−f) max(0, x·n)² is x = F − Nλ, λ >= 0 of least |F − Nλ|² +
-    Σ λᵢ²(1−fᵢ)/fᵢ; solved for λᵢ/√fᵢ, whose columns √fᵢnᵢ, √(1−fᵢ)eᵢ have unit length.
-    """
+def _regions(
+    forces_n: FloatArray, caps_n: FloatArray, forbidden: FloatArray, order: FloatArray, work: FloatArray
+) -> int:
+    """Unit vectors into the regions that push, and their activations, into the work space; how many."""
     count = 0
     for at in range(len(order)):
         i = int(order[at])
@@ -158,6 +149,24 @@ def without_inward_part(
         )
         work[count, ACTIVATION] = f
         count += 1
+    return count
+
+
+@kernel
+def without_inward_part(
+    forces_n: FloatArray,
+    caps_n: FloatArray,
+    forbidden: FloatArray,
+    order: FloatArray,
+    guidance_n: FloatArray,
+    work: FloatArray,
+) -> None:
+    """Take from `guidance_n` (3,), in place, what leads into the forbidden regions.
+
+    The minimiser of ½|x − F|² + ½ Σ f/(1−f) max(0, x·n)² is x = F − Nλ, λ >= 0 of least |F − Nλ|² +
+    Σ λᵢ²(1−fᵢ)/fᵢ; solved for λᵢ/√fᵢ, whose columns √fᵢnᵢ, √(1−fᵢ)eᵢ have unit length.
+    """
+    count = _regions(forces_n, caps_n, forbidden, order, work)
     for i in range(count):
         along = 0.0
         for k in range(3):

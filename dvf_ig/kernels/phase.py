@@ -1,6 +1,6 @@
 """Position of a phase in the cycle, and the weights of the phases around it (α of Ren 2008, eq. 10)."""
 
-import math
+import numpy as np
 
 from dvf_ig.core import FloatArray
 
@@ -20,7 +20,7 @@ def phase_bracket(times: FloatArray, start: int, count: int, phi: float) -> tupl
         times: holds the phase times as fractions of the cycle, `count` of them from `start` on.
         phi: model phase.
     """
-    phi -= math.floor(phi)
+    phi -= np.floor(phi)  # a float: math.floor makes an integer here, and 1e19 has none
     before = min(int(phi * count), count - 1)
     while before < count - 1 and times[start + before + 1] <= phi:
         before += 1

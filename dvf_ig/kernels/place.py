@@ -184,7 +184,7 @@ def phase_at(p: FloatArray, t_s: float) -> Phase:
     rate = p[CATCH_UP] if caught < target else (1.0 if target > phi else 0.0)
     spread, timing = p[SPREAD] * max(0.0, t_s - p[R_S]) / rr, p[R_TIMING_S] / rr
     sigma = math.sqrt(spread**2 + timing**2 + (target - unwrapped) ** 2)
-    model_phase, slope = _retimed(p, unwrapped - math.floor(unwrapped))
+    model_phase, slope = _retimed(p, unwrapped - np.floor(unwrapped))
     return model_phase, slope * rate / rr, slope * sigma
 
 

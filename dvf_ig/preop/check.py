@@ -128,8 +128,14 @@ def field_errors(
 
 
 def random_surface_points(mesh: Mesh, count: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
-    """(n, 3) area-uniform points on a mesh and (n,) the triangle of each."""
+    """(n, 3) area-uniform points on a mesh and (n,) the triangle of each.
+
+    Raises:
+        InvalidInputError: a mesh without area.
+    """
     area = triangle_areas_mm2(mesh.vertices_mm, mesh.triangles)
+    if not area.sum() > 0.0:
+        raise InvalidInputError("a surface has no area: its triangles are lines or points; build it again")
     triangle = rng.choice(len(area), size=count, p=area / area.sum())
     root = np.sqrt(rng.uniform(size=count))
     along = rng.uniform(size=count)

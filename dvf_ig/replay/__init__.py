@@ -3,7 +3,6 @@
 from .engine import Replay as Replay
 from .engine import run_replay as run_replay
 from .events import events_of as events_of
-from .preconditions import require_replayable as require_replayable
 from .registration import Registration as Registration
 from .registration import register_scenario as register_scenario
 from .result import evidence_of as evidence_of

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -29,6 +29,7 @@ from dvf_ig.core import (
     NWireRecording,
     Points,
     PoseStream,
+    Scenario,
     TargetRecording,
 )
 from dvf_ig.session import CalibrationsInUse, UltrasoundCalibration
@@ -88,6 +89,12 @@ def calibrate(scenario: Calibratable, seed: int) -> Calibrations:
     image, probe = _image(scenario.probe, np.random.default_rng(seed))
     lag_s, latency = _lag(scenario.latency)
     return Calibrations(UltrasoundCalibration(image, lag_s), tip, pivot, probe, latency)
+
+
+def calibrated(scenario: Scenario, found: Calibrations) -> Scenario:
+    """The same scenario with results in place of the recordings that they were made from."""
+    image, lag_s = found.ultrasound.probe_from_image, found.ultrasound.lag_s
+    return replace(scenario, probe=image, latency=lag_s, tip=found.tip)
 
 
 def _tip(

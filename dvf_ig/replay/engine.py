@@ -16,6 +16,9 @@ import numpy as np
 from dvf_ig.cardiac import RetimeMode
 from dvf_ig.core import DvfModel, Progress, Rigid, Scenario
 from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
+from dvf_ig.io import SessionRecordings
+from dvf_ig.io.session_file.agreement.finding import Finding
+from dvf_ig.io.session_file.fit import fit_of, parts_of
 from dvf_ig.session import (
     Attempt,
     Heart,
@@ -26,7 +29,7 @@ from dvf_ig.session import (
     build_heart,
 )
 
-from .calibrations import Calibrations, calibrate
+from .calibrations import Calibrations, calibrate, calibrated
 from .events import ECG_CHUNK, events_of
 from .operator import SimulatedOperator
 from .preconditions import require_heart_beats, require_tracked_poses, tick_times
@@ -53,6 +56,7 @@ class Replay:
         start: coarse mr_from_tracker that registration started from.
         history: R peaks, registrations, evaluated beats and what they did to the pose.
         ticks: what the session said every millisecond.
+        findings: in what the recordings disagree, which the session has to find out for itself.
         seconds: computing time of the whole; `session_seconds` of the session, with pushing and recording.
     """
 
@@ -62,6 +66,7 @@ class Replay:
     start: Rigid
     history: SessionHistory
     ticks: Ticks
+    findings: tuple[Finding, ...]
     seconds: float
     session_seconds: float
 
@@ -113,6 +118,7 @@ def run_replay(
     report_progress(0.05)
     heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.05 + 0.35 * f))
     start = start_pose(scenario, heart, seed)
+    findings = _findings(calibrated(scenario, calibrations), heart.model)
     setup = SessionSetup(
         heart,
         in_use,
@@ -140,4 +146,9 @@ def run_replay(
                 report_progress(0.4 + 0.6 * i / len(t_s))
     require_heart_beats(history.peaks, scenario)
     ticks, ended = recorder.finish(), clock()
-    return Replay(scenario, setup, calibrations, start, history, ticks, ended - began, ended - session_began)
+    whole_s, session_s = ended - began, ended - session_began
+    return Replay(scenario, setup, calibrations, start, history, ticks, findings, whole_s, session_s)
+
+
+def _findings(scenario: Scenario, model: DvfModel) -> tuple[Finding, ...]:
+    return fit_of(parts_of(SessionRecordings(scenario, model, None, None))).findings

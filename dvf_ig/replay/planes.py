@@ -137,6 +137,8 @@ def plane_overlay(
     xyz_mm = np.stack([column, row, np.ones_like(row)], axis=-1) @ frame_from_pixel.T
     right, down = frame_from_pixel[:, 0], frame_from_pixel[:, 1]
     phase = 0.0 if model_phase is None else model_phase
+    placed = registered.rotation @ frame_from_pixel
+    placed[:, 2] += registered.translation_mm
     return PlaneOverlay(
         name=name,
         plane=plane_name(registered.rotation @ np.cross(right, down)),
@@ -147,6 +149,7 @@ def plane_overlay(
         start=anatomy.plane(start, xyz_mm, phase),
         registered=anatomy.plane(registered, xyz_mm, phase),
         outline_levels=anatomy.outline_levels,
+        anatomy_from_pixel=placed,
     )
 
 

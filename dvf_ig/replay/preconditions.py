@@ -4,11 +4,8 @@ from collections.abc import Sized
 
 import numpy as np
 
-from dvf_ig.cardiac import stream_recording
 from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Scenario, TriggerTimes
 from dvf_ig.session import recording_checks
-
-from .start import require_start
 
 RATE_HZ = 1000.0
 
@@ -29,19 +26,6 @@ def tick_times(scenario: Scenario) -> FloatArray:
     if isinstance(beats, TriggerTimes):
         begin, end = float(tool_s[0]), tracked_until
     return begin + np.arange(int((end - begin) * RATE_HZ)) / RATE_HZ
-
-
-def require_replayable(scenario: Scenario) -> None:
-    """Raise what keeps a recording from being replayed, as far as it shows without a model or calibrations.
-
-    Raises:
-        InvalidInputError: no start, too few heart beats, or probe or tool was never tracked.
-        NoOverlapError: ECG and tool share less than a second.
-    """
-    require_start(scenario)
-    require_tracked_poses(scenario)
-    tick_times(scenario)
-    require_heart_beats(stream_recording(scenario.ecg)[0], scenario)
 
 
 def tool_of(scenario: Scenario) -> PoseStream:

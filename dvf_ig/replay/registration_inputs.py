@@ -54,6 +54,7 @@ def frames_shown(registration: Registration, name: str, mr: VolumeSeries | None)
         landmarks_mm=_apart_mm(result, registration.landmarks, heart),
         touched=registration.touched,
         frames=len(frames.used),
+        model=heart.model,
         frames_rejected={str(reason): count for reason, count in gated.rejected.items() if count},
     )
 
@@ -89,6 +90,7 @@ def volumes_shown(
         planes=tracked_overlays(anatomy, volumes, start, result.target_from_source),
         data=[("volumes", str(len(volumes))), ("places in the cycle", phases), *_model_rows(heart)],
         landmarks_mm=_apart_mm(result, landmarks, heart),
+        model=heart.model,
     )
 
 

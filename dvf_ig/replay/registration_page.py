@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 
 import dvf_ig
-from dvf_ig.core import Rigid
+from dvf_ig.core import DvfModel, Landmarks, Rigid
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.registration import RegistrationResult, SurfaceDisagreement, least_constrained_direction
 from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.registration import Check, Outcome, RegistrationPage, Transform, registration_html
+from dvf_ig.report.viewer import RegistrationView, registration_payload, viewer_html
 
 from .registration_checks import checks_of
 
@@ -35,6 +36,8 @@ class RegisteredInput:
         touched: how far points touched on the surface lie from it; None without any.
         frames: that were compared with the model; None of volumes and of a pair.
         frames_rejected: how many were not, by reason.
+        model: of the heart; None of a pair.
+        targets: named points of the model; None without any.
     """
 
     title: str
@@ -49,10 +52,12 @@ class RegisteredInput:
     touched: SurfaceDisagreement | None = None
     frames: int | None = None
     frames_rejected: Mapping[str, int] = field(default_factory=dict)
+    model: DvfModel | None = None
+    targets: Landmarks | None = None
 
 
 def registration_page(
-    result: RegistrationResult, start: Rigid, shown: RegisteredInput, transform: Path, seed: int
+    result: RegistrationResult, start: Rigid, shown: RegisteredInput, transform: Path, seed: int, view: str
 ) -> str:
     """The page of a registration, as HTML.
 
@@ -61,6 +66,7 @@ def registration_page(
         shown: what was registered.
         transform: the file that the pose is written to.
         seed: of its random choices.
+        view: name of the interactive page beside it; empty without.
     """
     pose = result.target_from_source
     checks = checks_of(result, shown.landmarks_mm, shown.touched)
@@ -85,6 +91,30 @@ def registration_page(
                 ("seed", str(seed)),
                 ("threads", str(thread_count())),
             ),
+            view=view,
+        )
+    )
+
+
+def registration_view(result: RegistrationResult, shown: RegisteredInput) -> str | None:
+    """The interactive page of a registration, as HTML; None without a plane that could be shown."""
+    if not any(plane.anatomy_from_pixel is not None for plane in shown.planes):
+        return None
+    checks = checks_of(result, shown.landmarks_mm, shown.touched)
+    return viewer_html(
+        registration_payload(
+            RegistrationView(
+                title=shown.title,
+                patient_id=shown.about if shown.model is None else shown.model.patient_id,
+                usable=result.stop.usable,
+                reason=_reason(result, checks),
+                rows=[*stated_rows(result), ("moved from the start", f"{result.moved_mm:.1f} mm")],
+                planes=shown.planes,
+                anatomy=shown.anatomy,
+                model=shown.model,
+                targets=shown.targets,
+                bound_mm=result.tre_bound_mm,
+            )
         )
     )
 

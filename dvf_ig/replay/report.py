@@ -49,6 +49,8 @@ def report_html(replay: Replay, result: dict[str, Any]) -> str:
             registrations=[
                 RegistrationMark(a["ready_s"], a["usable"], a["reason"]) for a in result["registrations"]
             ],
+            no_force=result["no_force"],
+            warnings=[f"{warning['key']}: {warning['sentence']}" for warning in result["warnings"]],
             overlays=_overlays(replay),
             beats=_beats(replay),
             ticks=_ticks(replay, true_phase),

@@ -21,6 +21,7 @@ from dvf_ig.registration import (
 from dvf_ig.session import Attempt
 
 from .engine import Replay
+from .no_force import no_force_of
 from .pose_summary import summarise_poses
 from .preconditions import RATE_HZ
 from .score import (
@@ -79,6 +80,8 @@ def result_of(replay: Replay) -> dict[str, Any]:
         "fixtures_cap_n": replay.setup.fixtures.joint_cap_n,
         "retiming": replay.setup.retiming,
         "margin": margin_of(replay),
+        "no_force": no_force_of(replay),
+        "warnings": [{"key": f.key, "cause": f.cause.name, "sentence": f.sentence} for f in replay.findings],
         "estimates": _estimates(replay),
         **_pose_updates(replay),
         "supervisor": asdict(summarise_supervision(ticks.t_s, ticks.supervisor, force)),

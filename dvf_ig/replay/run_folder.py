@@ -1,12 +1,13 @@
 """A replay's folder read back: result, ticks and what was replayed."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import UnreadableFileError, read_only_arrays
+from dvf_ig.core import InvalidInputError, UnreadableFileError, read_only_arrays
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.io import read_json
@@ -50,6 +51,23 @@ def read_run(folder: Path) -> RunFolder:
     if not isinstance(result, dict) or result.get("schema") != SCHEMA:
         raise UnreadableFileError(f"{folder / RESULT} is not of a replay ({SCHEMA})")
     return RunFolder(folder, result, read_ticks(folder / TICKS), read_view_file(folder))
+
+
+def require_same_recording(result: dict[str, Any], folder: Path, inputs: Sequence[Mapping[str, Any]]) -> None:
+    """Raise InvalidInputError where a file of the recording is not the one that the result was made from.
+
+    Args:
+        result: of the folder.
+        inputs: what was read of the recording: file and SHA-256.
+    """
+    before = {Path(one["file"]).name: one["sha256"] for one in result.get("inputs", [])}
+    for one in inputs:
+        name = Path(one["file"]).name
+        if name in before and before[name] != one["sha256"]:
+            raise InvalidInputError(
+                f"the recording is not the one that {folder} was made from: {name} differs; run it again, or "
+                "say where the old one is with --recording"
+            )
 
 
 def read_ticks(path: Path) -> dict[str, AnyArray]:

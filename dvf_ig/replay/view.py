@@ -1,6 +1,5 @@
 """A replay's folder and its recording as the viewer's page takes them."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,6 @@ from dvf_ig.core import (
     DvfModel,
     FloatArray,
     ImageMap,
-    InvalidInputError,
     Scenario,
     Signal,
 )
@@ -84,22 +82,6 @@ def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str
         marks=_marks(run.result),
     )
     return {**scene, "series": series_payload(series)}
-
-
-def require_replayed(run: RunFolder, inputs: list[dict[str, Any]], recording: Path) -> None:
-    """Raise InvalidInputError where a file of the recording is not the one that was replayed.
-
-    Args:
-        inputs: what was read of it: file and SHA-256.
-    """
-    before = {Path(one["file"]).name: one["sha256"] for one in run.result.get("inputs", [])}
-    for one in inputs:
-        name = Path(one["file"]).name
-        if name in before and before[name] != one["sha256"]:
-            raise InvalidInputError(
-                f"{recording} is not the recording that {run.folder} replayed: {name} differs; replay it again, "
-                "or say where the old one is with --recording"
-            )
 
 
 def _fixtures(run: RunFolder) -> FixtureSet:

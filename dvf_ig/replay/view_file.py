@@ -22,6 +22,10 @@ VIEW = "view.json"
 KIND = "view"
 POSE_STEP_S = 0.05
 """Poses move at 10 mm/s at most and steadily: between two of these they are interpolated."""
+CORNER = 1e-4
+"""Change of a pose's step from tick to tick, mm or 1, above which that tick is kept."""
+_AT = 0.01
+"""Nearer than this share of the way to a pose that is kept, it holds: none is there before the first."""
 
 
 @read_only_arrays
@@ -50,9 +54,9 @@ class ViewFile:
         right = np.clip(np.searchsorted(self.pose_t_s, t_s), 1, len(self.pose_t_s) - 1)
         first, last = self.pose_t_s[right - 1], self.pose_t_s[right]
         weight = np.clip((t_s - first) / (last - first), 0.0, 1.0)[:, None, None]
-        return np.asarray(
-            (1 - weight) * self.mr_from_tracker[right - 1] + weight * self.mr_from_tracker[right]
-        )
+        before, after = self.mr_from_tracker[right - 1], self.mr_from_tracker[right]
+        between = (1 - weight) * before + weight * after
+        return np.asarray(np.where(weight < _AT, before, np.where(weight > 1 - _AT, after, between)))
 
 
 def write_view_file(replay: Replay, folder: Path, run: Path, recording: Path, model: Path | None) -> None:
@@ -86,15 +90,15 @@ def read_view_file(run: Path) -> ViewFile:
     path = run / VIEW
     if not path.is_file():
         raise UnreadableFileError(
-            f"{run} has no {VIEW}, which says what was replayed; replay again with this version (dvf-ig replay "
-            f"… -o {run})"
+            f"{run} has no {VIEW}, which says what was replayed; replay again with this version "
+            f"(dvf-ig replay … -o {run})"
         )
     content = read_json(path, "a replay's view file")
     try:
         rows = [[np.nan] * 12 if row is None else row for row in content["poses"]["mr_from_tracker"]]
         return ViewFile(
-            recording=run / content["recording"],
-            model=None if content["model"] is None else run / content["model"],
+            recording=_place(run, content["recording"]),
+            model=None if content["model"] is None else _place(run, content["model"]),
             paths=tuple(None if one is None else _path_target(one) for one in content["paths"]),
             r_peaks_s=_floats(content["r_peaks_s"]),
             pose_t_s=_floats(content["poses"]["t_s"]),
@@ -131,12 +135,19 @@ def _relative(path: Path, run: Path) -> str:
     return Path(os.path.relpath(path.resolve(), run.resolve())).as_posix()
 
 
+def _place(run: Path, relative: str) -> Path:
+    return Path(os.path.normpath(run / relative))
+
+
 def _thinned(ticks: Ticks) -> tuple[FloatArray, FloatArray]:
-    """Times and poses, one every POSE_STEP_S and both sides of every change, without those that repeat."""
+    """Times and poses, one every POSE_STEP_S, and where motion begins or ends; without those that repeat."""
     step = max(1, round(POSE_STEP_S / float(np.median(np.diff(ticks.t_s)))))
     used = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
     edges = np.flatnonzero(used[1:] != used[:-1])
-    rows = np.unique(np.concatenate([np.arange(0, len(ticks), step), edges, edges + 1, [len(ticks) - 1]]))
+    bend = np.abs(np.diff(ticks.mr_from_tracker, n=2, axis=0)).max(axis=(1, 2), initial=0.0)
+    corners = np.flatnonzero(np.nan_to_num(bend) > CORNER) + 1
+    ends = [0, len(ticks) - 1]
+    rows = np.unique(np.concatenate([np.arange(0, len(ticks), step), edges, edges + 1, corners, ends]))
     poses = ticks.mr_from_tracker[rows]
     same = (np.nan_to_num(poses[1:]) == np.nan_to_num(poses[:-1])).all(axis=(1, 2))
     needed = np.concatenate([[True], ~(same[:-1] & same[1:]), [True]])

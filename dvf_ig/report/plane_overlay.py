@@ -44,6 +44,8 @@ class PlaneOverlay:
         pixel_mm: width and height of a pixel.
         start, registered: the anatomy through the start pose and through the registered one.
         outline_levels: grey levels of the anatomy whose contours stand in for those of a model.
+        anatomy_from_pixel: (3, 3) mm in the anatomy's frame of (column, row, 1) by the registered pose; None
+            where it is not told.
     """
 
     name: str
@@ -55,6 +57,7 @@ class PlaneOverlay:
     start: AnatomyPlane
     registered: AnatomyPlane
     outline_levels: tuple[float, ...] = ()
+    anatomy_from_pixel: FloatArray | None = None
 
     @property
     def size_mm(self) -> tuple[float, float]:

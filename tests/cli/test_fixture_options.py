@@ -96,7 +96,7 @@ def test_a_replay_is_given_what_the_user_asked_for(
     monkeypatch.setattr(
         "dvf_ig.io.read_scenario", lambda _: SimpleNamespace(preop=SimpleNamespace(patient_id=""))
     )
-    monkeypatch.setattr("dvf_ig.replay.require_replayable", lambda _: None)
+    monkeypatch.setattr("dvf_ig.io.session_file.fit.require_fit", lambda *_: ())
     monkeypatch.setattr("dvf_ig.cli.replay.patient_model", lambda *_: (None, ""))
     monkeypatch.setattr("dvf_ig.replay.run_replay", asked)
     words = [str(file) if word == "FILE" else word for word in options]

@@ -164,7 +164,9 @@ def test_the_page_beside_the_transform_holds_the_same_numbers(files: Path, tmp_p
     page = (tmp_path / "found.html").read_text(encoding="utf-8")
     outline = outline_of(page)
     assert outline.faults == []
-    assert all(entry.startswith("img data:") for entry in outline.loaded)
+    assert all(entry.startswith("img data:") for entry in outline.loaded if entry != "a found.view.html")
+    assert "a found.view.html" in outline.loaded
+    assert '"kind":"registration"' in (tmp_path / "found.view.html").read_text(encoding="utf-8")
     assert len(outline.images) == 12
     assert len(page) < 3e6
     assert "us.nii.gz" in page

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from known_patient import registration
-from toy_lab import write_lab
+from toy_lab import sweep, write_lab
 from toy_touched import beating_model, grid_targets, heart_center_mm, random_pose, touched_points
 from typer.testing import CliRunner, Result
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import DvfModel, FloatArray, Rigid
-from dvf_ig.io import write_transform
+from dvf_ig.core import DvfModel, FloatArray, Rigid, TrackedSequence
+from dvf_ig.io import write_sequence, write_transform
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay.registration_page import RegisteredInput
 
@@ -35,6 +36,7 @@ def files(heart: DvfModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("lab")
     write_lab(folder, heart)
     write_transform(POSE, folder / "start.tfm")
+    write_sequence(sweep_at(POSE.inverse().translation_mm), folder / "sweep.igs.mha")
     rng = np.random.default_rng(11)
     found = touched_points(heart, POSE, rng, count=200, outlier_share=0.0, facing=-1.0)
     at_diastole = found.model_phase == heart.timing.fractions[heart.ed_phase]
@@ -42,6 +44,14 @@ def files(heart: DvfModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_points(folder / "touched.csv", touched_mm)
     write_points(folder / "moved.csv", touched_mm + np.array([0.0, 0.0, 15.0]))
     return folder
+
+
+def sweep_at(place_mm: FloatArray) -> TrackedSequence:
+    """The lab's sweep with its probe near a place, frame tracker."""
+    recorded = sweep()
+    probe = recorded.poses["tracker_from_probe"]
+    there = replace(probe, translations_mm=probe.translations_mm - probe.translations_mm[0] + place_mm)
+    return replace(recorded, poses={there.name: there})
 
 
 def write_points(path: Path, xyz_mm: FloatArray) -> None:

@@ -197,6 +197,8 @@ def test_arrays_that_unpack_to_more(tmp_path: Path) -> None:
         read_npz(tmp_path, whole, 1 << 20)
     with pytest.raises(UnreadableFileError, match="holds an array"):
         read_npz(tmp_path, archive(a=np.array(["text"])), 1 << 21)
+    with pytest.raises(UnreadableFileError, match="holds an array"):
+        read_npz(tmp_path, archive(a=np.array([Path], dtype=object)), 1 << 21)
     with pytest.raises(UnreadableFileError, match="not a readable archive"):
         read_npz(tmp_path, whole[:-30], 1 << 21)
     damaged = bytearray(whole)

@@ -19,8 +19,10 @@ from dvf_ig.cli.calibrate.output import save
 from dvf_ig.cli.gate import gate
 from dvf_ig.core import OutputError
 from dvf_ig.io import atomic_folder as whole
+from dvf_ig.io import swap_journal
 from dvf_ig.io.atomic import atomic_file
 from dvf_ig.io.atomic_folder import atomic_folder, files_together
+from dvf_ig.io.reading import read_text
 
 NAMES = ("a", "b", "c")
 
@@ -101,10 +103,12 @@ def test_ctrl_c_right_after_an_exchange(
 
 
 LOOP = """
+import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
 from dvf_ig.io.atomic_folder import {writer}
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job begins with it ignored
 print("on", flush=True)
 for n in range({rounds}):
     with {writer}(Path(sys.argv[1]){names}) as new:
@@ -129,8 +133,69 @@ def test_killed_at_random_moments(tmp_path: Path, kind: signal.Signals) -> None:
             child.wait(0.5)
             break
     child.stdout.close()
+    assert child.poll() is not None
     assert len(set(texts(folder))) == 1
     assert whole._foreign_file(folder) is None
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from dvf_ig.io import atomic_folder as whole
+swap, done = whole._swap, [0]
+def dying(new, place):
+    if done[0] == int(sys.argv[2]):
+        os.kill(os.getpid(), signal.SIGKILL)
+    swap(new, place)
+    done[0] += 1
+whole._swap = dying
+with whole.files_together(Path(sys.argv[1]), "abcd") as new:
+    for name in "abc":
+        (new / name).write_text("new")
+"""
+
+
+@pytest.mark.parametrize("swapped", [0, 1, 2, 3])
+def test_what_a_killed_program_left_half_done_is_done_by_the_next(tmp_path: Path, swapped: int) -> None:
+    for name in "abd":
+        (tmp_path / name).write_text("old")
+    killed = [sys.executable, "-c", KILLED, str(tmp_path), str(swapped)]
+    assert subprocess.run(killed, check=False).returncode == -signal.SIGKILL
+    assert (tmp_path / swap_journal.JOURNAL).is_file()
+    assert read_text(tmp_path / "a", "a text") == "new"
+    assert texts(tmp_path) == ["new"] * 3
+    assert {path.name for path in tmp_path.iterdir()} == set("abc")
+
+
+def test_a_file_written_since_a_program_was_killed_stays(tmp_path: Path) -> None:
+    (tmp_path / "b").write_text("old")
+    killed = [sys.executable, "-c", KILLED, str(tmp_path), "1"]
+    subprocess.run(killed, check=False)
+    (tmp_path / "b").unlink()
+    (tmp_path / "b").write_text("mine")
+    assert read_text(tmp_path / "b", "a text") == "mine"
+    assert read_text(tmp_path / "c", "a text") == "new"
+
+
+@pytest.mark.parametrize(
+    "said", [b"", b"[]", b"{}", b'{"folder": "..", "moves": {"x": [null, null]}}', b"[" * 10000]
+)
+def test_a_foreign_journal_moves_nothing(tmp_path: Path, said: bytes) -> None:
+    """A journal in somebody's folder can name files of that folder alone."""
+    inside, victim = tmp_path / "in", tmp_path / "victim"
+    (inside / ".0123abcd").mkdir(parents=True)
+    victim.write_text("mine")
+    (inside / "a").write_text("old")
+    at = victim.stat()
+    nodes = [None, [at.st_dev, at.st_ino, at.st_mtime_ns]]
+    moves = {"../victim": nodes[::-1], "b": nodes, "..": [None, None]}
+    text = said or json.dumps({"folder": ".0123abcd", "moves": moves}).encode()
+    (inside / swap_journal.JOURNAL).write_bytes(text)
+    (inside / ".0123abcd" / "b").symlink_to(victim)
+    assert read_text(inside / "a", "a text") == "old"
+    assert victim.read_text() == "mine"
+    assert not (inside / "b").exists()
+    assert not (inside / swap_journal.JOURNAL).exists()
 
 
 def test_only_what_this_program_wrote_is_replaced(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ def disturbed(imaged: ImagedHeart, preset: str, seconds: float) -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def coarse_model(imaged: ImagedHeart) -> DvfModel:
+def coarse_model(imaged: ImagedHeart, shared_hearts: None) -> DvfModel:
     """The patient's fixture with wide knots, quick to build: forces here are there or not, never judged."""
     return model_from_labels(imaged.preop, options=ModelOptions(knot_spacing_mm=8.0))
 

@@ -57,6 +57,7 @@ def test_the_table_holds_what_the_ticks_hold() -> None:
         "status": "no_pose",
         "supervisor": "fade",
         "hazards": "no_phase|no_pose",
+        "margin_mm": "0.0000",
     }
     tip_mr = POSE.rotation @ (10, 20, 30) + POSE.translation_mm
     assert [float(second[f"tip_mr_{axis}_mm"]) for axis in "xyz"] == pytest.approx(tip_mr, abs=5.1e-5)
@@ -115,8 +116,8 @@ def test_the_command_writes_all_files_and_says_what_it_read(
     out = tmp_path / "run"
     done = CliRunner().invoke(app, ["replay", str(written), "-o", str(out), "--json"])
     assert done.exit_code == 0, done.output
-    assert {path.name for path in out.iterdir()} == {"result.json", "report.html", *NAMES}
-    for name in ("result.json", "report.html", *NAMES):
+    assert {path.name for path in out.iterdir()} == {"result.json", "report.html", "view.json", *NAMES}
+    for name in ("result.json", "report.html", "view.json", *NAMES):
         assert f"wrote {out / name}" in done.stderr
     result = json.loads((out / "result.json").read_text())
     validate(result)

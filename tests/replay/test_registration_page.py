@@ -50,7 +50,7 @@ def page(result: RegistrationResult, **shown: object) -> str:
         data=[("frames compared with the model", "48 of 50")],
     )
     given = replace(given, **shown)
-    return registration_page(result, START, given, Path("out/mr_from_tracker.tfm"), 7)
+    return registration_page(result, START, given, Path("out/mr_from_tracker.tfm"), 7, "")
 
 
 def test_what_does_not_exist_for_the_input_is_not_checked() -> None:

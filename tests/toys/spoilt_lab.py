@@ -68,12 +68,15 @@ def landmarks(*names: str) -> Callable[[Path], None]:
     )
 
 
-def image(name: str, *size: int, value: int = 1) -> Callable[[Path], None]:
+def image(
+    name: str, *size: int, value: int = 1, origin_mm: float = 90.0, spacing_mm: float = 1.0
+) -> Callable[[Path], None]:
     def write_image(folder: Path) -> None:
         voxels = np.full(size[:3][::-1], value, np.uint8)
         phases = [SimpleITK.GetImageFromArray(voxels)] * (size[3] if len(size) > 3 else 1)
         made = phases[0] if len(size) == 3 else SimpleITK.JoinSeries(phases)
-        made.SetOrigin((90.0,) * len(size))
+        made.SetOrigin((origin_mm,) * len(size))
+        made.SetSpacing((*[spacing_mm] * 3, 1.0)[: len(size)])
         SimpleITK.WriteImage(made, str(folder / name))
 
     return write_image

@@ -22,7 +22,7 @@ def ball_model() -> DvfModel:
         fit_coefficients(radius - np.linalg.norm(nodes - center, axis=-1), (x, y, z))
         for radius, center in zip(RADII, CENTERS, strict=True)
     ]
-    triangle = Mesh("mr", np.eye(3), np.array([[0, 1, 2]]))
+    triangle = Mesh("mr", np.array([[-31.0, 0, 0], [31, 0, 0], [0, 31, 0]]), np.array([[0, 1, 2]]))
     return DvfModel(
         patient_id="ball",
         surface_name="EPICARDIAL",

@@ -44,15 +44,16 @@ def export(
     One file a phase. The distance is that of the splines, on every half knot of the model's box.
     """
     with command():
-        from dvf_ig.io import output_folder, read_model
+        from dvf_ig.io import files_together, output_folder, read_model
 
         model = read_model(model_file)
-        with output_folder(out):
+        with output_folder(out), files_together(out) as new:
             kind = "_distance" if form is ExportFormat.nrrd else ""
             files = [out / f"{model.surface_name}{kind}_{i:03d}.{form}" for i in range(model.phases)]
             for phase, path in enumerate(files):
-                _write_phase(model, phase, path, form)
-                wrote(path, model.frame)
+                _write_phase(model, phase, new / path.name, form)
+        for path in files:
+            wrote(path, model.frame)
         result = {
             "files": [path.name for path in files],
             "content": CONTENT[form],

@@ -26,7 +26,7 @@ class BuildRequest:
         organ, cavity: label values; of cavity, that of the left ventricle first.
         ed_phase, method: of the motion: the labelled phase, and how motion is estimated.
         timing: JSON file of phase times and RR.
-        patient: identifier; None takes it from the file's name.
+        patient: identifier; None takes that of DICOM images, else the file's name.
         knot_mm, accuracy_mm, margin_mm, threads: of the fit; see ModelOptions.
         seed: of the random points at which errors are measured.
         voxel_mm: of an image whose header has lost it.
@@ -91,7 +91,10 @@ class BuildRequest:
             raise typer.BadParameter("--organ and --cavity belong to --labels; seeds name what they are in")
 
     def patient_id(self, source: Path) -> str:
-        return self.patient or source.name.split(".")[0]
+        from dvf_ig.io import dicom_patient_id, is_dicom_folder
+
+        recorded = dicom_patient_id(source) if not self.patient and is_dicom_folder(source) else ""
+        return self.patient or recorded or source.name.split(".")[0]
 
     def model_options(self) -> "ModelOptions":
         from dvf_ig.preop import ModelOptions

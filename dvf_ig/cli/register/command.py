@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dvf_ig.cli.agreement import require_agreement
 from dvf_ig.cli.shell import (
     EcgRateOption,
     JsonFlag,
@@ -117,10 +118,7 @@ def register(
 
 def _recordings(config: Path | None, us: Path | None, options: dict[str, Any]) -> "SessionRecordings":
     from dvf_ig.io import read_session
-    from dvf_ig.io.session_file.fit import require_fit
 
     if config is None:
         return own.read_recordings(us, options)
-    recordings = read_session(config)
-    require_fit(recordings, "register")
-    return recordings
+    return require_agreement(read_session(config), "register")

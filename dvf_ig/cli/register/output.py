@@ -20,11 +20,12 @@ class Registered(NamedTuple):
 
 
 class OutputFiles(NamedTuple):
-    """Where the transform, its evidence and its page go."""
+    """Where the transform, its evidence, its page and its interactive page go."""
 
     transform: Path
     evidence: Path
     page: Path
+    view: Path
 
     @property
     def plus_xml(self) -> Path:
@@ -37,7 +38,7 @@ class OutputFiles(NamedTuple):
 
         refuse_foreign(self.evidence, kind="registration")
         refuse_foreign(self.transform.with_suffix(".json"), kind="transform")
-        refuse_foreign(self.page, self.plus_xml)
+        refuse_foreign(self.page, self.view, self.plus_xml)
 
     def refuse_start(self, start: Path | None) -> None:
         """Refuse to replace the transform that the registration starts from."""
@@ -51,13 +52,15 @@ class OutputFiles(NamedTuple):
         """Write all of them or none, and tell the user."""
         from dvf_ig.cli.shell import wrote
         from dvf_ig.io import files_together, write_registration, write_sidecar, write_text, write_transforms
-        from dvf_ig.replay.registration_page import registration_page
+        from dvf_ig.replay.registration_page import registration_page, registration_view
 
         result, start, shown, tracked_against = registered
         pose = result.target_from_source
-        page = registration_page(result, start, shown, self.transform, payload["seed"])
+        view = registration_view(result, shown)
+        linked = "" if view is None else self.view.name
+        page = registration_page(result, start, shown, self.transform, payload["seed"], linked)
         transforms = [self.transform, *(self.transform.with_suffix(s) for s in (".h5", ".json"))]
-        every = (*transforms, self.plus_xml, self.evidence, self.page)
+        every = (*transforms, self.plus_xml, self.evidence, self.page, self.view)
         with files_together(self.transform.parent, tuple(path.name for path in every)) as new:
             written = [*write_transforms(pose, new / self.transform.name)]
             if name == "mr_from_tracker" and result.stop.usable:
@@ -66,10 +69,14 @@ class OutputFiles(NamedTuple):
                 )
             write_sidecar(new / self.evidence.name, payload, "registration")
             write_text(new / self.page.name, page)
+            if view is not None:
+                write_text(new / self.view.name, view)
         for file in written:
             wrote(self.transform.with_name(file.name), name)
         wrote(self.evidence)
         wrote(self.page)
+        if view is not None:
+            wrote(self.view)
 
 
 def payload_of(registered: Registered, name: str, seed: int) -> dict[str, Any]:
@@ -94,8 +101,9 @@ def payload_of(registered: Registered, name: str, seed: int) -> dict[str, Any]:
 def files_of(out: Path, name: str) -> OutputFiles:
     """The files of a folder, or beside a transform file that the user named."""
     if out.suffix == ".tfm":
-        return OutputFiles(out, out.with_name(f"{out.stem}.result.json"), out.with_suffix(".html"))
-    return OutputFiles(out / f"{name}.tfm", out / "result.json", out / "report.html")
+        evidence, view = (out.with_name(f"{out.stem}.{end}") for end in ("result.json", "view.html"))
+        return OutputFiles(out, evidence, out.with_suffix(".html"), view)
+    return OutputFiles(out / f"{name}.tfm", out / "result.json", out / "report.html", out / "view.html")
 
 
 def _surface_points(touched: "SurfaceDisagreement | None") -> dict[str, Any] | None:

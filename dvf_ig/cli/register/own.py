@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dvf_ig.cli.agreement import require_agreement
+
 from .kinds import START
 
 if TYPE_CHECKING:
@@ -116,15 +118,12 @@ def read_recordings(us: Path | None, options: Mapping[str, Any]) -> "SessionReco
     """
     from dvf_ig.core import DvfIgError
     from dvf_ig.io import read_options
-    from dvf_ig.io.session_file.fit import require_fit
 
     _require_enough(options)
     try:
-        recordings = read_options(document_of(us, options))
-        require_fit(recordings, "register")
+        return require_agreement(read_options(document_of(us, options)), "register")
     except DvfIgError as error:
         raise type(error)(_by_options(str(error), options)) from error
-    return recordings
 
 
 def _by_options(sentence: str, options: Mapping[str, Any]) -> str:

@@ -1,10 +1,12 @@
 """`dvf-ig register` on tracked ultrasound: mr_from_tracker from a recording's gated frames."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
+from dvf_ig.cli.agreement import require_agreement
 from dvf_ig.cli.patient_model import patient_model
 from dvf_ig.cli.shell import progress
 
@@ -17,10 +19,13 @@ if TYPE_CHECKING:
 
 def register_folder(folder: Path, model: Path | None, start: Path | None, seed: int) -> Registered:
     """A scenario folder, from its own start unless another is given."""
-    from dvf_ig.io import read_scenario, read_transform
+    from dvf_ig.io import SessionRecordings, read_scenario, read_transform
 
     given = None if start is None else read_transform(start, target="mr", source="tracker")
     recorded = read_scenario(folder)
+    if given is not None:
+        recorded = replace(recorded, start=given)
+    require_agreement(SessionRecordings(recorded, None, None, None), "register")
     return _register(recorded, given, *patient_model(recorded.preop, model), seed)
 
 
@@ -39,5 +44,5 @@ def _register(
     with progress("register") as report:
         done = register_scenario(recorded, start, model=model, seed=seed, progress=report)
     typer.echo(origin, err=True)
-    shown = frames_shown(done, recorded.name, recorded.preop.mr)
+    shown = replace(frames_shown(done, recorded.name, recorded.preop.mr), targets=recorded.landmarks_mr)
     return Registered(done.result, done.start, shown, recorded.tracked_against)

@@ -30,7 +30,7 @@ def distance_maps(
     with command(lists_inputs=False):
         import numpy as np
 
-        from dvf_ig.io import output_folder, write_json
+        from dvf_ig.io import files_together, output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
         from dvf_ig.report.study.distance_maps import distance_maps_png
         from dvf_ig.study.distance.maps import WIDE_MM, compare_distance_maps
@@ -48,10 +48,11 @@ def distance_maps(
                 "seeds": seeds,
                 "rows": [_entry(score) for score in found.scores],
             }
-            write_json(out / "summary.json", summary)
             title = f"Distance maps of {name}, voxels of {found.grid.spacing_mm[0]:.2f} mm"
             picture = distance_maps_png(found.scores, found.exact_mm, title, within_mm=WIDE_MM)
-            write_bytes(out / "distance.png", picture)
+            with files_together(out) as new:
+                write_json(new / "summary.json", summary)
+                write_bytes(new / "distance.png", picture)
         emit(summary, _rows(found.scores), as_json=as_json)
         wrote(out / "summary.json")
         wrote(out / "distance.png")

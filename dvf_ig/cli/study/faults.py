@@ -31,7 +31,7 @@ def faults(
         from dataclasses import asdict
         from math import ceil
 
-        from dvf_ig.io import output_folder, write_json, write_text
+        from dvf_ig.io import files_together, output_folder, write_json, write_text
         from dvf_ig.report.study.faults import faults_page
         from dvf_ig.study.faults.clean import SECONDS, clean_trial
         from dvf_ig.study.faults.summary import summarise_clean, summarise_faults, table_counts
@@ -68,8 +68,9 @@ def faults(
                 "clean": asdict(clean),
                 "rows": [asdict(row) for row in rows],
             }
-            write_json(out / "summary.json", summary)
-            write_text(out / "faults.html", faults_page(rows, counts, clean.raised, clean.hours))
+            with files_together(out) as new:
+                write_json(new / "summary.json", summary)
+                write_text(new / "faults.html", faults_page(rows, counts, clean.raised, clean.hours))
         wrote(out / "trials.jsonl")
         wrote(out / "clean" / "trials.jsonl")
         wrote(out / "summary.json")

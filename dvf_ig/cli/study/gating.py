@@ -31,7 +31,7 @@ def gating(
 ) -> None:
     """Se, PPV, timing and phase error on annotated ECGs; phase by rhythm, tuning records apart."""
     with command(lists_inputs=False):
-        from dvf_ig.io import output_folder, plain, write_json
+        from dvf_ig.io import files_together, output_folder, plain, write_json
         from dvf_ig.study.gating.summary import summarise_study
 
         names = _names(records, only)
@@ -42,8 +42,9 @@ def gating(
             with output_folder(out) as folder:
                 scored = _score(records, names)
                 summary = summarise_study(scored)
-                write_json(folder / "summary.json", summary)
-                _draw(scored, folder / "risk_coverage.png")
+                with files_together(folder) as new:
+                    write_json(new / "summary.json", summary)
+                    _draw(scored, new / "risk_coverage.png")
             wrote(out / "summary.json")
             wrote(out / "risk_coverage.png")
         if as_json:

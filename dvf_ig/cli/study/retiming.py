@@ -27,7 +27,7 @@ def retiming(
         from data_synth.heart.motion import PRESET_SCALE, MotionPreset
         from dvf_ig.cardiac import SYSTOLE_SLOPE_S_PER_BPM
         from dvf_ig.core import InvalidInputError
-        from dvf_ig.io import output_folder, write_json
+        from dvf_ig.io import files_together, output_folder, write_json
         from dvf_ig.report import write_png
         from dvf_ig.report.study.retiming import retiming_figure
         from dvf_ig.study.retiming.surface_error import RATES_BPM, compare_retiming
@@ -44,7 +44,7 @@ def retiming(
             "rows": [asdict(row) for row in rows],
         }
         if out is not None:
-            with output_folder(out) as folder:
+            with output_folder(out), files_together(out) as folder:
                 write_json(folder / "summary.json", summary)
                 figure = retiming_figure(
                     rows, model_rate_bpm=60.0 / RR_S, assumed_slope_s_per_bpm=SYSTOLE_SLOPE_S_PER_BPM

@@ -22,7 +22,7 @@ def training(
 ) -> None:
     """Convergence and time of three ways to fit a phantom heart's distances, by degree of the splines."""
     with command(lists_inputs=False):
-        from dvf_ig.io import output_folder, write_json
+        from dvf_ig.io import files_together, output_folder, write_json
         from dvf_ig.io.atomic import write_bytes
         from dvf_ig.report.study.training import training_png
         from dvf_ig.study.training.comparison import curves_of, summarise_training, training_trial
@@ -41,11 +41,14 @@ def training(
             rows = summarise_training(lines)
             refused = [line for line in lines if "refused" in line]
             summary = {**settings, "seed": seed, "seeds": seeds, "refused": len(refused), "rows": rows}
-            write_json(out / "summary.json", summary)
             drawn = next((line for line in lines if "refused" not in line), None)
-            if drawn is not None:
-                title = f"Training on the distances of phantom {drawn['seed']}, knots every {PITCH_MM:g} mm"
-                write_bytes(out / "training.png", training_png(curves_of(drawn), title))
+            with files_together(out, ("summary.json", "training.png")) as new:
+                write_json(new / "summary.json", summary)
+                if drawn is not None:
+                    title = (
+                        f"Training on the distances of phantom {drawn['seed']}, knots every {PITCH_MM:g} mm"
+                    )
+                    write_bytes(new / "training.png", training_png(curves_of(drawn), title))
         if refused:
             warn(f"{len(refused)} of {seeds} trials were refused; the first: {refused[0]['refused']}")
         emit(summary, _rows(rows), as_json=as_json)

@@ -50,15 +50,15 @@ def calibration(
         from data_synth.scenario.ground_truth import draw_ground_truth
         from data_synth.seeds import child_rng
         from data_synth.ultrasound.probe import SectorProbe
-        from dvf_ig.io import output_folder, write_json, write_text
+        from dvf_ig.io import files_together, output_folder, write_json, write_text
 
         truth = draw_ground_truth(
             np.zeros(3), SectorProbe().plane_from_image, 150.0, child_rng(seed, "planting")
         )
-        with output_folder(out):
-            made = _MAKERS[kind](truth, out, child_rng(seed, kind.value))
-            write_json(out / "truth.json", {"kind": kind.value, "seed": seed, **made.truth})
-            write_text(out / "README.md", _readme(kind, seed, made))
+        with output_folder(out), files_together(out) as new:
+            made = _MAKERS[kind](truth, new, child_rng(seed, kind.value))
+            write_json(new / "truth.json", {"kind": kind.value, "seed": seed, **made.truth})
+            write_text(new / "README.md", _readme(kind, seed, made))
         emit(
             {"kind": kind.value, "folder": str(out), "files": [name for name, _, _ in made.files]},
             [(name, content) for name, content, _ in made.files],

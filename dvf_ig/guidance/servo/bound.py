@@ -115,10 +115,10 @@ def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOption
     nothing = np.zeros((0, 4, 4, 4), dtype=np.float32)
     linear = [part.coefficients for part in parts if part.blend != "periodic"]
     periodic = [part.coefficients for part in parts if part.blend == "periodic"]
-    constants = np.zeros((len(rows), FIXTURE_SIZE))
+    constants = np.zeros((FIXTURE_SIZE, len(rows)))
     for i, part in enumerate(parts):
         guiding, confining = isinstance(part.law, Gaussian), isinstance(part.law, Confinement)
-        constants[i] = (
+        constants[:, i] = (
             part.law.cap_n,
             0.0 if guiding else 1.0,
             packed[i, LAW + 1],

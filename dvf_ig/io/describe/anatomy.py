@@ -10,6 +10,7 @@ from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.mesh import Mesh
 from dvf_ig.core.points import Landmarks
 from dvf_ig.core.volume import Grid
+from dvf_ig.io.dicom.cine import read_dicom_cine
 from dvf_ig.io.image.volume import image_dimension, read_volume, read_volume_series
 from dvf_ig.io.landmarks import read_landmarks, read_tag_pair
 from dvf_ig.io.mesh.file import read_mesh
@@ -35,6 +36,19 @@ def image_facts(path: Path) -> Facts:
         }
     volume = read_volume(path)
     return {**_grid_facts(volume.grid), **_value_facts(volume.values)}
+
+
+def cine_facts(path: Path) -> Facts:
+    """Of a folder of DICOM images: as of a cyclic image, and whose and from which series."""
+    cine = read_dicom_cine(path)
+    return {
+        "patient_id": cine.patient_id,
+        "series": list(cine.series),
+        **_grid_facts(cine.grid),
+        **_value_facts(cine.values),
+        "phases": len(cine.timing),
+        **_timing_facts(cine.timing),
+    }
 
 
 def _grid_facts(grid: Grid) -> Facts:

@@ -12,6 +12,8 @@ from dvf_ig.core.scenario import LatencyRecording, Scenario
 from dvf_ig.core.signal import Signal
 from dvf_ig.core.stream import PoseStream
 from dvf_ig.core.trigger import TriggerTimes
+from dvf_ig.io.dicom.cine import is_dicom_folder
+from dvf_ig.io.ecg.beat_annotations import read_annotations
 from dvf_ig.io.ecg.recording import names_ecg, read_ecg
 from dvf_ig.io.mesh.file import DECODERS
 from dvf_ig.io.mesh.series import surface_names
@@ -25,6 +27,7 @@ from dvf_ig.io.scenario.layout import CONFIG
 from dvf_ig.io.scenario.read import read_scenario
 
 from .anatomy import (
+    cine_facts,
     image_facts,
     landmark_facts,
     mesh_facts,
@@ -63,7 +66,10 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
             raise InvalidInputError(
                 f"names of probe and reference belong to a tracked sequence; '{spec}' is an ECG"
             )
-        return Description("ECG", signal_facts(read_ecg(spec, rate_hz)))
+        facts_of_ecg = signal_facts(read_ecg(spec, rate_hz))
+        if spec.endswith(".atr"):
+            facts_of_ecg["annotated_beats"] = len(read_annotations(spec).t_s)
+        return Description("ECG", facts_of_ecg)
     if rate_hz is not None:
         raise InvalidInputError(f"a sampling rate belongs to an ECG as a text table; '{spec}' is none")
     path = Path(spec)
@@ -83,6 +89,8 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
 def _folder_kind(path: Path) -> tuple[str, Reader]:
     if (path / CONFIG).is_file():
         return "scenario folder", _scenario_facts
+    if is_dicom_folder(path):
+        return "cine of DICOM images", cine_facts
     if surface_names(path):
         return "surfaces through the cycle", surface_facts
     return "tool poses, one 4x4 text file each", _pose_facts

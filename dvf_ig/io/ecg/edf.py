@@ -116,7 +116,7 @@ def _leads(path: Path, data: bytes) -> list[_Lead]:
     at, columns = 256, list[list[str]]()
     for width in _WIDTHS:
         cells = (data[at + i * width : at + (i + 1) * width] for i in range(count))
-        columns.append([cell.decode("latin-1").strip() for cell in cells])
+        columns.append([_text(cell) for cell in cells])
         at += width * count
     leads, begin = [], 0
     for label, _, unit, low, high, digital_low, digital_high, _, samples, _ in zip(*columns, strict=True):
@@ -127,6 +127,11 @@ def _leads(path: Path, data: bytes) -> list[_Lead]:
         leads.append(_Lead(label, unit, physical, digital, int(samples), begin))
         begin += int(samples)
     return leads
+
+
+def _text(cell: bytes) -> str:
+    """A field of the header; what is no character that can be printed is a blank."""
+    return "".join(c if c.isprintable() else " " for c in cell.decode("latin-1")).strip()
 
 
 def _real(path: Path, what: str, text: str) -> float:

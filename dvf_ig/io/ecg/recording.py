@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.signal import Signal
 from dvf_ig.io import limits
@@ -64,18 +65,25 @@ def read_ecg(spec: str, rate_hz: float | None = None) -> Signal:
 def _require_plausible(path: Path, signal: Signal) -> None:
     """Refuse what is no voltage, and a recording without any sample; warn of a lead without."""
     limits.require_times(signal.start_s, "its first time")
-    missing = np.isnan(signal.samples)
-    largest = float(np.abs(signal.samples[~missing]).max()) if not missing.all() else None
-    if largest is None:
+    largest = _largest(signal.samples)
+    if np.isnan(largest):
         raise UnreadableFileError(f"{path} holds no sample of {', '.join(signal.leads)[:60]}, only gaps")
     if largest > limits.ECG_VALUE:
         raise UnreadableFileError(
             f"{path} holds a sample of {largest:g} {signal.unit}; needed finite values below "
             f"{limits.ECG_VALUE:g}, and nan where a sample is missing"
         )
-    for lead, empty in zip(signal.leads, missing.T, strict=True):
-        if empty.all():
+    for lead, samples in zip(signal.leads, signal.samples.T, strict=True):
+        if np.isnan(samples[0]) and np.isnan(samples).all():
             log.warning("%s: lead %s holds no sample, only gaps", path, lead)
+
+
+def _largest(samples: FloatArray) -> float:
+    """The largest magnitude of all; NaN where every sample is missing."""
+    ends = (float(samples.max()), float(samples.min()))
+    if np.isnan(ends[0]):
+        ends = (float(np.fmax.reduce(samples, axis=None)), float(np.fmin.reduce(samples, axis=None)))
+    return max(abs(ends[0]), abs(ends[1]))
 
 
 def split_spec(spec: str) -> tuple[str, Path]:

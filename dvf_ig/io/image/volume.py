@@ -1,4 +1,4 @@
-"""3-D and cyclic 4-D images: MetaImage and NRRD read here, NIfTI by SimpleITK; LPS, mm."""
+"""3-D and cyclic 4-D images: MetaImage and NRRD read here, NIfTI and DICOM by SimpleITK; LPS, mm."""
 
 from pathlib import Path
 from typing import Any
@@ -12,15 +12,16 @@ from dvf_ig.core.rigid import rigidity_defect
 from dvf_ig.core.volume import Grid, Volume, VolumeSeries
 from dvf_ig.io import limits
 from dvf_ig.io.atomic import atomic_file
+from dvf_ig.io.dicom.cine import is_dicom_folder, read_dicom_cine
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import reading
 
 from .header import ImageHeader
 from .metaimage import read_metaimage_header
-from .nifti_check import check_nifti, nifti_files
+from .nifti import nifti_files, read_nifti_header, read_nifti_voxels
 from .nrrd import read_nrrd_header
 from .timing import read_timing
-from .voxels import read_voxels
+from .voxels import in_c_order, read_voxels
 
 DIRECTION_TOLERANCE = 1e-3
 _EXACT_KEY = "dvf_ig_origin_spacing_direction"
@@ -50,16 +51,22 @@ def read_volume_series(
     """Read a cyclic 4-D image (x, y, z, phase).
 
     Args:
-        path: NIfTI, NRRD or MetaImage.
-        timing: when each phase was taken, or a timing file; None takes `timing.json` beside the image, else
-            phase i at i/N of an RR of 1.0 s, both marked as assumed.
+        path: NIfTI, NRRD or MetaImage, or a folder of DICOM images (`read_dicom_cine`).
+        timing: when each phase was taken, or a timing file; None takes the trigger times of DICOM images,
+            else `timing.json` beside the image, else phase i at i/N of an RR of 1.0 s, both marked as
+            assumed.
         frame: name of the image's LPS frame.
     Raises:
         UnreadableFileError: as `read_volume`, or not 4-D.
         InvalidInputError: timing of another number of phases.
     """
     path = Path(path)
-    grid, values = read_array(path, frame, 4)
+    if path.is_dir():
+        cine = read_dicom_cine(path, frame)
+        grid, values = cine.grid, cine.values
+        timing = cine.timing if timing is None else timing
+    else:
+        grid, values = read_array(path, frame, 4)
     if not isinstance(timing, CycleTiming):
         timing = read_timing(timing, beside=path.parent, phases=len(values), image=path.name)
     if len(timing) != len(values):
@@ -68,15 +75,17 @@ def read_volume_series(
 
 
 def image_dimension(path: Path | str) -> int:
-    """3 or 4 (or whatever the file says), from the header alone.
+    """3 or 4 (or whatever the file says), from the header alone; a folder of DICOM images has 4.
 
     Raises:
         UnreadableFileError: absent or not an image.
     """
     path = Path(path)
+    if is_dicom_folder(path):
+        return 4
     with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
         header = image_header(path)
-        return check_nifti(path) if header is None else len(header.sizes)
+        return len(read_nifti_header(path).sizes if header is None else header.sizes)
 
 
 def image_header(path: Path) -> ImageHeader | None:
@@ -149,20 +158,23 @@ def _read_nifti(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]
     """As `read_array`."""
     import SimpleITK
 
-    size = check_nifti(path)
-    if size != dimension:
+    header = read_nifti_header(path)
+    if len(header.sizes) != dimension:
         raise UnreadableFileError(
-            f"{path} is {size}-D with 1 value(s) a voxel; needed {dimension}-D with one"
+            f"{path} is {len(header.sizes)}-D with 1 value(s) a voxel; needed {dimension}-D with one"
         )
+    image = SimpleITK.ImageFileReader()  # where it lies in space, by rules that ITK knows best
+    image.SetImageIO("NiftiImageIO")
+    image.SetFileName(str(path))
     try:
-        image = SimpleITK.ReadImage(str(path), imageIO="NiftiImageIO")
+        image.ReadImageInformation()
     except RuntimeError as exc:
         raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
+    if tuple(image.GetSize()) != header.sizes or image.GetNumberOfComponents() != 1:
+        raise UnreadableFileError(f"{path} holds several values a voxel; needed an image with one")
+    values = read_nifti_voxels(path, header)
     for file in nifti_files(path):
         record_file(file)
-    if image.GetDimension() != dimension or image.GetNumberOfComponentsPerPixel() != 1:
-        raise UnreadableFileError(f"{path} holds several values a voxel; needed an image with one")
-    values = np.transpose(SimpleITK.GetArrayViewFromImage(image))
     values = np.moveaxis(values, -1, 0) if dimension == 4 else values
     origin, spacing = np.array(image.GetOrigin()[:3]), np.array(image.GetSpacing()[:3])
     _require_plausible(path, origin, spacing)
@@ -213,7 +225,7 @@ def _right_handed(
             f"-r ORTHOGONAL_REFERENCE.nii.gz -o straight_{path.name}"
         )
     shape = (int(values.shape[-3]), int(values.shape[-2]), int(values.shape[-1]))
-    owned = np.array(values, order="C")  # a copy: `values` may be a view into an image that goes away
+    owned = in_c_order(values)  # a copy: `values` may be a view into an image that goes away
     owned.setflags(write=False)
     return Grid(frame, shape, origin, spacing, direction), owned
 

@@ -1,6 +1,5 @@
 """The voxels of a MetaImage or NRRD file, raw or packed; no more is read than its header promises."""
 
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -8,14 +7,15 @@ import numpy as np
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io import limits
+from dvf_ig.io.inflate import MOST_PACKED, inflated, require_size
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import refuse_lfs_pointer
 
 from .header import ImageHeader, Storage
 
-_GZIP_OR_ZLIB = 47
-_MOST_PACKED = 1032
-"""Bytes that one byte of a deflate stream can stand for (RFC 1951: 258 in two bits)."""
+_AT_ONCE = 256
+"""Bytes: four lines of a processor's cache."""
+_MANY_SLICES = 64
 
 
 def read_voxels(path: Path, header: ImageHeader) -> AnyArray:
@@ -32,8 +32,8 @@ def read_voxels(path: Path, header: ImageHeader) -> AnyArray:
     for file in storage.files:
         refuse_lfs_pointer(file)
     held = sum(file.stat().st_size for file in storage.files or (path,))
-    if needed > held * (_MOST_PACKED if storage.compressed else 1):
-        _require_size(path, held, needed)
+    if needed > held * (MOST_PACKED if storage.compressed else 1):
+        require_size(path, held, needed)
     flat = (_unpacked if storage.compressed else _raw)(path, storage, needed)
     for file in storage.files:
         record_file(file)
@@ -52,35 +52,39 @@ def _raw(path: Path, storage: Storage, needed: int) -> AnyArray:
         size = part.stat().st_size
         skip = storage.skip if storage.files else storage.offset
         begin = max(size - share, 0) if skip is None else skip
-        _require_size(part, size - begin, share)
+        require_size(part, size - begin, share)
         with part.open("rb") as stream:
             stream.seek(begin)
             got = stream.readinto(target.data)
-        _require_size(part, got, share)
+        require_size(part, got, share)
     return flat
 
 
 def _unpacked(path: Path, storage: Storage, needed: int) -> AnyArray:
-    """Packed voxels; no more is unpacked than is needed, and a byte."""
-    inflater = zlib.decompressobj(_GZIP_OR_ZLIB)
     packed = b"".join(file.read_bytes() for file in storage.files)
     if not storage.files:
         with path.open("rb") as stream:
             stream.seek(storage.offset)
             packed = stream.read()
-    try:
-        out = inflater.decompress(packed, needed + 1)
-    except zlib.error as exc:
-        raise UnreadableFileError(f"{path}: its packed voxels are damaged ({exc}); copy it again") from exc
-    _require_size(path, len(out), needed)
-    if not inflater.eof:
-        raise UnreadableFileError(f"{path} is truncated: its packed voxels do not end; copy it again")
-    return np.frombuffer(out, np.uint8)
+    return inflated(path, packed, needed)
 
 
-def _require_size(path: Path, got: int, needed: int) -> None:
-    if got != needed:
-        state = "is truncated" if got < needed else "is longer than its header says"
-        raise UnreadableFileError(
-            f"{path} {state}: its voxels have {max(got, 0)} bytes, its header needs {needed}; copy it again"
-        )
+def in_c_order(values: AnyArray) -> AnyArray:
+    """A copy whose last axis is contiguous, of (…, x, y, z) in any order.
+
+    Files hold x fastest, so that neighbours along z are a slice apart: where the slices are many, voxels are
+    copied so many along x at a time that what memory gives at once is used at once.
+    """
+    if values.shape[-1] < _MANY_SLICES:
+        return np.array(values, order="C")
+    out = np.empty(values.shape, values.dtype)
+    step = _AT_ONCE // values.itemsize
+    for part, target in zip(_volumes(values), _volumes(out), strict=True):
+        for x in range(0, part.shape[0], step):
+            for y in range(part.shape[1]):
+                target[x : x + step, y] = part[x : x + step, y]
+    return out
+
+
+def _volumes(values: AnyArray) -> list[AnyArray]:
+    return [values] if values.ndim == 3 else list(values)

@@ -13,6 +13,7 @@ from dvf_ig.core.scenario import LatencyRecording
 from dvf_ig.core.sequence import TrackedSequence
 from dvf_ig.core.signal import Trace
 from dvf_ig.core.stream import PoseStream
+from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 
 from .feature_points import tracked_probe
@@ -48,6 +49,12 @@ def read_line_table(xml: Path | str, column_px: float | None = None) -> tuple[In
             raise UnreadableFileError(f"{path}: the line of frame {upright} is upright; it is no tank floor")
         column = float(np.median(origin[:, 0])) if column_px is None else column_px
         rows = origin[:, 1] + (column - origin[:, 0]) * (direction[:, 1] / direction[:, 0])
+        far = int(np.abs(rows).argmax())
+        if not abs(rows[far]) <= limits.AXIS:
+            raise UnreadableFileError(
+                f"{path}: the line of frame {index[far]} crosses column {column:g} at row "
+                f"{rows[far]:g}; it is no tank floor"
+            )
         order = np.argsort(index, kind="stable")
         if (np.diff(index[order]) == 0).any():
             raise UnreadableFileError(f"{path}: a frame index repeats; needed one line a frame")

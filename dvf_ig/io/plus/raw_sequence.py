@@ -5,7 +5,6 @@ per-frame fields are named Seq_FrameNNNN_<field>. What the fields mean is `seque
 """
 
 import re
-import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,12 +14,12 @@ from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.file_within import file_within
+from dvf_ig.io.inflate import inflated, require_size
 from dvf_ig.io.reading import read_bytes
 
 _FRAME_FIELD = re.compile(r"Seq_Frame([0-9]{1,9})_(\S+)")
 _DATA_FILE_LINE = re.compile(rb"^ElementDataFile[ \t]*=[ \t]*([^\r\n]*)(\r\n|\n|\r|\Z)", re.MULTILINE)
 _UINT8 = {"MET_UCHAR", "uchar", "unsigned char", "uint8", "uint8_t"}
-_GZIP_OR_ZLIB = 47  # zlib's "detect the header" window size
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +39,7 @@ class RawSequence:
     columns: int
     rows: int
     frames: int
-    pixels: bytes | memoryview
+    pixels: memoryview
 
     @property
     def pixel_type(self) -> str:
@@ -114,10 +113,10 @@ def _read_metaimage(path: Path, data: bytes, wanted: bool) -> RawSequence:
         raise UnreadableFileError(f"{path}: the pixels are stored as text; save the sequence as binary data")
     payload = _payload(path, data, end.end(), end[1].decode("utf-8", "replace").strip())
     if fields.get("CompressedData", "False").lower() == "true":
-        pixels: bytes | memoryview = _inflate(path, payload, expected)
+        pixels = _inflated(path, payload, expected)
     else:
         pixels = payload[:expected]
-    _require_size(path, len(pixels), expected)
+    require_size(path, len(pixels), expected)
     return RawSequence(fields, header.frame_fields, columns, rows, frames, pixels)
 
 
@@ -127,7 +126,7 @@ def _without_pixels(path: Path, header: _Header, shape: tuple[int, int, int], si
     _require_plausible(path, frames, size)
     if 0 in shape:
         columns = rows = 0
-    return RawSequence(header.fields, header.frame_fields, columns, rows, frames, b"")
+    return RawSequence(header.fields, header.frame_fields, columns, rows, frames, memoryview(b""))
 
 
 def _read_nrrd(path: Path, data: bytes, wanted: bool) -> RawSequence:
@@ -151,12 +150,12 @@ def _read_nrrd(path: Path, data: bytes, wanted: bool) -> RawSequence:
     payload = _payload(path, data, start, fields.get("data file", fields.get("datafile", "LOCAL")))
     encoding = fields.get("encoding", "raw").lower()
     if encoding in ("gzip", "gz"):
-        pixels: bytes | memoryview = _inflate(path, payload, expected)
+        pixels = _inflated(path, payload, expected)
     elif encoding == "raw":
         pixels = payload[:expected]
     else:
         raise UnreadableFileError(f"{path}: encoding '{encoding}' is not supported; save it as raw or gzip")
-    _require_size(path, len(pixels), expected)
+    require_size(path, len(pixels), expected)
     return RawSequence(fields, header.frame_fields, columns, rows, frames, pixels)
 
 
@@ -226,23 +225,7 @@ def _payload(path: Path, data: bytes, start: int, name: str) -> memoryview:
     return memoryview(read_bytes(file_within(path.parent, name, path), f"the pixel data of {path.name}"))
 
 
-def _inflate(path: Path, payload: memoryview, expected: int) -> bytes:
-    """Decompress zlib or gzip data, never more than one byte beyond what is expected."""
+def _inflated(path: Path, payload: memoryview, expected: int) -> memoryview:
     if expected > limits.FILE_BYTES:
         raise UnreadableFileError(f"{path}: its header states {expected} bytes of images; split it")
-    inflater = zlib.decompressobj(_GZIP_OR_ZLIB)
-    try:
-        return inflater.decompress(payload, expected + 1)
-    except zlib.error as exc:
-        raise UnreadableFileError(
-            f"{path}: the compressed image data are damaged ({exc}); copy the file again"
-        ) from exc
-
-
-def _require_size(path: Path, got: int, needed: int) -> None:
-    if got != needed:
-        state = "truncated" if got < needed else "longer than its header says"
-        raise UnreadableFileError(
-            f"{path} is {state}: its images have {got} bytes, its header needs {needed}; "
-            "copy or record it again"
-        )
+    return inflated(path, payload, expected).data

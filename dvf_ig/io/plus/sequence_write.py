@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, OutputError
 from dvf_ig.core.frames import RAS_FROM_LPS
 from dvf_ig.core.rigid import Rigid
@@ -83,30 +84,49 @@ def write_pose_sequence(poses: Sequence[tuple[float, Rigid]], path: Path | str) 
         raise InvalidInputError(f"a transform sequence needs poses of one pair of frames; got {len(frames)}")
     target, source = frames.pop()
     name = join_transform("ras", source)
+    comment = (
+        f"{name}: p_ras = M p_{source}, mm, row-major 4x4, to parent; "
+        f"p_ras = diag(-1, -1, 1) p_{target}; {source} as its device reports it; Timestamp in s: when the "
+        "pose came into use"
+    )
+    matrices = np.array([RAS_FROM_LPS @ pose.matrix for _, pose in poses])
+    write_transform_sequence(name, [from_s for from_s, _ in poses], matrices, path, comment)
+
+
+def write_transform_sequence(
+    name: str, t_s: Sequence[float], matrices: FloatArray, path: Path, comment: str
+) -> None:
+    """Write matrices over time as a linear transform sequence of 3D Slicer (`.seq.mha`).
+
+    Args:
+        name: as PLUS spells it, for example "ProbeToTracker".
+        t_s: (n,) s, in order of time.
+        matrices: (n, 4, 4) *transform to parent*, mm; taken as they stand.
+        comment: what they mean, for people.
+    Raises:
+        OutputError: not writable.
+    """
     lines = [
         "ObjectType = Image",
         "NDims = 3",
-        f"Comment = {SEQUENCE_COMMENT}; {name}: p_ras = M p_{source}, mm, row-major 4x4, to parent; "
-        f"p_ras = diag(-1, -1, 1) p_{target}; {source} as its device reports it; Timestamp in s: when the "
-        "pose came into use",
+        f"Comment = {SEQUENCE_COMMENT}; {comment}",
         "AnatomicalOrientation = RAI",
         "BinaryData = True",
         "CompressedData = False",
-        f"DimSize = 0 0 {len(poses)}",
+        f"DimSize = 0 0 {len(matrices)}",
         "ElementSpacing = 1 1 1",
         "Offset = 0 0 0",
         "TransformMatrix = 1 0 0 0 1 0 0 0 1",
         "ElementType = MET_UCHAR",
         "Kinds = domain domain list",
     ]
-    width = max(4, len(str(len(poses) - 1)))
-    for i, (from_s, pose) in enumerate(poses):
-        matrix = RAS_FROM_LPS @ pose.matrix + 0.0  # no negative zeros
-        text = " ".join(map(repr, matrix[:3].ravel().tolist()))
+    width = max(4, len(str(len(matrices) - 1)))
+    for i, (stamp_s, matrix) in enumerate(zip(t_s, matrices, strict=True)):
+        text = " ".join(map(repr, (matrix[:3] + 0.0).ravel().tolist()))  # no negative zeros
         prefix = f"Seq_Frame{i:0{width}d}_"
         lines.append(f"{prefix}{name}Transform = {text} {_LAST_ROW}")
         lines.append(f"{prefix}{name}TransformStatus = OK")
-        lines.append(f"{prefix}Timestamp = {float(from_s)!r}")
+        lines.append(f"{prefix}Timestamp = {float(stamp_s)!r}")
     write_bytes(path, ["\n".join([*lines, "ElementDataFile = LOCAL\n"]).encode()])
 
 

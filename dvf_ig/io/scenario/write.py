@@ -65,7 +65,7 @@ def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes 
     with atomic_folder(Path(folder)) as new:
         for part in ("preop", "calibration"):
             make_folder(new / part)
-        _write_preop(scenario.preop, new, config.preop)
+        write_preop(scenario.preop, new, config.preop)
         files = config.files
         if isinstance(scenario.ecg, TriggerTimes):
             write_triggers(scenario.ecg, new / TRIGGER)
@@ -146,7 +146,12 @@ def _kind(preop: Preop) -> Literal["labels", "surfaces", "labels and surfaces"]:
     return "labels" if labelled else "surfaces"
 
 
-def _write_preop(preop: Preop, folder: Path, config: PreopConfig) -> None:
+def write_preop(preop: Preop, folder: Path, config: PreopConfig) -> None:
+    """Write images, surfaces and times under the names of the configuration.
+
+    Raises:
+        OutputError: not writable.
+    """
     timings: dict[str, CycleTiming] = {}
     if preop.mr is not None and config.mr is not None:
         write_volume_series(preop.mr, folder / config.mr)

@@ -3,9 +3,11 @@
 What is not there is told by `missing_parts`, what cannot be read by `examine`.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from dvf_ig.cardiac import stream_recording
+from dvf_ig.cardiac import RPeak, stream_recording
 from dvf_ig.core.errors import InvalidInputError, NoOverlapError
 from dvf_ig.core.image_map import ImageMap
 from dvf_ig.registration import TouchedPoints, start_from_landmarks
@@ -18,6 +20,9 @@ from dvf_ig.session.recording_checks import (
     require_tracked,
 )
 
+from .agreement.agreement import disagreements
+from .agreement.cycle import HeartInImages, heart_in_images
+from .agreement.finding import Finding
 from .fit_heart import misfits_of_heart
 from .missing import missing_parts
 from .parts import SessionParts, StartFiles, Sweep
@@ -31,9 +36,44 @@ LEAST_SHOWN = 0.01
 """A sector smaller than this share of the image is none."""
 
 
-def misfits(parts: SessionParts) -> tuple[Problem, ...]:
-    """What does not fit, of the parts that there are."""
-    problems = ProblemList()
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Whether parts can be used together.
+
+    Attributes:
+        problems: what single parts, or pairs of them, cannot be used for.
+        findings: in what they disagree, refused or not.
+        seen: what the images say of the ECG's clock; None where it was not looked at.
+    """
+
+    problems: tuple[Problem, ...]
+    findings: tuple[Finding, ...]
+    seen: HeartInImages | None
+
+    @property
+    def misfits(self) -> tuple[Problem, ...]:
+        """What keeps parts from being used; where a key is of no use, nothing more is said of it."""
+        told = {problem.key for problem in self.problems}
+        refused = (one.problem for one in self.findings if one.refused and one.key not in told)
+        return (*self.problems, *refused)
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """What is doubtful, but not refused."""
+        return tuple(one for one in self.findings if not one.refused)
+
+
+def fit_of(parts: SessionParts) -> Fit:
+    """Of the parts that there are."""
+    problems, peaks = _misfits(parts)
+    peaks_s = np.array([peak.t_s for peak in peaks])
+    seen = None if problems else heart_in_images(parts, peaks_s)
+    return Fit(tuple(problems), disagreements(parts, peaks_s, seen), seen)
+
+
+def _misfits(parts: SessionParts) -> tuple[list[Problem], tuple[RPeak, ...]]:
+    """What single parts, or pairs of them, cannot be used for; and the heart beats of the ECG."""
+    problems, peaks = ProblemList(), tuple[RPeak, ...]()
     sweep, ecg, tool, start = parts.sweep, parts.ecg, parts.tool, parts.start
     if sweep is not None:
         with problems.about("ultrasound"):
@@ -45,7 +85,8 @@ def misfits(parts: SessionParts) -> tuple[Problem, ...]:
             _require_depth(parts, sweep)
     if ecg is not None:
         with problems.about("ecg"):
-            require_heart_beats(stream_recording(ecg)[0], ecg)
+            peaks, _ = stream_recording(ecg)
+            require_heart_beats(peaks, ecg)
     if tool is not None:
         with problems.about("tool", "replay"):
             require_tracked(tool, "tool")
@@ -61,22 +102,28 @@ def misfits(parts: SessionParts) -> tuple[Problem, ...]:
             require_spread(TouchedPoints(start.touched, np.zeros(len(start.touched))))
     if parts.preop is not None:
         problems.found += misfits_of_heart(parts.preop)
-    return tuple(problems.found)
+    return problems.found, peaks
 
 
-def require_fit(recordings: SessionRecordings, use: Use) -> None:
-    """Raise the first reason why recordings that were read cannot be used for something."""
+def require_fit(recordings: SessionRecordings, use: Use) -> tuple[Finding, ...]:
+    """What is doubtful about recordings that were read.
+
+    Raises:
+        DvfIgError: the first reason why they cannot be used for something.
+    """
     parts = parts_of(recordings)
-    for problem in (*misfits(parts), *missing_parts(parts)):
+    fit = fit_of(parts)
+    for problem in (*fit.misfits, *missing_parts(parts)):
         if problem.concerns(use):
             raise type(problem.error)(problem.sentence) from problem.error
+    return tuple(one for one in fit.warnings if one.concerns(use))
 
 
 def parts_of(recordings: SessionRecordings) -> SessionParts:
     """The same recordings, part by part."""
     scenario = recordings.scenario
     return SessionParts(
-        PreopFiles(scenario.preop, recordings.model),
+        PreopFiles(scenario.preop, recordings.model, recordings.named_patient),
         Sweep(scenario.ultrasound, scenario.ultrasound.stream("tracker", "probe")),
         scenario.fan,
         scenario.ecg,

@@ -13,11 +13,12 @@ from dvf_ig.core.mesh import SurfaceSeries
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.scenario import Preop
 from dvf_ig.core.volume import Volume, VolumeSeries
+from dvf_ig.io.dicom.cine import dicom_patient_id, is_dicom_folder
 from dvf_ig.io.image.labels import read_cine_labels
 from dvf_ig.io.image.timing import timing_from_document
 from dvf_ig.io.image.volume import image_dimension, read_volume_series
 from dvf_ig.io.json_file import read_json
-from dvf_ig.io.mesh.series import read_surface_series, surface_names
+from dvf_ig.io.mesh.series import UNKNOWN_PATIENT, read_surface_series, surface_names
 from dvf_ig.io.model import read_model
 from dvf_ig.io.reading import reading
 from dvf_ig.io.yaml_config import validated
@@ -29,10 +30,16 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreopFiles:
-    """What was read of the pre-operative heart; the model where a file holds it."""
+    """What was read of the pre-operative heart.
+
+    Attributes:
+        model: where a file holds it.
+        named_patient: whose surfaces they are by the names of their files; None where these do not say.
+    """
 
     preop: Preop
     model: DvfModel | None
+    named_patient: str | None = None
 
 
 def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> PreopFiles:
@@ -62,6 +69,7 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
             )
         else:
             ed_labels, _ = read_cine_labels(path, mr, config.ed_phase)
+    surfaces, named = _surfaces(config, folder, patient, timing)
     organ_labels = config.organ_labels or (label_values(labels) if labels is not None else ())
     preop = Preop(
         patient_id=patient,
@@ -72,10 +80,10 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
         label_names=tuple(config.label_names.items()),
         organ_labels=organ_labels,
         cavity_labels=config.cavity_labels,
-        surfaces=_surfaces(config, folder, patient, timing),
+        surfaces=surfaces,
         surface=config.surface,
     )
-    return PreopFiles(preop, model)
+    return PreopFiles(preop, model, None if patient_id is None and model is None else named)
 
 
 def read_heart_options(document: dict[str, Any], patient_id: str | None) -> PreopFiles:
@@ -106,19 +114,24 @@ def label_values(labels: Volume | VolumeSeries) -> tuple[int, ...]:
 
 
 def _name(config: PreopConfig, folder: Path) -> str:
-    """Of the first file that images the heart, without its endings."""
+    """Of the first file that images the heart: as DICOM images say, else its name without its endings."""
     named = config.mr or config.labels or config.surfaces_folder or ""
+    if is_dicom_folder(folder / named) and (patient := dicom_patient_id(folder / named)):
+        return patient
     return Path(folder / named).name.partition(".")[0]
 
 
 def _surfaces(
     config: PreopConfig, folder: Path, patient: str, timing: "_Timing"
-) -> tuple[SurfaceSeries, ...]:
+) -> tuple[tuple[SurfaceSeries, ...], str | None]:
+    """The surfaces as the patient's, and whose they are by the names of their files."""
     if config.surfaces_folder is None:
-        return ()
+        return (), None
     path = folder / config.surfaces_folder
     names = config.surfaces or surface_names(path)
-    return tuple(timing.surface(path, name, patient) for name in names)
+    series = [timing.surface(path, name) for name in names]
+    named = {one.patient_id for one in series} - {UNKNOWN_PATIENT}
+    return tuple(replace(one, patient_id=patient) for one in series), min(named, default=None)
 
 
 class _Timing:
@@ -132,18 +145,9 @@ class _Timing:
         """A 4-D image with the times of its role."""
         return read_volume_series(file, self._of(role) or self._path)
 
-    def surface(self, folder: Path, name: str, patient_id: str) -> SurfaceSeries:
+    def surface(self, folder: Path, name: str) -> SurfaceSeries:
         """A series of surfaces with the times of its name."""
-        series = read_surface_series(folder, name, self._of(name) or self._path)
-        return SurfaceSeries(
-            series.name,
-            series.frame,
-            series.vertices_mm,
-            series.triangles,
-            series.timing,
-            patient_id,
-            series.caps,
-        )
+        return read_surface_series(folder, name, self._of(name) or self._path)
 
     def _of(self, name: str) -> CycleTiming | None:
         """Its own where the file lists it, else the common one; None where the file is of another form."""

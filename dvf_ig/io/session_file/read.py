@@ -36,12 +36,14 @@ class SessionRecordings:
         model: of the patient, where a file holds it.
         fixtures: None where the configuration describes none.
         retiming: how the beat is mapped to the model's cycle; None where it does not say.
+        named_patient: as of `PreopFiles`.
     """
 
     scenario: Scenario
     model: DvfModel | None
     fixtures: "FixtureSet | None"
     retiming: RetimingName | None
+    named_patient: str | None = None
 
 
 def read_session_config(path: Path | str) -> SessionConfig:
@@ -149,7 +151,7 @@ def read_recordings(config: SessionConfig, folder: Path, named_by: str) -> Sessi
         truth=None if config.truth is None else read_truth(folder / config.truth),
     )
     fixtures, retiming = read_session_fixtures(config, folder, named_by)
-    return SessionRecordings(scenario, files.model, fixtures, retiming)
+    return SessionRecordings(scenario, files.model, fixtures, retiming, files.named_patient)
 
 
 def _ultrasound(recorded: TrackedSequence, probe: PoseStream) -> TrackedSequence:

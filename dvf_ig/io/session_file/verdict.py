@@ -4,9 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from .agreement.cycle import HeartInImages
+from .agreement.finding import Finding
 from .draft import GivenFiles
 from .examine import examine
-from .fit import misfits
+from .fit import fit_of
 from .fit_heart import preop_label_values
 from .missing import missing_parts
 from .named_files import named_files
@@ -26,12 +28,15 @@ class Verdict:
         unreadable: files that are absent, damaged, of another kind, or calibrations that were refused.
         misfits: parts that cannot be used, or not together.
         missing: parts that are not named.
+        warnings, seen: as of a `Fit`.
     """
 
     parts: SessionParts
     unreadable: tuple[Problem, ...]
     misfits: tuple[Problem, ...]
     missing: tuple[Problem, ...]
+    warnings: tuple[Finding, ...]
+    seen: HeartInImages | None
 
     def hindrances(self, use: Use) -> tuple[Problem, ...]:
         """What keeps these files from a use; a file that cannot be read hinders every use."""
@@ -74,9 +79,11 @@ def _verdict(
     """An ECG that is neither named nor in the ultrasound is missing, not unreadable."""
     absent = tuple(p for p in problems if p.key == "ecg" and config.ecg is None)
     files = {key: folder / name for key, name in named_files(config)}
-    fit = tuple(_with_file(problem, files) for problem in misfits(parts))
-    missing = missing_parts(parts, (*problems, *fit))
-    return Verdict(parts, tuple(p for p in problems if p not in absent), fit, (*absent, *missing))
+    fit = fit_of(parts)
+    misfits = tuple(_with_file(problem, files) for problem in fit.misfits)
+    missing = (*absent, *missing_parts(parts, (*problems, *misfits)))
+    unreadable = tuple(p for p in problems if p not in absent)
+    return Verdict(parts, unreadable, misfits, missing, fit.warnings, fit.seen)
 
 
 def _with_file(problem: Problem, files: Mapping[str, Path]) -> Problem:

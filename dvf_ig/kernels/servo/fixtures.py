@@ -17,7 +17,7 @@ from dvf_ig.kernels.vectors import Vector, dot
 
 from .published import MARGIN_MM, POSE_AND_PHASE
 
-# Columns of the fixtures' constants.
+# Rows of the fixtures' constants.
 FIXTURE_CAP_N = 0
 FORBIDDEN = 1
 BASE_WIDTH = 2
@@ -57,8 +57,8 @@ def widen(packed: FloatArray, fixtures: FloatArray, inputs: FloatArray) -> None:
     """Set the laws to those with the published margins."""
     for i in range(len(packed)):
         margin = inputs[MARGIN_MM + i]
-        packed[i, LAW + 1] = fixtures[i, BASE_WIDTH] + fixtures[i, WIDEN_WIDTH] * margin
-        packed[i, DEPTH] = fixtures[i, BASE_DEPTH] + fixtures[i, WIDEN_DEPTH] * margin
+        packed[i, LAW + 1] = fixtures[BASE_WIDTH, i] + fixtures[WIDEN_WIDTH, i] * margin
+        packed[i, DEPTH] = fixtures[BASE_DEPTH, i] + fixtures[WIDEN_DEPTH, i] * margin
 
 
 @inlined
@@ -116,6 +116,6 @@ def fixtures_force(
         gradient[2],
         found[4],
     )
-    compose_forces(forces, fixtures[:, FIXTURE_CAP_N], fixtures[:, FORBIDDEN], cap_n, work, order, composed)
+    compose_forces(forces, fixtures[FIXTURE_CAP_N], fixtures[FORBIDDEN], cap_n, work, order, composed)
     first[DISTANCE_RATE], first[DISTANCE_SIGMA] = distance_rate_and_sigma(pose_phase, pose, phase, xyz, first)
     return code.OK

@@ -83,8 +83,8 @@ def cross_to_walls(
         the status; unless OK or NO_PHASE there is no force.
     """
     walls = 0
-    for i in range(len(fixtures)):
-        walls += int(fixtures[i, FORBIDDEN])
+    for i in range(len(packed)):
+        walls += int(fixtures[FORBIDDEN, i])
     if walls == 0:
         return status
     pose_phase = inputs[POSE_AND_PHASE:]
@@ -101,14 +101,12 @@ def cross_to_walls(
         held = forces_on_surface(linear, periodic, packed, place, loss[HELD_PHASE], forces)
         if held[0] == code.OK:
             turn_forces(pose, forces)
-            compose_forces(
-                forces, fixtures[:, FIXTURE_CAP_N], fixtures[:, FORBIDDEN], cap_n, work, order, composed
-            )
+            compose_forces(forces, fixtures[FIXTURE_CAP_N], fixtures[FORBIDDEN], cap_n, work, order, composed)
     if status == code.NO_PHASE or share > 0.0:
         begun = False
         for i in range(len(packed)):
             forces[i, 0] = forces[i, 1] = forces[i, 2] = 0.0
-            if fixtures[i, FORBIDDEN] == 0.0:
+            if fixtures[FORBIDDEN, i] == 0.0:
                 continue
             of_model = periodic if int(packed[i, BLEND]) == BLEND_PERIODIC else linear
             worst = worst_phase_force(of_model, packed[i], place)
@@ -125,9 +123,10 @@ def cross_to_walls(
                     pose_phase, pose, (0.0, 0.0, 0.0), xyz, first
                 )
         turn_forces(pose, forces)
-        compose_forces(forces, fixtures[:, FIXTURE_CAP_N], fixtures[:, FORBIDDEN], cap_n, work, order, other)
+        compose_forces(forces, fixtures[FIXTURE_CAP_N], fixtures[FORBIDDEN], cap_n, work, order, other)
         for k in range(FORCE_PARTS):
             composed[k] += share * (other[k] - composed[k])
         if status == code.NO_PHASE:
-            composed[FORCE_PARTS:] = other[FORCE_PARTS:]
+            for k in range(FORCE_PARTS, len(composed)):
+                composed[k] = other[k]
     return status

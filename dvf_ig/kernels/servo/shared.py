@@ -155,7 +155,8 @@ def read_shared(counter: Any, shared: FloatArray, seen: int, out: FloatArray, wo
             work[i] = load_relaxed(shared, i)
         fence_acquire()
         if load_relaxed(counter, 0) == count:
-            out[:] = work
+            for i in range(len(out)):
+                out[i] = work[i]
             read: int = count
             return read
     return seen

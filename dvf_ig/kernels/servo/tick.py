@@ -184,7 +184,7 @@ def servo_tick(
     Args:
         linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
         packed: (k, p) fixtures (`packed_fixture`), written to.
-        fixtures: (k, 6) their constants; c: constants of the servo; limits, codes: of the supervisor.
+        fixtures: (6, k) their constants; c: constants of the servo; limits, codes: of the supervisor.
         inputs: what the session published; writable.
         xyz_device: (3,) mm, device frame; device_status: not 0 where the device did not answer.
         clock_s: monotonic clock at which the position was read.

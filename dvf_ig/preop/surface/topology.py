@@ -98,6 +98,8 @@ def _propagated_flips(graph: csr_array, count: int) -> BoolArray:
     _, roots = np.unique(label, return_index=True)
     for root in roots:
         order, parent = breadth_first_order(graph, root, directed=False)
+        if len(order) < 2:  # a triangle without neighbours
+            continue
         different = np.asarray(graph[parent[order[1:]], order[1:]]).ravel() == 2
         for triangle, flip in zip(order[1:], different, strict=True):
             flipped[triangle] = flipped[parent[triangle]] ^ flip

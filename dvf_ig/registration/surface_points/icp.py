@@ -83,5 +83,6 @@ def _open3d() -> Any:
         return importlib.import_module("open3d")
     except (ImportError, OSError) as exc:
         raise MissingDependencyError(
-            f"fitting touched surface points needs Open3D ({exc}); `dvf-ig doctor` says what is missing"
+            f"fitting touched surface points needs Open3D ({exc}); install it with: "
+            'pip install "dvf-ig[open3d]" (`dvf-ig doctor` names system libraries that it lacks)'
         ) from exc

@@ -45,8 +45,9 @@ OUTCOME_CLASS = {Outcome.PASSED: "passed", Outcome.FAILED: "failed"}
 
 def registration_html(page: RegistrationPage) -> str:
     """The page for one registration."""
+    view = f'<p><a href="{html.escape(page.view)}">The planes in space, to turn and to compare</a></p>'
     body = (
-        f"<p class=note>{html.escape(page.about)}</p>{_verdict(page)}"
+        f"<p class=note>{html.escape(page.about)}</p>{_verdict(page)}{view if page.view else ''}"
         + section(
             "Ultrasound and anatomy, before and after registration",
             f"{PLANES_NOTE} {page.remark}".strip(),

@@ -83,6 +83,7 @@ class RegistrationPage:
         data: rows of what was registered, and how much of it.
         transform: the pose.
         made: rows of how it was computed.
+        view: name of the interactive page beside it; empty without.
     """
 
     title: str
@@ -97,3 +98,4 @@ class RegistrationPage:
     data: Sequence[tuple[str, str]]
     transform: Transform
     made: Sequence[tuple[str, str]]
+    view: str = ""

@@ -16,7 +16,7 @@ from .figures import (
     pose_figure,
     supervisor_figure,
 )
-from .values import BeatTrace, RegistrationMark, ReplayPage
+from .values import BeatTrace, ReplayPage
 
 
 def replay_html(page: ReplayPage) -> str:
@@ -72,10 +72,8 @@ def replay_html(page: ReplayPage) -> str:
     )
     estimates = table(("", "estimate", "error against the ground truth"), page.estimates)
     about = f"patient {html.escape(page.patient_id)}, dvf_ig {html.escape(page.version)}"
-    return html_page(
-        f"Replay of {page.scenario}",
-        f"<p class=note>{about}</p>{_verdict(page.registrations)}<h2>Estimates</h2>{estimates}{body}",
-    )
+    head = f"<p class=note>{about}</p>{_verdict(page)}{_warnings(page.warnings)}"
+    return html_page(f"Replay of {page.scenario}", f"{head}<h2>Estimates</h2>{estimates}{body}")
 
 
 def _tre_remark(beats: BeatTrace | None) -> str:
@@ -84,9 +82,18 @@ def _tre_remark(beats: BeatTrace | None) -> str:
     return " Above it: mean target registration error (TRE) of that best pose; thin dotted line: 2 mm."
 
 
-def _verdict(registrations: Sequence[RegistrationMark]) -> str:
+def _warnings(sentences: Sequence[str]) -> str:
+    """What is doubtful about the recordings together; nothing where all is well."""
+    items = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences)
+    return f"<h2>Recordings that disagree</h2><ul>{items}</ul>" if items else ""
+
+
+def _verdict(page: ReplayPage) -> str:
+    registrations = page.registrations
     used = any(mark.usable for mark in registrations)
     last = registrations[-1].reason if registrations else "the recording is too short to register"
+    if used and page.no_force is not None:
+        return f"<p class='verdict bad'>No force was given: {html.escape(page.no_force)}</p>"
     if used and registrations[-1].usable:
         return "<p class='verdict good'>Registered: force was given in valid state only</p>"
     if used:

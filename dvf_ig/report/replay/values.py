@@ -116,6 +116,8 @@ class ReplayPage:
         scenario, patient_id, version: what was replayed, whose it is, and by which version.
         estimates: rows of quantity, estimate, error against the ground truth.
         registrations: in order.
+        no_force: why no force was given at all, and how to mend it; None where one was.
+        warnings: in what the recordings disagree, a sentence each.
         overlays: frames of the last registration in use; empty where none saw any.
         beats: None where no beat was compared.
         ticks: every tick.
@@ -128,6 +130,8 @@ class ReplayPage:
     version: str
     estimates: Sequence[tuple[str, str, str]]
     registrations: Sequence[RegistrationMark]
+    no_force: str | None
+    warnings: Sequence[str]
     overlays: Sequence[PlaneOverlay]
     beats: BeatTrace | None
     ticks: TickTrace

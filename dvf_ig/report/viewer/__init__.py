@@ -7,6 +7,8 @@ from .frames import frame_event as frame_event
 from .packing import packed as packed
 from .page import live_page as live_page
 from .page import viewer_html as viewer_html
+from .registration import RegistrationView as RegistrationView
+from .registration import registration_payload as registration_payload
 from .scene import ImageShape as ImageShape
 from .scene import SceneInput as SceneInput
 from .scene import image_shape as image_shape

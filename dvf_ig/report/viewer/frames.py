@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
+from dvf_ig.kernels.compiled import thread_count
 
 from .packing import packed_exactly
 from .scene import ImageShape
@@ -18,7 +20,7 @@ from .scene import ImageShape
 SENT_COLUMNS = 256
 MOST_FRAMES = 800
 """12 Hz for a minute; of more every second, third, … is sent."""
-MOST_BYTES = 3_000_000
+MOST_BYTES = 3_500_000
 """Of all pictures of a file; its quality is chosen so."""
 QUALITIES = (75, 60, 50, 40, 30, 20, 10)
 PROBED = 12
@@ -52,12 +54,14 @@ def frames_payload(frames: FrameSeries) -> dict[str, Any]:
     chosen = np.arange(0, len(frames.event_s), every)
     images = [sent_image(frames.images[i], frames.shape) for i in chosen]
     quality = _quality(images)
+    with ThreadPoolExecutor(thread_count()) as pool:  # the encoder lets other threads run
+        pictures = list(pool.map(lambda image: _text(_webp(image, quality)), images))
     phases = frames.model_phase[chosen].round(6)
     return {
         "event_s": frames.event_s[chosen].round(6).tolist(),
         "model_phase": [None if np.isnan(phase) else phase for phase in phases.tolist()],
         "mr_from_pixel": packed_exactly(frames.mr_from_recorded[chosen] @ frames.shape.recorded_from_sent),
-        "images": [_text(_webp(image, quality)) for image in images],
+        "images": pictures,
         "mime": "image/webp",
     }
 

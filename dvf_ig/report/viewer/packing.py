@@ -48,7 +48,7 @@ def _entry(values: AnyArray, *, scale: float, offset: float, delta: bool) -> dic
         stored = np.concatenate([unsigned[:1], unsigned[1:] - unsigned[:-1]])
     little = stored.astype(stored.dtype.newbyteorder("<"))
     shuffled = np.frombuffer(little.tobytes(), np.uint8).reshape(-1, stored.itemsize).T
-    data = gzip.compress(shuffled.tobytes(), compresslevel=9, mtime=0)
+    data = gzip.compress(shuffled.tobytes(), compresslevel=6, mtime=0)
     return {
         "dtype": values.dtype.name,
         "shape": list(values.shape),

@@ -23,7 +23,7 @@ from dvf_ig.guidance import (
 )
 
 from .packing import packed, packed_exactly
-from .surfaces import CycleSurface, cycle_surface, fixture_surface, shown_level_mm
+from .surfaces import SHARE_OF_CAP, CycleSurface, cycle_surface, fixture_surface, shown_level_mm
 
 SCHEMA = "dvf_ig.view/1"
 ORGAN_PITCH_MM, BLOOD_PITCH_MM = 4.0, 3.5
@@ -98,33 +98,38 @@ def image_shape(
 def scene_payload(given: SceneInput) -> dict[str, Any]:
     """The scene as a page takes it (`dvf_ig/report/web/README.md`), without any time series."""
     model = given.model
-    organ = cycle_surface(model.reference, ORGAN_PITCH_MM)
-    surfaces = [_surface(model.surface_name, "organ", organ)]
-    surfaces += [
-        _surface(chamber.name, "blood", cycle_surface(chamber.surfaces, BLOOD_PITCH_MM))
-        for chamber in model.chambers
-    ]
-    surfaces += _fixture_surfaces(model, given.fixtures, organ)
-    low, high = organ.vertices_mm.min(axis=(0, 1)), organ.vertices_mm.max(axis=(0, 1))
     return {
         "schema": SCHEMA,
         "kind": given.kind,
         "title": given.title,
         "patient_id": model.patient_id,
         "version": dvf_ig.__version__,
-        "heart": {
-            "surfaces": surfaces,
-            "fractions": model.timing.fractions.tolist(),
-            "center_mm": ((low + high) / 2).round(3).tolist(),
-        },
-        "distance": _distance(model, low, high),
+        "heart": heart_payload(model, given.fixtures),
+        "distance": distance_payload(model),
         "fixtures": [_fixture(one) for one in given.fixtures.fixtures],
         "fixtures_cap_n": given.fixtures.joint_cap_n,
         "image": None if given.image is None else image_payload(given.image),
         "signals": {"ecg": _signal(given.ecg), "breathing": _signal(given.breathing)},
         "words": words(),
         "age_limit_s": given.age_limit_s,
-        "targets": _targets(given.targets),
+        "targets": targets_payload(given.targets),
+    }
+
+
+def heart_payload(model: DvfModel, fixtures: FixtureSet | None) -> dict[str, Any]:
+    """Surfaces of organ, blood and fixtures through the cycle."""
+    organ = cycle_surface(model.reference, ORGAN_PITCH_MM)
+    surfaces = [_surface(model.surface_name, "organ", organ)]
+    surfaces += [
+        _surface(chamber.name, "blood", cycle_surface(chamber.surfaces, BLOOD_PITCH_MM))
+        for chamber in model.chambers
+    ]
+    surfaces += [] if fixtures is None else _fixture_surfaces(model, fixtures, organ)
+    low, high = organ.vertices_mm.min(axis=(0, 1)), organ.vertices_mm.max(axis=(0, 1))
+    return {
+        "surfaces": surfaces,
+        "fractions": model.timing.fractions.tolist(),
+        "center_mm": ((low + high) / 2).round(3).tolist(),
     }
 
 
@@ -159,7 +164,7 @@ def _fixture_surfaces(model: DvfModel, fixtures: FixtureSet, organ: CycleSurface
             continue
         level = shown_level_mm(one.law)
         aim = isinstance(one.law, Gaussian)
-        label = "guidance aims here" if aim else f"{0.1 * one.law.cap_n:.2g} N, a tenth of the cap"
+        label = "aim" if aim else f"from {SHARE_OF_CAP * one.law.cap_n:.2g} N"
         surface = fixture_surface(organ, Evaluator(model, one.law), level)
         name = one.name or ("guidance" if aim else "forbidden region")
         out.append(_surface(name, "fixture", surface, level_mm=round(level, 3), label=label, fixture=number))
@@ -175,8 +180,10 @@ def _fixture(one: FixtureOptions) -> dict[str, Any]:
     return described
 
 
-def _distance(model: DvfModel, low: FloatArray, high: FloatArray) -> dict[str, Any]:
+def distance_payload(model: DvfModel) -> dict[str, Any]:
     """The signed distance on a grid around the organ, in every phase."""
+    vertices = np.concatenate([mesh.vertices_mm for mesh in model.reference])
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
     shape = np.ceil((high - low + 2 * FIELD_MARGIN_MM) / DISTANCE_PITCH_MM).astype(int) + 1
     origin = low - FIELD_MARGIN_MM
     axes = [origin[a] + DISTANCE_PITCH_MM * np.arange(shape[a]) for a in range(3)]
@@ -216,7 +223,8 @@ def _signal(named: tuple[str, str] | None) -> dict[str, str] | None:
     return None if named is None else {"label": named[0], "unit": named[1]}
 
 
-def _targets(targets: Landmarks | None) -> list[dict[str, Any]]:
+def targets_payload(targets: Landmarks | None) -> list[dict[str, Any]]:
+    """Named points."""
     if targets is None:
         return []
     places = targets.points.xyz_mm.round(3).tolist()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import sparse
@@ -44,7 +45,7 @@ def cycle_surface(phases: Sequence[Mesh], pitch_mm: float) -> CycleSurface:
         vertices = _onto(0.5 * (vertices + ring @ vertices), first, tree, normals)
     nearest = tree.query(vertices)[1]
     out = [vertices]
-    for before, mesh in zip(phases, phases[1:], strict=False):
+    for before, mesh in pairwise(phases):
         moved = out[-1]
         if np.array_equal(mesh.triangles, first.triangles) and np.array_equal(
             before.triangles, first.triangles
@@ -73,7 +74,7 @@ def fixture_surface(organ: CycleSurface, evaluator: Evaluator, level_mm: float) 
 
 
 def shown_level_mm(law: Law) -> float:
-    """Signed distance at which a fixture is shown: of a wall where it begins to be felt, of guidance its aim."""
+    """Signed distance at which a fixture is shown: where a wall begins to be felt, where guidance aims."""
     if isinstance(law, Gaussian):
         return law.depth_mm
     begins_mm = -np.log(1.0 / SHARE_OF_CAP - 1.0) / law.gamma_per_mm
@@ -92,6 +93,8 @@ def _merged(mesh: Mesh, pitch_mm: float) -> tuple[FloatArray, IntArray]:
     corners = places[mesh.triangles]
     a, b, c = corners.T
     corners = corners[(a != b) & (b != c) & (c != a)]
+    if len(corners) == 0:
+        return mesh.vertices_mm, mesh.triangles
     first = corners.argmin(axis=1)
     turned = np.take_along_axis(corners, (first[:, None] + np.arange(3)) % 3, axis=1)
     triangles = np.unique(turned, axis=0)

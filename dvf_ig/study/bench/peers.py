@@ -1,4 +1,4 @@
-"""Distance to a mesh by other libraries, for `dvf-ig bench`. Imports open3d, and vtk where installed."""
+"""Distance to a mesh by other libraries, for `dvf-ig bench`. Imports open3d and vtk where installed."""
 
 import importlib
 import importlib.util
@@ -76,7 +76,8 @@ def _covariance_rows(
 
 
 def _peers(mesh: Mesh) -> Iterator[Peer]:
-    yield _open3d(mesh)
+    if importlib.util.find_spec("open3d") is not None:
+        yield _open3d(mesh)
     if importlib.util.find_spec("vtkmodules") is not None:
         yield _vtk(mesh)
     tree = cKDTree(mesh.vertices_mm)

@@ -180,9 +180,10 @@ def test_init_takes_all_labels_and_says_which_there_are(lab: Path) -> None:
     labels = SimpleITK.Image((9, 9, 9), SimpleITK.sitkUInt8)
     labels[2:5, 2:5, 2:5] = 1
     labels[3, 3, 3] = 3
-    labels.SetOrigin((90.0, 90.0, 90.0))
+    labels.SetOrigin((-80.0, -80.0, -80.0))
+    labels.SetSpacing((25.0, 25.0, 25.0))
     SimpleITK.WriteImage(labels, str(lab / "ed.nii.gz"))
-    image("cine.nii.gz", 9, 9, 9, 4)(lab)
+    image("cine.nii.gz", 9, 9, 9, 4, origin_mm=-80.0, spacing_mm=25.0)(lab)
     output = lab / "session.yaml"
     done = init(
         lab, output, "--cine", lab / "cine.nii.gz", "--labels", lab / "ed.nii.gz", without=("--model",)

@@ -30,13 +30,14 @@ from data_synth.ultrasound.volume import MatrixProbe
 from dvf_ig.cli.register.scenario import register_folder
 from dvf_ig.cli.synth.commands import app
 from dvf_ig.core import InvalidInputError, Rigid, Stop
-from dvf_ig.io import read_scenario
+from dvf_ig.io import read_scenario, write_model
+from dvf_ig.preop import ModelOptions, model_from_labels
 
 
 @pytest.fixture(scope="module")
 def recording() -> SecondWorldRecording:
-    """Five seconds of seed 5002 (a development seed)."""
-    return second_world_recording(SecondWorldSpec(seed=5002, seconds=5.0))
+    """Five seconds of seed 5002 (a development seed), with as few images as a recording may have."""
+    return second_world_recording(SecondWorldSpec(seed=5002, seconds=5.0, us_rate_hz=6.0))
 
 
 @pytest.fixture(scope="module")
@@ -243,7 +244,9 @@ def test_a_recording_is_written_with_its_floor_and_registered_to_a_defined_end(
     assert "image.persistence" in (folder / "truth" / "spec.yaml").read_text()
     read = read_scenario(folder)
     assert read.preset == recording.scenario.preset
-    assert register_folder(folder, None, None, seed=0).result.stop in Stop
+    coarse = model_from_labels(read.preop, options=ModelOptions(knot_spacing_mm=8.0))
+    write_model(coarse, tmp_path / "model.npz")
+    assert register_folder(folder, tmp_path / "model.npz", None, seed=0).result.stop in Stop
 
 
 def test_gated_volumes_show_the_heart_where_their_poses_say(room: OperatingRoom) -> None:

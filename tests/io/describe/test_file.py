@@ -179,3 +179,13 @@ def test_json_of_a_real_sequence_keeps_its_names(data_dir: Path) -> None:
     facts = json.loads(done.stdout)
     assert {"frames", "rate_hz", "gaps", "longest_gap_s", "transforms", "orientation"} <= set(facts)
     assert facts["frame_tree"][0] == "tracker"
+
+
+def test_annotated_beats_are_read_where_their_file_is_named(data_dir: Path, tmp_path: Path) -> None:
+    for ending in ("hea", "dat", "atr"):
+        (tmp_path / f"101.{ending}").write_bytes((data_dir / "mitdb-ds1" / f"101.{ending}").read_bytes())
+    assert describe(str(tmp_path / "101.atr")).facts["annotated_beats"] > 1000
+    assert "annotated_beats" not in describe(str(tmp_path / "101.dat")).facts
+    (tmp_path / "101.atr").write_bytes((tmp_path / "101.atr").read_bytes()[:2000])
+    with pytest.raises(UnreadableFileError, match="truncated"):
+        describe(str(tmp_path / "101.atr"))

@@ -159,8 +159,11 @@ def test_metaimage_headers(tmp_path: Path, changes: dict[str, str | None], sente
 @pytest.mark.parametrize(
     ("field", "sentence"),
     [
-        ((80, "f", 0.0), "finite or zero"),
-        ((80, "f", np.nan), "finite or zero"),
+        ((80, "f", 0.0), "finite, zero or less"),
+        ((80, "f", -1.0), "finite, zero or less"),
+        ((80, "f", np.nan), "finite, zero or less"),
+        ((80, "f", np.inf), "finite, zero or less"),
+        ((76, "f", np.nan), "not finite"),
         ((80, "f", 1e30), "sides of"),
         ((268, "f", np.nan), "finite"),
         ((112, "f", np.inf), "finite"),

@@ -148,7 +148,7 @@ def test_truncated_compressed_file(tmp_path: Path, keep: float) -> None:
     write_sequence(TrackedSequence(np.arange(5.0), images, np.ones(5, bool), {}), tmp_path / "a.igs.mha")
     data = (tmp_path / "a.igs.mha").read_bytes()
     (tmp_path / "a.igs.mha").write_bytes(data[: int(keep * len(data))])
-    with pytest.raises(UnreadableFileError, match=r"truncated: its images have \d+ bytes, .* needs 5120"):
+    with pytest.raises(UnreadableFileError, match=r"truncated: its (packed )?image data"):
         read_sequence(tmp_path / "a.igs.mha")
 
 
@@ -171,7 +171,7 @@ BAD = [
     (metafile("", size="4 3 0"), "no frames"),
     (metafile("", size="0 0 99999999999"), "counts 99999999999 frames, the file has"),
     (metafile("", size="4 3 2 7"), "4 axes"),
-    (metafile("", size="4 3 2"), "truncated: its images have 0 bytes, its header needs 24"),
+    (metafile("", size="4 3 2"), "truncated: its image data have 0 bytes, its header needs 24"),
     (metafile("", size="4 3 2", extra="ElementNumberOfChannels = 3\n"), "3 channel"),
     (metafile("", size="4 3 2", extra="Kinds = list domain domain\n"), "axes are list domain domain"),
     (metafile(FRAME0 + "Seq_Frame0000_Timestamp = 1\n"), "1 of 2 frames have no Timestamp"),

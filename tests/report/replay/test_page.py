@@ -69,6 +69,8 @@ def page() -> ReplayPage:
         version="0",
         estimates=[("tool tip", "(0, 0, 0) mm", "0.1 mm")],
         registrations=[RegistrationMark(1.0, True, "converged"), RegistrationMark(3.0, True, "converged")],
+        no_force=None,
+        warnings=[],
         overlays=[overlay(), overlay()],
         beats=BeatTrace(
             decided_s=np.array([1.0, 2.0, 3.0]),

@@ -6,6 +6,13 @@ import { bracket } from "./heart.js";
 const FLAT = 0.2;
 const STEEP = 0.4;
 
+/** The fixture with a margin: a wall begins so much earlier, guidance's δ grows by it. */
+function widened(fixture, margin) {
+  if (!margin) return fixture;
+  if ("delta" in fixture) return { ...fixture, delta: fixture.delta + margin };
+  return { ...fixture, depth_mm: (fixture.depth_mm ?? 0) - margin };
+}
+
 /** Share of the cap at signed distance d, along −∇d; see dvf_ig.guidance.laws. */
 function share(fixture, d) {
   const depth = fixture.depth_mm ?? 0;
@@ -26,15 +33,19 @@ function add(fixture, sample, weight, out) {
   for (let a = 0; a < 3; a++) out[a] += force * sample[1 + a];
 }
 
-/** Force of all fixtures on the surface at (x, y, z) of the phase; null where the distance is not known. */
-export function forceAt(field, fixtures, cap_n, phi, x, y, z) {
+/**
+ * Force of all fixtures on the surface at (x, y, z) of the phase, the primary one with its margin; null where the
+ * distance is not known. Paths are left out.
+ */
+export function forceAt(field, fixtures, cap_n, phi, x, y, z, margin = 0) {
   const [first, second, weight] = bracket(field.fractions, phi);
   const a = [0, 0, 0, 0];
   const b = [0, 0, 0, 0];
   if (!field.sample(first, x, y, z, a) || !field.sample(second, x, y, z, b)) return null;
   const out = [0, 0, 0];
-  for (const fixture of fixtures) {
-    if (fixture.law === "path") continue;
+  for (const [i, given] of fixtures.entries()) {
+    if (given.law === "path") continue;
+    const fixture = i ? given : widened(given, margin);
     if (fixture.blend === "force") {
       add(fixture, a, 1 - weight, out);
       add(fixture, b, weight, out);

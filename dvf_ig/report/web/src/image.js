@@ -10,6 +10,22 @@ const FIELD_STEP_MM = 6;
 const LEAST_SHARE = 0.03;
 const TIP_NEAR_MM = 20;
 const SCALE_MM = 20;
+const SQUARE_MM = 14;
+
+const LIT = 8;
+
+/** First and last column of each row in which a picture is not black; what lies between was insonified. */
+export function litRows({ data, width, height }) {
+  return Array.from({ length: height }, (_, r) => {
+    let [first, last] = [width, -1];
+    for (let c = 0; c < width; c++) {
+      if (data[4 * (r * width + c)] < LIT) continue;
+      first = Math.min(first, c);
+      last = c;
+    }
+    return [first, last];
+  });
+}
 
 /** Frames decoded when they are needed; the last ones are kept. */
 export class Pictures {
@@ -74,7 +90,7 @@ export class ImagePanel {
   }
 
   /** Draws a frame; `moment` has bitmap, plane, phase, tip and force, null for what is not known. */
-  draw({ bitmap, plane, phase, tip, force }) {
+  draw({ bitmap, plane, phase, tip, force, margin = 0, other = null }) {
     const draw = this.context;
     draw.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     draw.fillStyle = "#000";
@@ -83,17 +99,73 @@ export class ImagePanel {
       const { columns, rows } = this.shape;
       draw.imageSmoothingQuality = "high";
       draw.drawImage(bitmap, ...this.offset, columns * this.scale[0], rows * this.scale[1]);
+      if (other && this.mix && this.mix.mode !== "us") this.squares(other, bitmap);
     }
     this.contours = [];
     if (plane && phase !== null) {
-      if (this.shown.field && this.heart.distance) this.field(plane, phase);
+      if (this.shown.field && this.heart.distance && this.scene.fixtures.length) this.field(plane, phase, margin);
       for (const role of ["fixture", "blood", "organ"]) if (this.shown[role]) this.outlines(role, plane, phase);
     }
     if (plane) {
       if (tip) this.tip(plane, tip, force);
+      if (this.shown.targets !== false) this.targets(plane);
       this.edges(plane);
     }
     this.ruler();
+  }
+
+  /** The other picture whole, or in every second square. */
+  squares(other, bitmap) {
+    const draw = this.context;
+    const { columns, rows } = this.shape;
+    const [width, height] = [columns * this.scale[0], rows * this.scale[1]];
+    draw.save();
+    if (this.mix.mode === "board") {
+      const side = SQUARE_MM * this.pixels_per_mm;
+      const path = new Path2D();
+      for (let j = -1; j * side < height; j++)
+        for (let i = -3; i * side < width; i++)
+          if ((i + j) % 2 === 0) path.rect(this.offset[0] + (i + this.mix.shift) * side, this.offset[1] + j * side, side, side);
+      draw.clip(this.insonified(bitmap));
+      draw.clip(path);
+    }
+    draw.drawImage(other, ...this.offset, width, height);
+    draw.restore();
+  }
+
+  /** Outline of what a picture shows. */
+  insonified(bitmap) {
+    const { columns, rows } = this.shape;
+    if (this.litBitmap !== bitmap) {
+      const canvas = new OffscreenCanvas(columns, rows);
+      const context = canvas.getContext("2d");
+      context.drawImage(bitmap, 0, 0, columns, rows);
+      this.lit = litRows(context.getImageData(0, 0, columns, rows));
+      this.litBitmap = bitmap;
+    }
+    const path = new Path2D();
+    this.lit.forEach(([first, last], r) => {
+      if (last < first) return;
+      const [x, y] = this.at(first - 0.5, r - 0.5);
+      path.rect(x, y, (last + 1 - first) * this.scale[0], this.scale[1] + 0.5);
+    });
+    return path;
+  }
+
+  /** Where the balls of the targets' bound meet the plane. */
+  targets(plane) {
+    const bound = this.scene.bound_mm ?? 3;
+    for (const { name, xyz_mm } of this.scene.targets) {
+      const away = xyz_mm.map((one, a) => one - plane.origin[a]);
+      const off = dot(away, plane.normal);
+      if (Math.abs(off) > bound) continue;
+      const [x, y] = this.at(dot(away, plane.right) / dot(plane.right, plane.right), dot(away, plane.down) / dot(plane.down, plane.down));
+      this.context.beginPath();
+      this.context.arc(x, y, Math.sqrt(bound ** 2 - off ** 2) * this.pixels_per_mm, 0, 7);
+      this.stroke2(CASING, 3.5);
+      this.stroke2(COLORS.force, 1.6);
+      this.label(name.replaceAll("_", " "), x, y - bound * this.pixels_per_mm - 9);
+    }
   }
 
   outlines(role, plane, phase) {
@@ -132,7 +204,7 @@ export class ImagePanel {
   }
 
   /** Arrows of the force that a tool would feel there, by what lies in the plane. */
-  field(plane, phase) {
+  field(plane, phase, margin) {
     const draw = this.context;
     const { columns, rows, pixel_mm } = this.shape;
     const { distance } = this.heart;
@@ -150,7 +222,7 @@ export class ImagePanel {
       for (let c = step[0] / 2; c < columns; c += step[0]) {
         if (this.fan && !draw.isPointInPath(this.fanAt(), ...this.at(c, r).map((one) => one * this.ratio))) continue;
         const p = [0, 1, 2].map((a) => plane.origin[a] + c * plane.right[a] + r * plane.down[a]);
-        const force = forceAt(distance, this.scene.fixtures, cap, phase, ...p);
+        const force = forceAt(distance, this.scene.fixtures, cap, phase, ...p, margin);
         if (!force || Math.hypot(...force) < LEAST_SHARE * cap) continue;
         const [x, y] = this.at(c, r);
         this.arrow(x, y, (dot(force, right) / cap) * longest, (dot(force, down) / cap) * longest);

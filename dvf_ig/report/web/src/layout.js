@@ -71,20 +71,25 @@ export function layOut(scene) {
   $("keys").innerHTML = `<h2>Keyboard</h2><table>${rows}</table><p>In the scene: drag turns, right drag or two fingers move, wheel
     zooms. On the strips and the bar below: drag seeks.</p><form method="dialog"><button>Close</button></form>`;
   $("image").hidden = !scene.image;
+  for (const button of $("views").querySelectorAll('[data-view="tool"]')) button.hidden = Boolean(scene.planes);
   return $;
 }
 
 /** What is shown, in its colour, with a switch for each. */
-export function legendRows(scene) {
+export function legendRows(scene, series) {
   const has = (role) => scene.heart.surfaces.find((one) => one.role === role);
   const fixture = has("fixture");
   const cap = scene.fixtures_cap_n;
+  const paths = scene.fixtures.filter((one) => one.path_mm).slice(0, 1);
+  const widened = (series.columns.margin_mm ?? []).some((one) => one > 0);
   return [
     has("organ") && ["organ", COLORS.organ, `${words(has("organ").name)} surface`],
     has("blood") && ["blood", COLORS.blood, "blood in the chambers"],
     scene.image && ["plane", COLORS.plane, "ultrasound plane"],
-    fixture && ["fixture", COLORS.fixture, `${fixture.name}: ${fixture.label}`],
-    ["field", COLORS.force, `force; in the image, longest = ${cap} N`],
+    fixture && ["fixture", COLORS.fixture, `${fixture.name}, ${fixture.label}${widened ? " without margin" : ""}`],
+    ...paths.map((one) => ["path", COLORS.fixture, `${one.name || "path"}, line to follow`]),
+    !scene.planes && ["field", COLORS.force, `force (field: longest ${cap} N)`],
+    scene.targets.length > 0 && ["targets", COLORS.force, scene.bound_mm ? `targets, error < ${scene.bound_mm.toFixed(1)} mm` : "targets"],
   ].filter(Boolean);
 }
 
@@ -98,18 +103,19 @@ export function numberRows(values, scene) {
   const tip = ["x", "y", "z"].map((axis) => values[`tip_mr_${axis}_mm`]);
   const place = tip.some((one) => one === null) ? "–" : tip.map((one, a) => sided(one, ["RL", "AP", "IS"][a])).join("  ");
   const rate = values.rr_s ? `${(60 / values.rr_s).toFixed(0)} /min` : "–";
-  const margin = values.margin_mm ? ` (margin ${united(values.margin_mm, 1, "mm")})` : "";
   const rows = [
     ["force", united(values.force_n, 3, "N"), "big"],
-    ["distance", united(values.distance_mm, 2, "mm") + margin, "big"],
-    ["phase", values.phase_valid ? united(100 * values.phi, 1, "% of the beat") : "not locked", ""],
-    ["in the model", values.model_phase === null ? "–" : united(100 * values.model_phase, 1, "% of its cycle"), ""],
+    ["distance", united(values.distance_mm, 2, "mm"), "big"],
+    ["phase of the beat", values.phase_valid ? united(100 * values.phi, 1, "%") : "not locked", ""],
+    ["of the model", values.model_phase === null ? "–" : united(100 * values.model_phase, 1, "%"), ""],
     ["heart rate", rate, ""],
-    ["TRE bound", values.tre_bound_mm === null ? "–" : `< ${united(values.tre_bound_mm, 1, "mm")} (95 %)`, ""],
+    ["TRE bound, 95 %", values.tre_bound_mm === null ? "–" : `< ${united(values.tre_bound_mm, 1, "mm")}`, ""],
     ["pose age", values.pose_age_s === null ? "–" : united(values.pose_age_s, 2, "s"), ""],
-    ["tip, mm", place, ""],
+    ["margin", united(values.margin_mm, 1, "mm"), ""],
+    ["tip, mm", place, "wide"],
   ];
   const told = scene.words.hazards.filter((one) => values.hazards.includes(one.name)).map((one) => one.sentence);
+  if (values.supervisor === "latched") told.unshift("nothing is sent until an operator re-arms");
   const because = told.length ? told.join("; ") : values.status === "ok" ? "" : words(values.status);
   return `<div class="state ${values.supervisor}"><b>${values.supervisor}</b><span>${because}</span></div><dl>${rows
     .map(([name, value, kind]) => `<div class="${kind}"><dt>${name}</dt><dd>${value}</dd></div>`)

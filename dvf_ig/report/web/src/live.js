@@ -1,6 +1,7 @@
 // A running session: events from the server that the page came from.
 
 const SILENT_MS = 1500;
+const RELOAD_MS = 1500;
 
 export function listen(viewer) {
   const source = new EventSource("events");
@@ -10,11 +11,15 @@ export function listen(viewer) {
     told.hidden = false;
     told.textContent = text;
     told.classList.toggle("lost", lost);
+    document.body.classList.toggle("stale", lost);
   };
   tell("connecting …", true);
   source.onmessage = (message) => {
     last = performance.now();
-    viewer.series.push(JSON.parse(message.data));
+    const event = JSON.parse(message.data);
+    viewer.series.push(event);
+    // the scene was asked for before the first frame, which tells the size of the image
+    if (event.frame && !viewer.scene.image && last > RELOAD_MS) location.reload();
     tell("live", false);
   };
   source.onerror = () => tell("no connection; trying again …", true);

@@ -2,10 +2,12 @@
 
 import "./style.css";
 import { loadScene } from "./payload.js";
+import { forceAt } from "./field.js";
 import { Heart, planeOf } from "./heart.js";
 import { seriesOf } from "./series.js";
 import { Space } from "./space.js";
 import { ImagePanel, Pictures } from "./image.js";
+import { anatomyPictures, mixControls, outcomeRows, planesAsSeries } from "./registration.js";
 import { Overview, Strips } from "./strips.js";
 import { layOut, legendRows, numberRows, SPEEDS, VIEWS } from "./layout.js";
 import { listen } from "./live.js";
@@ -20,14 +22,27 @@ class Viewer {
     this.image = scene.image && new ImagePanel(this.$("image").querySelector("canvas"), scene, heart);
     this.strips = new Strips(this.$("strips").querySelector("canvas"), scene, series);
     this.overview = new Overview(this.$("overview"), series, scene.fixtures_cap_n);
+    this.registration = scene.kind === "registration";
+    if (this.registration) this.asRegistration();
     this.legend();
     this.controls();
     this.keyboard();
     addEventListener("resize", () => this.resize());
-    new ResizeObserver(() => this.resize()).observe(this.$("space"));
+    const watch = new ResizeObserver(() => this.resize());
+    for (const one of [this.$("space"), this.image?.canvas, this.strips.canvas]) if (one) watch.observe(one);
     this.resize();
     this.space.preset("front");
     requestAnimationFrame((now) => this.tick(now));
+  }
+
+  asRegistration() {
+    document.body.classList.add("registration");
+    this.anatomy = anatomyPictures(this.scene);
+    mixControls(this);
+    this.$("beat-back").textContent = "‹ plane";
+    this.$("beat-on").textContent = "plane ›";
+    this.$("beat-back").title = "Plane before (↑)";
+    this.$("beat-on").title = "Plane after (↓)";
   }
 
   get frame() {
@@ -35,7 +50,7 @@ class Viewer {
   }
 
   seek(t) {
-    this.t = Math.min(this.series.end, Math.max(this.series.begin, t));
+    this.t = Math.min(this.series.end, Math.max(this.series.begin, this.registration ? Math.round(t) : t));
     this.changed = true;
     return this.t;
   }
@@ -43,7 +58,7 @@ class Viewer {
   /** What is shown: the tick's values, its frame, and what lies in the image. */
   state() {
     const values = this.series.at(this.t);
-    const frame = this.frame;
+    const frame = this.shownFrame ?? -1;
     return {
       ...values,
       cursor_s: this.t,
@@ -74,7 +89,8 @@ class Viewer {
     const { series } = this;
     const values = series.at(this.t);
     if (!values) return;
-    const frame = this.frame;
+    const frame = this.decoded(this.frame);
+    this.shownFrame = frame;
     const matrix = frame < 0 ? null : series.frames.mr_from_pixel[frame];
     const plane = matrix ? planeOf(matrix) : null;
     const tip = series.vector(values, "tip_mr", "_mm");
@@ -82,30 +98,68 @@ class Viewer {
     const shaft = series.vector(values, "shaft_mr", "");
     this.values = values;
     this.space.show({ phase: values.model_phase, plane, tip, shaft, force });
-    this.strips.draw(this.t, values);
-    this.overview.draw(this.t);
-    this.$("numbers").innerHTML = numberRows(values, this.scene);
-    this.texts(values, frame, plane);
-    if (this.image) this.picture(frame, { plane, tip, force, phase: frame < 0 ? null : series.frames.model_phase[frame] });
+    if (this.registration) {
+      this.planeTexts(frame);
+    } else {
+      this.strips.draw(this.t, values);
+      this.overview.draw(this.t);
+      this.$("numbers").innerHTML = numberRows(values, this.scene);
+      this.texts(values, frame, plane);
+    }
+    if (this.image) this.picture(frame, { plane, tip, force, margin: values.margin_mm ?? 0, phase: frame < 0 ? null : series.frames.model_phase[frame] });
+  }
+
+  /** The frame to show: the wanted one, or, until its picture is decoded, the last one, with its own contour. */
+  decoded(wanted) {
+    if (wanted < 0) return -1;
+    const { event_s } = this.series.frames;
+    if (this.pictures.ready(wanted)) {
+      this.shownEvent = event_s[wanted];
+      return wanted;
+    }
+    const event = event_s[wanted];
+    this.pictures.get(wanted).then(() => {
+      // by now another frame may be wanted: the decoded one nearest to it is shown meanwhile
+      const now = event_s[this.frame];
+      if (this.shownEvent === undefined || Math.abs(event - now) < Math.abs(this.shownEvent - now)) this.shownEvent = event;
+      this.changed = true;
+    });
+    const before = this.shownEvent === undefined ? -1 : event_s.indexOf(this.shownEvent);
+    return before >= 0 && this.pictures.ready(before) ? before : -1;
+  }
+
+  /** Seeks, and gives what is shown once the frame of that time is decoded. */
+  async seekShown(t) {
+    this.seek(t);
+    if (this.frame >= 0) await this.pictures.get(this.frame);
+    this.show();
+    return this.state();
   }
 
   picture(frame, moment) {
     const bitmap = frame < 0 ? null : this.pictures.ready(frame);
-    this.image.draw({ ...moment, bitmap: bitmap ?? this.lastBitmap ?? null });
+    const other = frame < 0 ? null : (this.anatomy?.ready(frame) ?? null);
+    if (this.anatomy && frame >= 0 && !other) this.anatomy.get(frame).then(() => (this.changed = true));
+    this.image.draw({ ...moment, other, bitmap });
     if (moment.plane) this.space.contours(this.image.contours, moment.plane);
-    if (bitmap) {
-      if (this.lastBitmap !== bitmap) this.space.picture(bitmap);
-      this.lastBitmap = bitmap;
-    } else if (frame >= 0) {
-      this.pictures.get(frame).then(() => (this.changed = true));
-    }
+    if (bitmap && this.lastBitmap !== bitmap) this.space.picture(bitmap);
+    this.lastBitmap = bitmap;
     for (let next = frame + 1; this.playing && next < Math.min(frame + 6, this.series.frames.images.length); next++)
       this.pictures.get(next);
   }
 
+  planeTexts(frame) {
+    const plane = this.scene.planes[frame];
+    if (!plane) return;
+    this.$("time").textContent = `plane ${frame + 1} of ${this.scene.planes.length}`;
+    this.$("frame").textContent = [plane.name, plane.place, plane.moment].filter(Boolean).join(" · ");
+    if (!this.told) this.$("numbers").innerHTML = outcomeRows(this.scene);
+    this.told = true;
+  }
+
   texts(values, frame, plane) {
     const { $, series } = this;
-    $("time").textContent = `${this.t.toFixed(3)} s of ${series.end.toFixed(1)} s`;
+    $("time").textContent = series.live ? `${this.t.toFixed(1)} s` : `${this.t.toFixed(3)} s of ${series.end.toFixed(1)} s`;
     $("overview").setAttribute("aria-valuenow", this.t.toFixed(3));
     $("overview").setAttribute("aria-valuetext", `${this.t.toFixed(1)} s`);
     $("overview").setAttribute("aria-valuemin", series.begin.toFixed(3));
@@ -143,10 +197,11 @@ class Viewer {
 
   legend() {
     const box = this.$("legend");
-    for (const [role, color, text] of legendRows(this.scene)) {
+    for (const [role, color, text] of legendRows(this.scene, this.series)) {
       const button = document.createElement("button");
       button.innerHTML = `<i style="background:${color}"></i>`;
       button.append(text);
+      this.space.shown[role] ??= true;
       const on = () => this.space.shown[role];
       button.setAttribute("aria-pressed", on());
       button.onclick = () => {
@@ -235,9 +290,9 @@ class Viewer {
 
   keyboard() {
     const { series } = this;
-    const step = (event) => (event.shiftKey ? 1 : 0.1);
+    const step = (event) => (event.shiftKey || this.registration ? 1 : 0.1);
     const actions = {
-      " ": () => this.play(!this.playing),
+      " ": () => !this.registration && this.play(!this.playing),
       ArrowLeft: (event) => this.seek(this.t - step(event)),
       ArrowRight: (event) => this.seek(this.t + step(event)),
       ArrowUp: () => this.beat(-1),
@@ -304,19 +359,21 @@ function remember(theme) {
 async function start() {
   const scene = await loadScene();
   const [heart, series] = await Promise.all([Heart.of(scene), seriesOf(scene)]);
+  if (scene.planes) planesAsSeries(scene, series);
   const viewer = new Viewer(scene, heart, series);
   if (series.live) listen(viewer);
-  viewer.show();
-  await (viewer.frame >= 0 ? viewer.pictures.get(viewer.frame) : null);
+  await viewer.seekShown(viewer.t);
+  if (viewer.registration) viewer.view("plane");
   window.dvf = {
     ready: true,
     ready_ms: performance.now(),
-    seek: (t) => viewer.seek(t),
+    seek: (t) => viewer.seekShown(t),
     state: () => (viewer.show(), viewer.state()),
     play: () => viewer.play(true),
     pause: () => viewer.play(false),
     theme: (name) => viewer.applyTheme(name),
     view: (name) => viewer.view(name),
+    forceAt: (phase, x, y, z) => forceAt(heart.distance, scene.fixtures, scene.fixtures_cap_n, phase, x, y, z),
     viewer,
   };
   dispatchEvent(new Event("dvf-ready"));

@@ -159,7 +159,7 @@ export async function seriesOf(scene) {
   const series = new Series(scene.words);
   const given = scene.series;
   if (!given) {
-    series.live = true;
+    series.live = scene.kind === "live";
     return series;
   }
   const names = Object.keys(given.ticks);

@@ -9,6 +9,7 @@ import {
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { COLORS, themeColor } from "./colors.js";
 import { bracket } from "./heart.js";
+import { litRows } from "./image.js";
 
 const UP = new Vector3(0, 1, 0);
 const ARROW_MM_PER_N = 70;
@@ -43,7 +44,9 @@ export class Space {
     this.tool = this.toolGroup();
     this.force = this.arrow();
     this.sides = SIDES.map(([letter, direction]) => this.sideMark(letter, direction));
-    this.targets = (scene.targets ?? []).map((one) => this.targetMark(one));
+    this.targets = (scene.targets ?? []).map((one) => this.targetMark(one, scene.bound_mm));
+    this.dark = Boolean(scene.planes);
+    for (const one of scene.planes ?? []) this.scene.add(this.planeEdge(one, scene.image));
     this.preset("front");
     this.retheme();
   }
@@ -102,7 +105,7 @@ export class Space {
     const texture = new CanvasTexture(canvas);
     texture.colorSpace = SRGBColorSpace;
     texture.anisotropy = 4;
-    const sheet = new Mesh(geometry, new MeshBasicMaterial({ map: texture, side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2 }));
+    const sheet = new Mesh(geometry, new MeshBasicMaterial({ map: texture, side: DoubleSide, alphaTest: 0.5, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2 }));
     sheet.renderOrder = 1;
     const edge = new BufferGeometry();
     edge.setAttribute("position", new BufferAttribute(new Float32Array(3 * count), 3));
@@ -113,7 +116,7 @@ export class Space {
     for (const role of ["blood", "organ"]) group.add(this.outline(role));
     group.visible = false;
     this.scene.add(group);
-    return { group, geometry, edge, canvas, texture, context: canvas.getContext("2d") };
+    return { group, geometry, edge, canvas, texture, context: canvas.getContext("2d", { willReadFrequently: !image.fan_px }) };
   }
 
   /** Where a surface meets the plane, drawn in space. */
@@ -149,7 +152,7 @@ export class Space {
     const line = new Line(geometry, new LineBasicMaterial({ color: COLORS.fixture, depthTest: false }));
     line.renderOrder = 7;
     this.scene.add(line);
-    return { fixture, geometry };
+    return { fixture, geometry, line };
   }
 
   /** A ball at the tip, the shaft behind it; a pale copy shows through what hides them. */
@@ -205,12 +208,30 @@ export class Space {
     return { letter, canvas, sprite };
   }
 
-  targetMark(target) {
-    const mesh = new Mesh(new SphereGeometry(1.4, 12, 8), new MeshBasicMaterial({ color: COLORS.force, depthTest: false, transparent: true, opacity: 0.9 }));
-    mesh.position.set(...target.xyz_mm);
-    mesh.renderOrder = 10;
-    this.scene.add(mesh);
-    return mesh;
+  /** A point in a ball of the bound on its error. */
+  targetMark(target, bound) {
+    const group = new Group();
+    const part = (radius, opacity, depthTest) => {
+      const material = new MeshBasicMaterial({ color: COLORS.force, transparent: true, opacity, depthTest, depthWrite: false });
+      const mesh = new Mesh(new SphereGeometry(radius, 24, 16), material);
+      mesh.renderOrder = 10;
+      group.add(mesh);
+    };
+    part(1.2, 0.95, false);
+    if (bound) part(bound, 0.3, true);
+    group.position.set(...target.xyz_mm);
+    this.scene.add(group);
+    return group;
+  }
+
+  /** Where another plane of a registration lies. */
+  planeEdge(plane, { columns, rows }) {
+    const corners = [[0, 0], [columns, 0], [columns, rows], [0, rows]];
+    const m = plane.mr_from_pixel;
+    const points = corners.flatMap(([c, r]) => m.map((row) => row[0] * c + row[1] * r + row[2]));
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(new Float32Array(points), 3));
+    return new LineLoop(geometry, new LineBasicMaterial({ color: COLORS.plane, transparent: true, opacity: 0.45 }));
   }
 
   retheme() {
@@ -240,7 +261,11 @@ export class Space {
       geometry.attributes.position.needsUpdate = true;
       geometry.computeVertexNormals();
     }
-    for (const { fixture, geometry } of this.paths) moved(fixture, geometry, known ? phase : 0);
+    for (const one of this.targets) one.visible = this.shown.targets !== false;
+    for (const { fixture, geometry, line } of this.paths) {
+      line.visible = this.shown.path !== false;
+      moved(fixture, geometry, known ? phase : 0);
+    }
     this.placePlane(plane);
     this.tool.visible = tip !== null;
     if (tip) {
@@ -287,7 +312,10 @@ export class Space {
   /** Draws a decoded frame into the plane's texture. */
   picture(image) {
     if (!this.ultrasound || !image) return;
-    this.ultrasound.context.drawImage(image, 0, 0, this.ultrasound.canvas.width, this.ultrasound.canvas.height);
+    const { context, canvas } = this.ultrasound;
+    context.clearRect(0, 0, canvas.width, canvas.height);
+    context.drawImage(image, 0, 0, canvas.width, canvas.height);
+    if (this.dark) seeThroughBlack(context, canvas);
     this.ultrasound.texture.needsUpdate = true;
     this.dirty = true;
   }
@@ -381,10 +409,19 @@ function moved(fixture, geometry, phase) {
   geometry.computeBoundingSphere();
 }
 
+/** What was not insonified is black in a plane without a known sector; there one sees through it. */
+function seeThroughBlack(context, { width, height }) {
+  const picture = context.getImageData(0, 0, width, height);
+  litRows(picture).forEach(([first, last], r) => {
+    for (let c = 0; c < width; c++) if (c < first || c > last) picture.data[4 * (r * width + c) + 3] = 0;
+  });
+  context.putImageData(picture, 0, 0);
+}
+
 /** How far the organ reaches from its centre along each axis. */
 function halfExtents(heart, center) {
   const organ = heart.surfaces.find((one) => one.role === "organ");
-  const out = [20, 20, 20];
+  const out = organ ? [20, 20, 20] : [60, 60, 60];
   organ?.at(0).forEach((value, i) => (out[i % 3] = Math.max(out[i % 3], Math.abs(value - center.getComponent(i % 3)))));
   return out;
 }

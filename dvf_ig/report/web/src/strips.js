@@ -129,7 +129,7 @@ export class Strips {
     draw.fillStyle = themeColor("ink");
     draw.font = "600 12px system-ui, sans-serif";
     const two = row.unit && row.height > 27;
-    draw.fillText(two || !row.unit ? row.name : `${row.name}, ${row.unit.split(",")[0]}`, LEFT - NAMES, middle - (two ? 7 : 0), LEFT - NAMES - 4);
+    draw.fillText(two || !row.unit ? row.name : `${row.name}, ${row.unit.split(/[ ,]/)[0]}`, LEFT - NAMES, middle - (two ? 7 : 0), LEFT - NAMES - 4);
     draw.font = "11px system-ui, sans-serif";
     draw.fillStyle = themeColor("faint");
     if (two) draw.fillText(row.unit, LEFT - NAMES, middle + 8, LEFT - NAMES - 4);
@@ -153,7 +153,7 @@ export class Strips {
     const signal = this.series[row.signal];
     if (!signal || !values) return "–";
     const value = signal.values[Math.max(0, lastBefore(signal.t, values.t_s))];
-    return Number.isNaN(value) || value === undefined ? "–" : `${value.toFixed(2)} ${row.unit}`;
+    return united(Number.isNaN(value) ? null : value, 2, row.unit);
   }
 
   /** A curve as its least and greatest value in each pixel column. */
@@ -174,11 +174,14 @@ export class Strips {
     draw.font = "10px system-ui, sans-serif";
     draw.textAlign = "right";
     draw.fillStyle = themeColor("faint");
+    const [low, high] = row.range;
+    const line = row.line > low && row.line < 0.9 * high ? (row.height * (high - row.line)) / (high - low) : NaN;
     draw.textBaseline = "top";
-    draw.fillText(row.percent ? "100" : String(+row.range[1].toFixed(1)).replace("-", "−"), LEFT - 4, row.top + 1);
+    if (!(line < 14)) draw.fillText(row.percent ? "100" : String(+row.range[1].toFixed(1)).replace("-", "−"), LEFT - 4, row.top + 1);
     draw.textBaseline = "bottom";
     draw.fillText(String(row.range[0]).replace("-", "−"), LEFT - 4, row.top + row.height);
     draw.textBaseline = "middle";
+    if (!Number.isNaN(line)) draw.fillText(String(row.line), LEFT - 4, row.top + line);
   }
 
   guide(row, y) {
@@ -242,7 +245,10 @@ export class Strips {
     if (!signal) return;
     const from = Math.max(0, lastBefore(signal.t, first));
     const to = Math.min(signal.t.length - 1, lastBefore(signal.t, last) + 1);
-    if (!row.scaled || this.series.live) row.scaled = robustRange(signal.values);
+    if (!row.scaled || Math.abs(signal.values.length - row.counted) > 250) {
+      row.scaled = robustRange(signal.values);
+      row.counted = signal.values.length;
+    }
     const [low, high] = row.scaled;
     const y = (value) => row.top + row.height * (0.94 - (0.88 * (value - low)) / (high - low));
     this.trace(row, from, to, (i) => signal.t[i], (i) => signal.values[i], x, y);

@@ -1,4 +1,4 @@
-"""Refuse NIfTI files that ITK reads wrongly: damaged headers, sheared axes, truncated voxels."""
+"""The header of a NIfTI file, of which those are refused that ITK reads wrongly: damaged, sheared."""
 
 import gzip
 import math
@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import read_only_arrays
-from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io import limits
-from dvf_ig.io.reading import refuse_lfs_pointer
+from dvf_ig.io.inflate import inflated, require_size
+from dvf_ig.io.reading import read_bytes, refuse_lfs_pointer
 
 TOLERANCE = 1e-3
 _FIELDS = {
@@ -46,27 +47,41 @@ _FIELDS = {
     },
 }
 """By header size (NIfTI-1, -2): form and position of each field."""
-_BITS = {2: 8, 4: 16, 8: 32, 16: 32, 64: 64, 256: 8, 512: 16, 768: 32, 1024: 64, 1280: 64}
-"""Of the real data types: integers of 8 to 64 bit, float32, float64."""
+_TYPES = {
+    2: "u1",
+    4: "i2",
+    8: "i4",
+    16: "f4",
+    64: "f8",
+    256: "i1",
+    512: "u2",
+    768: "u4",
+    1024: "i8",
+    1280: "u8",
+}
+"""The real data types: integers of 8 to 64 bit, float32, float64."""
+_GZIP = b"\x1f\x8b"
 _UNITS = {1: "m", 3: "micrometres"}
-
-_BLOCK = 1 << 20
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class _Header:
+class NiftiHeader:
     """What matters here of a NIfTI-1 or -2 header.
 
     Attributes:
-        dimension: of the image, without trailing axes of one voxel beyond the fourth.
+        sizes: of the axes, the fastest first, without those of one voxel beyond the fourth.
+        dtype: of a voxel, with its byte order.
         axes: (3, 3) of the sform; None where it is not used.
-        needed_bytes: up to the last voxel, in the file that holds them.
+        offset: bytes before the first voxel, in the file that holds them.
+        scaling: slope and intercept of the values; a slope of 0 means none.
     """
 
-    dimension: int
+    sizes: tuple[int, ...]
+    dtype: np.dtype[np.generic]
     axes: FloatArray | None
-    needed_bytes: int
+    offset: int
+    scaling: tuple[float, float]
 
 
 def nifti_files(path: Path) -> tuple[Path, ...]:
@@ -75,8 +90,8 @@ def nifti_files(path: Path) -> tuple[Path, ...]:
     return () if other is None else (path.with_suffix(other),)
 
 
-def check_nifti(path: Path) -> int:
-    """Check a NIfTI file, of which the header alone is parsed; its dimension.
+def read_nifti_header(path: Path) -> NiftiHeader:
+    """Check the header of a NIfTI file; of the voxels, nothing is read.
 
     Raises:
         UnreadableFileError: not NIfTI, truncated, sizes, types, units or geometry that no image of a heart
@@ -92,13 +107,37 @@ def check_nifti(path: Path) -> int:
     header = _parse(path, _begin(header_file, 540), single=not pair)
     if header.axes is not None:
         _require_orthogonal(path, header.axes)
-    voxels = path if path.suffix.lower() != ".hdr" else pair[0]
-    size = _size(voxels, header.needed_bytes)
-    if size < header.needed_bytes:
-        raise UnreadableFileError(
-            f"{path} is truncated: it has {size} bytes, its header needs {header.needed_bytes}; copy it again"
-        )
-    return header.dimension
+    return header
+
+
+def read_nifti_voxels(path: Path, header: NiftiHeader) -> AnyArray:
+    """Values indexed [x, y, z] or [x, y, z, phase], scaled as the header says, then as float32 or float64.
+
+    Raises:
+        UnreadableFileError: truncated, or damaged where packed.
+    """
+    voxels = path if path.suffix.lower() != ".hdr" else nifti_files(path)[0]
+    needed = header.offset + math.prod(header.sizes) * header.dtype.itemsize
+    data = read_bytes(voxels, "an image (NIfTI)")
+    if data.startswith(_GZIP):
+        held: Any = inflated(path, data, needed, more=True)
+    else:
+        held = memoryview(data)[:needed]
+        require_size(path, len(held), needed)
+    values = np.frombuffer(held, header.dtype, offset=header.offset).reshape(header.sizes[::-1]).T
+    return _scaled(values, *header.scaling)
+
+
+def _scaled(values: AnyArray, slope: float, intercept: float) -> AnyArray:
+    """Scaled to float32, or float64 of those; as they are where the slope is 0 or nothing would change.
+
+    Source: NIfTI-1, scl_slope.
+    """
+    least = float(np.finfo(np.float64).eps)
+    if abs(slope) <= least or (abs(slope - 1.0) <= least and abs(intercept) <= least):
+        return values
+    kind = np.float64 if values.dtype.itemsize == 8 and values.dtype.kind == "f" else np.float32
+    return (values.astype(kind).astype(np.float64) * slope + intercept).astype(kind)
 
 
 def _require_orthogonal(path: Path, axes: FloatArray) -> None:
@@ -124,26 +163,12 @@ def _begin(path: Path, count: int) -> bytes:
         raise UnreadableFileError(f"{path} is truncated or damaged ({exc}); copy it again") from exc
 
 
-def _size(path: Path, most: int) -> int:
-    """Bytes of a file, unpacked; counted up to `most` and to the end of what is packed."""
-    if not _is_packed(path):
-        return path.stat().st_size
-    size = 0
-    try:
-        with gzip.open(path) as stream:
-            while size <= most and (block := stream.read(_BLOCK)):
-                size += len(block)
-    except (gzip.BadGzipFile, EOFError, zlib.error) as exc:
-        raise UnreadableFileError(f"{path} is truncated or damaged ({exc}); copy it again") from exc
-    return size
-
-
 def _is_packed(path: Path) -> bool:
     with path.open("rb") as stream:
-        return stream.read(2) == b"\x1f\x8b"
+        return stream.read(2) == _GZIP
 
 
-def _parse(path: Path, start: bytes, *, single: bool) -> _Header:
+def _parse(path: Path, start: bytes, *, single: bool) -> NiftiHeader:
     for order in "<>":
         stated = struct.unpack_from(f"{order}i", start)[0] if len(start) >= 4 else 0
         if len(start) < stated or stated not in _FIELDS:
@@ -151,13 +176,15 @@ def _parse(path: Path, start: bytes, *, single: bool) -> _Header:
         fields = {
             name: struct.unpack_from(order + form, start, at) for name, (form, at) in _FIELDS[stated].items()
         }
-        return _checked(path, fields, 352 if stated == 348 else 544, single=single)
+        return _checked(path, order, fields, 352 if stated == 348 else 544, single=single)
     raise UnreadableFileError(
         f"{path} is not a NIfTI file, or is truncated within its header ({len(start)} bytes)"
     )
 
 
-def _checked(path: Path, fields: dict[str, tuple[Any, ...]], begin: int, *, single: bool) -> _Header:
+def _checked(
+    path: Path, order: str, fields: dict[str, tuple[Any, ...]], begin: int, *, single: bool
+) -> NiftiHeader:
     """What the fields say; each of those that place or scale voxels is finite."""
     dims = [int(size) for size in fields["dim"]]
     count = dims[0]
@@ -167,7 +194,8 @@ def _checked(path: Path, fields: dict[str, tuple[Any, ...]], begin: int, *, sing
             f"{path}: its NIfTI header states the sizes {dims}; needed those of an image"
         )
     kind, (offset,) = int(fields["datatype"][0]), fields["vox_offset"]
-    if fields["bitpix"] != (_BITS.get(kind),):
+    dtype = np.dtype(order + _TYPES.get(kind, "u1"))
+    if kind not in _TYPES or fields["bitpix"] != (8 * dtype.itemsize,):
         raise UnreadableFileError(
             f"{path}: its data type is {kind} with {fields['bitpix'][0]} bits; needed real numbers"
         )
@@ -179,23 +207,26 @@ def _checked(path: Path, fields: dict[str, tuple[Any, ...]], begin: int, *, sing
     uses_qform, uses_sform = (code > 0 for code in fields["codes"])
     axes = np.array(fields["sform"]).reshape(3, 4)
     placed = [
+        fields["pixdim"][0],
         *fields["scaling"],
         *(fields["qform"] if uses_qform else ()),
         *(axes.flat if uses_sform else ()),
     ]
-    if not (np.abs(placed) < 1e12).all() or not np.isfinite(sizes).all() or (sizes == 0).any():
+    if not (np.abs(placed) < 1e12).all() or not ((sizes > 0) & (sizes < np.inf)).all():
         raise UnreadableFileError(
             f"{path}: its header holds sizes of voxels ({sizes.tolist()}), a place or a scale that are not "
-            "finite or zero; convert it again"
+            "finite, zero or less; convert it again"
         )
     unit = int(fields["units"][0]) & 7
     if unit in _UNITS:
         raise UnreadableFileError(f"{path}: its unit of length is {_UNITS[unit]}; needed mm: save it in mm")
-    needed = math.prod(used) * _BITS[kind] // 8
+    needed = math.prod(used) * dtype.itemsize
     if not math.isfinite(offset) or not (begin if single else 0) <= offset <= limits.HEADER_BYTES:
         raise UnreadableFileError(f"{path}: its voxels begin at byte {offset:g}; copy it again")
     if needed > limits.VOXEL_BYTES:
         raise UnreadableFileError(
             f"{path}: its header states {needed:.3g} bytes; at most {limits.VOXEL_BYTES:.3g} are read"
         )
-    return _Header(min(count, 4), axes[:, :3] if uses_sform else None, int(offset) + needed)
+    slope, intercept = fields["scaling"]
+    sform = axes[:, :3] if uses_sform else None
+    return NiftiHeader(tuple(used[:4]), dtype, sform, int(offset), (slope, intercept))

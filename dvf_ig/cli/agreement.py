@@ -1,0 +1,22 @@
+"""What a user is told of recordings that were read, before anything is made of them."""
+
+from typing import TYPE_CHECKING
+
+from dvf_ig.cli.shell import warn
+
+if TYPE_CHECKING:
+    from dvf_ig.io import SessionRecordings
+    from dvf_ig.io.session_file.problem import Use
+
+
+def require_agreement(recordings: "SessionRecordings", use: "Use") -> "SessionRecordings":
+    """The same recordings; a note is printed for whatever is doubtful about them.
+
+    Raises:
+        DvfIgError: the first reason why they cannot be used, or not together.
+    """
+    from dvf_ig.io.session_file.fit import require_fit
+
+    for found in require_fit(recordings, use):
+        warn(f"{found.key}: {found.sentence}")
+    return recordings

@@ -1,0 +1,1 @@
+"""`dvf-ig export …`."""

@@ -1,0 +1,48 @@
+"""The run that is exported, and the recording that it was made from."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+
+from dvf_ig.cli.patient_model import patient_model
+from dvf_ig.cli.recorded import read_recording, require_place
+
+if TYPE_CHECKING:
+    from dvf_ig.core import DvfModel
+    from dvf_ig.replay.exported_run import ExportedRun
+
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that `dvf-ig replay` wrote.")]
+RunOrRegistration = Annotated[
+    Path, typer.Argument(metavar="RUN", help="Folder that `dvf-ig replay` or `dvf-ig register` wrote.")
+]
+
+
+class Source(NamedTuple):
+    """What is exported: the run, the patient's model, and that model where a file gave it."""
+
+    run: "ExportedRun"
+    model: "DvfModel"
+    given: "DvfModel | None"
+
+
+def read_source(run: Path, recording: Path | None, model: Path | None) -> Source:
+    """The run with its recording, which a replay names and a registration does not."""
+    from dvf_ig.replay.exported_run import read_exported_run
+    from dvf_ig.replay.view_file import VIEW, read_view_file
+
+    named = read_view_file(run) if (run / VIEW).is_file() else None
+    place = recording or (named.recording if named is not None else None)
+    if place is None:
+        raise typer.BadParameter(
+            f"{run} does not say what it was made from; name it with --recording FOLDER or SESSION.yaml"
+        )
+    require_place("recording", place, run, "--recording FOLDER or SESSION.yaml")
+    file = model or (named.model if named is not None else None)
+    if file is not None:
+        require_place("model", file, run, "--model FILE")
+    recordings = read_recording(place)
+    found = read_exported_run(run, recordings.scenario)
+    given = recordings.model or file
+    built, _ = patient_model(found.scenario.preop, given)
+    return Source(found, built, None if given is None else built)

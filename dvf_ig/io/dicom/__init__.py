@@ -1,0 +1,1 @@
+"""DICOM: a folder with the images of a short-axis cine stack."""

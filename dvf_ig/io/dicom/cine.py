@@ -1,0 +1,132 @@
+"""A folder of DICOM images as one cyclic 4-D image: slices by their place, phases by their trigger times."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core.cycle import CycleTiming
+from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.volume import Grid
+from dvf_ig.io import limits
+from dvf_ig.io.provenance import record_file
+from dvf_ig.io.reading import reading
+
+from .gdcm import read_pixels
+from .header import CineImage, read_images
+from .stack import CineStack, stack_of
+
+log = logging.getLogger(__name__)
+
+_MARK, _PREAMBLE = b"DICM", 128
+WHAT = "a folder of DICOM images"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DicomCine:
+    """A short-axis cine stack.
+
+    Attributes:
+        grid: LPS; values: (phases, columns, rows, slices).
+        patient_id: of every image; empty where none is recorded.
+        series: names of the series that it came in.
+    """
+
+    grid: Grid
+    values: NDArray[np.float32] | NDArray[np.int16]
+    timing: CycleTiming
+    patient_id: str
+    series: tuple[str, ...]
+
+
+def is_dicom_folder(folder: Path) -> bool:
+    """Whether a folder, or one within it, holds a DICOM file."""
+    return folder.is_dir() and any(_is_dicom(path) for path in _regular_files(folder))
+
+
+def read_dicom_cine(folder: Path, frame: str = "mr") -> DicomCine:
+    """Read the one cine stack of a folder and the folders within it; other files are passed over.
+
+    Slices are ordered along their common normal, phases by trigger time (0018,1060), which divided by the RR
+    interval (0018,1062, or of the heart rate 0018,1088) gives the phase; mean over slices, each of which was
+    acquired at its own RR. Without trigger times the instance numbers order the phases, at i/N, and without
+    RR intervals the step after the last phase ends the cycle; both are marked as assumed.
+
+    Args:
+        frame: name of the images' LPS frame.
+    Raises:
+        UnreadableFileError: no DICOM, several patients, orientations or matrix sizes, a slice or a phase
+            missing or there twice, enhanced DICOM, or an image that cannot be read.
+    """
+    with reading(folder, WHAT):
+        stack, images = _stack(folder)
+        flat = [image.path for row in stack.images for image in row]
+        columns, rows = images[0].columns, images[0].rows
+        needed = 4 * columns * rows * len(flat)
+        if needed > limits.VOXEL_BYTES:
+            raise UnreadableFileError(
+                f"{folder}: its images need {needed:.3g} bytes; at most {limits.VOXEL_BYTES:.3g} are read"
+            )
+        pixels = read_pixels(flat, columns, rows)
+        for path in flat:
+            record_file(path)
+        phases, slices = len(stack.images[0]), len(stack.images)
+        values = pixels.reshape(slices, phases, rows, columns).transpose(1, 3, 2, 0)
+        if not np.isfinite(values).all():
+            raise UnreadableFileError(f"{folder}: an image holds grey levels that are not finite")
+        grid = Grid(frame, (columns, rows, slices), stack.origin_mm, stack.spacing_mm, stack.direction)
+        names = tuple(dict.fromkeys(image.series_name or image.series for image in images))
+        return DicomCine(grid, _whole(values), stack.timing, images[0].patient, names)
+
+
+def dicom_patient_id(folder: Path) -> str:
+    """The patient (0010,0020) whose cine a folder holds; empty where none is recorded.
+
+    Raises:
+        UnreadableFileError: as `read_dicom_cine`.
+    """
+    with reading(folder, WHAT):
+        return _stack(folder)[1][0].patient
+
+
+def _stack(folder: Path) -> tuple[CineStack, list[CineImage]]:
+    files = _dicom_files(folder)
+    images = read_images(files)
+    return stack_of(folder, images), images
+
+
+def _dicom_files(folder: Path) -> list[Path]:
+    found = _regular_files(folder)
+    files = [path for path in found if _is_dicom(path)]
+    if not files:
+        raise UnreadableFileError(f"{folder} holds no DICOM image; needed the images of a short-axis cine")
+    limits.require_count(len(files), limits.DICOM_FILES, "DICOM files")
+    passed = len(found) - len(files)
+    if passed:
+        log.warning("%s: %d files that are no DICOM images were passed over", folder, passed)
+    return files
+
+
+def _regular_files(folder: Path) -> list[Path]:
+    """Files below a folder in order of their names; neither links nor hidden ones, nor an index."""
+    return sorted(
+        path
+        for path in folder.rglob("*")
+        if path.is_file() and not path.is_symlink() and path.name[0] != "." and path.name != "DICOMDIR"
+    )
+
+
+def _is_dicom(path: Path) -> bool:
+    with path.open("rb") as stream:
+        stream.seek(_PREAMBLE)
+        return stream.read(len(_MARK)) == _MARK
+
+
+def _whole(values: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int16]:
+    """As 16-bit integers where that is what they are."""
+    info = np.iinfo(np.int16)
+    if values.min() >= info.min and values.max() <= info.max and (values == np.rint(values)).all():
+        return values.astype(np.int16)
+    return values

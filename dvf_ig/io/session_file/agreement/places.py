@@ -1,0 +1,101 @@
+"""Whether images, tool and landmarks lie where the heart is, at the start that the files give."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.image_map import ImageMap
+from dvf_ig.core.points import Points
+from dvf_ig.core.rigid import Rigid
+from dvf_ig.core.stream import PoseStream
+from dvf_ig.io.session_file.parts import SessionParts, StartFiles
+from dvf_ig.registration import start_from_landmarks
+
+from .finding import Disagreement, Finding, finding
+from .units import heart_surfaces
+
+OFF_MM = 100.0
+"""Images, landmarks and tools that all stay this far from the box about the heart are of something else: a
+start is off by 10 to 30 mm."""
+NO_WORK_MM = 50.0
+"""A tool that comes no nearer never works at this heart, though it may be tracked rightly."""
+FAR_MM = 500.0
+"""A tool this far away is not in reach of an operating table's middle."""
+MOST_POSES = 200
+GRID = 5
+"""Points along each side of an image."""
+
+
+def place_findings(parts: SessionParts) -> Iterator[Finding]:
+    """What lies nowhere near the heart."""
+    heart = _heart_box(parts)
+    if heart is None:
+        return
+    marked = parts.start.landmarks_mr
+    if marked is not None:
+        off_mm = float(_outside_mm(marked.points.xyz_mm, heart).min())
+        if off_mm > OFF_MM:
+            yield finding(Disagreement.LANDMARKS_OFF_HEART, "start.landmarks_mr", mm=off_mm)
+            return
+    start = _start(parts.start)
+    if start is None:
+        return
+    images = _images(parts)
+    if images is not None and (off_mm := float(_outside_mm(start.apply_array(images), heart).min())) > OFF_MM:
+        key = "start.transform" if parts.start.start is not None else "start.landmarks_tracker"
+        yield finding(Disagreement.IMAGES_OFF_HEART, key, mm=off_mm)
+        return
+    if parts.tool is not None and isinstance(parts.tip, Points):
+        tips = _moved(parts.tool, parts.tip.xyz_mm)
+        off_mm = float(_outside_mm(start.apply_array(tips), heart).min()) if len(tips) else 0.0
+        if off_mm > FAR_MM:
+            yield finding(Disagreement.TOOL_OFF_HEART, "tool", "replay", mm=off_mm)
+        elif off_mm > NO_WORK_MM:
+            yield finding(Disagreement.TOOL_FAR_FROM_HEART, "tool", "replay", mm=off_mm)
+
+
+def _heart_box(parts: SessionParts) -> tuple[FloatArray, FloatArray] | None:
+    """Lower and upper corner (3,) of the box about the heart, frame "mr"."""
+    if parts.preop is None:
+        return None
+    there = [xyz_mm for _, xyz_mm in heart_surfaces(parts.preop) if len(xyz_mm)]
+    return None if not there else (there[0].min(axis=0), there[0].max(axis=0))
+
+
+def _outside_mm(xyz_mm: FloatArray, box: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """(n,) distance from a box, 0 inside."""
+    low, high = box
+    beyond = np.maximum(np.maximum(low - xyz_mm, xyz_mm - high), 0.0)
+    return np.asarray(np.linalg.norm(beyond, axis=1))
+
+
+def _start(start: StartFiles) -> Rigid | None:
+    """mr_from_tracker, as far as a transform or landmarks give it."""
+    if start.start is not None:
+        return start.start
+    if start.landmarks_mr is None or start.landmarks_tracker is None:
+        return None
+    try:
+        return start_from_landmarks(start.landmarks_mr, start.landmarks_tracker).mr_from_tracker
+    except InvalidInputError:
+        return None  # told of the landmarks themselves
+
+
+def _images(parts: SessionParts) -> FloatArray | None:
+    """(n, 3) points all over the images, frame "tracker"."""
+    if parts.sweep is None or parts.sweep.recorded.images is None or not isinstance(parts.probe, ImageMap):
+        return None
+    rows, columns = parts.sweep.recorded.images.shape[1:]
+    sides = np.meshgrid(np.linspace(0, columns, GRID), np.linspace(0, rows, GRID))
+    at = _moved(parts.sweep.probe, parts.probe.apply_pixels(np.stack(sides, axis=-1).reshape(-1, 2)).xyz_mm)
+    return at if len(at) else None
+
+
+def _moved(stream: PoseStream, xyz_mm: FloatArray) -> FloatArray:
+    """(p·n, 3) points (n, 3) of a marker at MOST_POSES of its valid poses at most."""
+    valid = np.flatnonzero(stream.valid)
+    chosen = valid[:: max(1, len(valid) // MOST_POSES)]
+    turned = np.einsum("pij,nj->pni", stream.rotations[chosen], xyz_mm)
+    return np.asarray(turned + stream.translations_mm[chosen][:, None]).reshape(-1, 3)

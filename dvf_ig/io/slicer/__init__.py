@@ -1,0 +1,1 @@
+"""3D Slicer scenes: the scene file, and what its nodes read."""

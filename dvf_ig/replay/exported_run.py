@@ -1,0 +1,131 @@
+"""What `replay` or `register` left in a folder, with the recording that it was made from: for exports."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import (
+    BoolArray,
+    FloatArray,
+    ImageMap,
+    IntArray,
+    InvalidInputError,
+    Points,
+    Rigid,
+    Scenario,
+    UnreadableFileError,
+)
+from dvf_ig.core.frames import RAS_FROM_LPS
+from dvf_ig.io import provenance_fields, read_json, read_sequence
+from dvf_ig.session import UltrasoundCalibration
+
+from .calibrations import calibrate
+from .outputs import POSES
+from .run_folder import RESULT, require_same_recording
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportedRun:
+    """A run, or a registration, of a recorded intervention.
+
+    Attributes:
+        scenario: what was recorded.
+        ultrasound: calibration in use.
+        tip: tool tip in frame "tool"; None where it is not known.
+        poses: (time from which it was in use, mr_from_tracker); a registration has one, from minus infinity.
+        suspended_s: spans in which no pose was in use.
+        bound_mm: below which the last usable registration's error lies over the heart, with 95 %
+            probability; None where none was stated.
+        result: the content of result.json.
+    """
+
+    scenario: Scenario
+    ultrasound: UltrasoundCalibration
+    tip: Points | None
+    poses: tuple[tuple[float, Rigid], ...]
+    suspended_s: tuple[tuple[float, float], ...]
+    bound_mm: float | None
+    result: dict[str, Any]
+
+    def pose_numbers(self, t_s: FloatArray) -> IntArray:
+        """(n,) which of `poses` places what happened at `t_s`; before the first it is the first."""
+        begin = np.array([from_s for from_s, _ in self.poses])
+        return np.maximum(np.searchsorted(begin, t_s, side="right") - 1, 0).astype(np.int64)
+
+    def suspended(self, t_s: FloatArray) -> BoolArray:
+        """(n,) whether the pose was suspended at `t_s`."""
+        inside = np.zeros(len(t_s), dtype=np.bool_)
+        for begin_s, end_s in self.suspended_s:
+            inside |= (t_s >= begin_s) & (t_s < end_s)
+        return inside
+
+
+def read_exported_run(folder: Path, scenario: Scenario) -> ExportedRun:
+    """Read the folder that `dvf-ig replay` or `dvf-ig register` wrote, and its recording.
+
+    Args:
+        scenario: the recording that the folder was made from; where a record of inputs is open, the files
+            that were read for it are compared with those that the result lists.
+    Raises:
+        UnreadableFileError: no such folder, or a damaged one.
+        InvalidInputError: no usable pose, a registration of a pair of images, or another recording.
+    """
+    path = folder / RESULT
+    if not path.is_file():
+        raise UnreadableFileError(
+            f"{folder} has no {RESULT}; give the folder that `dvf-ig replay` or `dvf-ig register` wrote"
+        )
+    result = read_json(path, "a result")
+    if not isinstance(result, dict) or "moving_from_fixed" in result:
+        raise InvalidInputError(
+            f"{folder} is no run or registration of a recorded intervention; a pair of images needs no "
+            "scene: load both and the .tfm (guide, 3D Slicer)"
+        )
+    require_same_recording(result, folder, provenance_fields().get("inputs", []))
+    try:
+        if "mr_from_tracker" in result:
+            return _registration(folder, result, scenario)
+        return _replayed(folder, result, scenario)
+    except (KeyError, TypeError, AttributeError) as exc:
+        raise UnreadableFileError(f"{path} is damaged or of another version ({exc}); run again") from exc
+
+
+def _replayed(folder: Path, result: dict[str, Any], scenario: Scenario) -> ExportedRun:
+    found, usable = result["estimates"], [one for one in result["registrations"] if one["usable"]]
+    if not usable:
+        raise InvalidInputError(f"{folder} holds no usable registration, so that nothing can be placed")
+    image = ImageMap.from_matrix(found["probe_from_image"], "probe")
+    return ExportedRun(
+        scenario,
+        UltrasoundCalibration(image, float(found["lag_s"])),
+        Points("tool", np.array([found["tip_mm"]])),
+        _poses(folder / POSES),
+        tuple((float(begin), float(end)) for begin, end in result["doubts_s"]),
+        usable[-1]["tre_bound_mm"],
+        result,
+    )
+
+
+def _registration(folder: Path, result: dict[str, Any], scenario: Scenario) -> ExportedRun:
+    if not result["stop"] == "CONVERGED":
+        raise InvalidInputError(f"{folder}: the registration must not be used: {result['reason']}")
+    found = calibrate(replace(scenario, tip=None), int(result["seed"]))
+    pose = Rigid.from_matrix(np.array(result["mr_from_tracker"]), "mr", "tracker")
+    bound = result["tre_bound_mm"]
+    return ExportedRun(scenario, found.ultrasound, None, ((-np.inf, pose),), (), bound, result)
+
+
+def _poses(path: Path) -> tuple[tuple[float, Rigid], ...]:
+    """(time, mr_from_tracker) of `poses.seq.mha`; whatever PLUS calls the tracker there."""
+    streams = list(read_sequence(path).poses.values())
+    if len(streams) != 1 or streams[0].target != "ras":
+        raise UnreadableFileError(f"{path} is not the pose sequence of a replay; replay again")
+    stream = streams[0]
+    matrices = np.tile(np.eye(4), (len(stream), 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = stream.rotations, stream.translations_mm
+    return tuple(
+        (t_s, Rigid.from_matrix(RAS_FROM_LPS @ matrix, "mr", "tracker"))
+        for t_s, matrix in zip(stream.t_s.tolist(), matrices, strict=True)
+    )

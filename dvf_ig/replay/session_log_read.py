@@ -1,0 +1,134 @@
+"""A session's log back as a recording: the events that its replay pushes are those that were logged."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core import (
+    FloatArray,
+    InvalidInputError,
+    PoseStream,
+    Scenario,
+    Signal,
+    TrackedSequence,
+    TriggerTimes,
+    UnreadableFileError,
+)
+from dvf_ig.io.atomic import make_folder, write_bytes
+from dvf_ig.io.file_within import path_within
+from dvf_ig.io.model import read_model
+from dvf_ig.io.provenance import not_recorded
+from dvf_ig.io.ros import messages as ros
+from dvf_ig.io.ros.log_file import opened_log
+from dvf_ig.io.ros.session_document import SessionDocument, read_document
+from dvf_ig.io.session_file.preop import PreopFiles, read_preop
+from dvf_ig.io.session_file.read import SessionRecordings
+
+from .session_log import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, MODEL, STREAMS, TRIGGER
+
+_POSE = 14
+"""Numbers of a pose: stamp, validity, rotation, translation."""
+
+
+def read_session_log(path: Path) -> SessionRecordings:
+    """Read a log that `dvf-ig export mcap` wrote: recording, calibrations in use, and the heart.
+
+    Raises:
+        MissingDependencyError: mcap or rosbags is absent.
+        UnreadableFileError: absent, no such log, cut off or damaged.
+    """
+    with opened_log(path) as log:
+        attached = log.attachments()
+        if DOCUMENT not in attached:
+            raise UnreadableFileError(
+                f"{path} has no {DOCUMENT} attached; needed a log that `dvf-ig export mcap` wrote"
+            )
+        document = read_document(attached[DOCUMENT], path)
+        heart = _heart(path, document, attached)
+        arrays: dict[str, list[FloatArray]] = {topic: [] for topic in STREAMS}
+        images: list[NDArray[np.uint8]] = []
+        for topic, message in log.messages(STREAMS):
+            if topic == IMAGE:
+                images.append(ros.grey_levels(message))
+            else:
+                arrays[topic].append(_numbers(message))
+        scenario = _scenario(document, heart, arrays, images)
+    return SessionRecordings(scenario, heart.model, None, None)
+
+
+def _scenario(
+    document: SessionDocument,
+    heart: PreopFiles,
+    arrays: dict[str, list[FloatArray]],
+    images: list[NDArray[np.uint8]],
+) -> Scenario:
+    touched, start = document.touched, document.start
+    marked, at = document.landmarks_mr, document.landmarks_tracker
+    frames = np.array(arrays[EXACT_FRAME]).reshape(-1, _POSE + 1)
+    probe = _stream("probe", frames[:, :_POSE])
+    sequence = TrackedSequence(
+        frames[:, 0],
+        np.stack(images) if images else None,
+        frames[:, _POSE] == 1.0,
+        {probe.name: probe},
+        document.has_timestamps,
+        document.orientation,
+    )
+    return Scenario(
+        name=document.name,
+        preset=document.preset,
+        preop=heart.preop,
+        ecg=_beats(document, arrays),
+        ultrasound=sequence,
+        fan=None if document.fan is None else document.fan.fan(),
+        probe=document.probe_from_image.image(),
+        latency=document.lag_s,
+        tool=_stream("tool", np.array(arrays[EXACT_TOOL]).reshape(-1, _POSE)),
+        tracked_against=document.tracked_against,
+        tip=document.tip.points(),
+        start=None if start is None else start.rigid(),
+        landmarks_mr=None if marked is None else marked.landmarks(),
+        landmarks_tracker=None if at is None else at.landmarks(),
+        touched=None if touched is None else touched.points(),
+        touched_phase=document.touched_phase,
+    )
+
+
+def _beats(document: SessionDocument, arrays: dict[str, list[FloatArray]]) -> Signal | TriggerTimes:
+    beats = document.beats
+    if beats.kind == "trigger":
+        return TriggerTimes(np.concatenate([np.zeros(0), *arrays[TRIGGER]]), beats.delay_s)
+    flat = np.concatenate([np.zeros(0), *arrays[ECG]])
+    samples = flat.reshape(-1, max(len(beats.leads), 1))
+    return Signal(samples, beats.rate_hz or 0.0, beats.start_s or 0.0, beats.leads, beats.unit)
+
+
+def _stream(source: str, rows: FloatArray) -> PoseStream:
+    """tracker_from_source from rows of a stamp, a validity, a rotation and a translation."""
+    rotations, translations = rows[:, 2:11].reshape(-1, 3, 3), rows[:, 11:]
+    return PoseStream("tracker", source, rows[:, 0], rotations, translations, rows[:, 1] == 1.0)
+
+
+def _heart(path: Path, document: SessionDocument, attached: dict[str, bytes]) -> PreopFiles:
+    """What is known of the heart, from the attached files."""
+    with TemporaryDirectory(prefix="dvf_ig_") as name, not_recorded():
+        folder = Path(name)
+        for file, data in attached.items():
+            if file.startswith("preop/"):
+                place = path_within(folder, file, path)
+                make_folder(place.parent)
+                write_bytes(place, data)
+        try:
+            read = read_preop(document.preop, folder, document.patient_id)
+            if read.model is None and MODEL in attached:
+                return PreopFiles(read.preop, read_model(folder / MODEL, patient_id=document.patient_id))
+            return read
+        except InvalidInputError as exc:
+            told = str(exc).replace(f"{folder}/", "its ")
+            raise UnreadableFileError(f"{path}: {told}") from exc
+
+
+def _numbers(message: ros.Message) -> FloatArray:
+    return np.array(message.data, dtype=np.float64)

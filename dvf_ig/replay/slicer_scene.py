@@ -1,0 +1,231 @@
+"""A run or a registration as a 3D Slicer scene folder: what was recorded, where it was found to be.
+
+    scene (RAS, the pre-operative images)
+    ├─ mr, heart_…, targets, landmarks_mr
+    └─ TrackerToRas          the registration; a sequence where there were updates
+       ├─ ProbeToTracker     at the moment that each image shows
+       │  └─ ImageToProbe    calibration, pixels to mm
+       │     └─ ultrasound
+       ├─ ToolToTracker
+       │  └─ tool_tip
+       └─ landmarks_touched
+
+Where poses are relative to a reference marker, its name stands for "Tracker". Device coordinates are taken as
+they stand, as Slicer does with PLUS sequences: a node's matrix is ours, and RAS comes in once, in
+TrackerToRas = diag(−1, −1, 1)·mr_from_tracker.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError, Landmarks, Points, Volume
+from dvf_ig.core.frames import RAS_FROM_LPS
+from dvf_ig.io import write_mesh, write_text, write_volume
+from dvf_ig.io.plus.names import join_transform, split_transform
+from dvf_ig.io.plus.sequence_write import write_transform_sequence
+from dvf_ig.io.slicer.mrml import SlicerScene
+from dvf_ig.io.slicer.nodes import (
+    pixel_grid,
+    write_node_points,
+    write_node_transform,
+    write_volume_sequence,
+)
+from dvf_ig.session.probe_motion import smoothed_poses
+
+from .exported_run import ExportedRun
+from .slicer_readme import readme_text
+
+SCENE, README = "scene.mrml", "README.md"
+HEART_COLOR = (0.84, 0.37, 0.0)
+IMAGE = "ImageToProbe"
+
+
+@dataclass(slots=True)
+class SceneFolder:
+    """The folder that is being written, its scene, and the frame of what is in each file."""
+
+    folder: Path
+    run: ExportedRun
+    scene: SlicerScene = field(default_factory=SlicerScene)
+    frames: dict[str, str] = field(default_factory=dict)
+
+    def place(self, name: str, frame: str) -> Path:
+        """The path of a file, whose frame is noted."""
+        self.frames[name] = frame
+        return self.folder / name
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownFrames:
+    """The ultrasound frames of a scene: those with an image, a pose of the probe and one of the patient.
+
+    Attributes:
+        number: (n,) in the recording; event_s: when what it shows happened, tracker's clock.
+        probe, tool: (n, 4, 4) tracker_from_probe and tracker_from_tool then; `tool` None without a tool, and
+            where it was not tracked then its last pose.
+        pose: (n,) which pose of the run.
+    """
+
+    number: IntArray
+    event_s: FloatArray
+    probe: FloatArray
+    tool: FloatArray | None
+    pose: IntArray
+
+
+def write_slicer_scene(run: ExportedRun, model: DvfModel, folder: Path) -> dict[str, str]:
+    """Write `scene.mrml`, what it loads, and a README that says how to load each file alone.
+
+    Args:
+        folder: exists and is empty.
+    Returns:
+        the frame of what is in each file, by its name.
+    Raises:
+        InvalidInputError: no ultrasound frame has an image and a pose.
+        OutputError: not writable.
+    """
+    out = SceneFolder(folder, run)
+    frames = shown_frames(run)
+    _patient(out, model)
+    browsed = _tracked(out, frames)
+    out.scene.add_browser("recording", browsed, rate_hz=_rate_hz(frames.event_s))
+    out.scene.write(out.place(SCENE, "scene"))
+    write_text(
+        out.place(README, "text"),
+        readme_text(out.frames, run, len(frames.number), tuple(model.timing.fractions.tolist())),
+    )
+    return out.frames
+
+
+def shown_frames(run: ExportedRun) -> ShownFrames:
+    """See `ShownFrames`. Frames of one millisecond count once: Slicer tells them apart by it.
+
+    Raises:
+        InvalidInputError: none.
+    """
+    sequence = run.scenario.ultrasound
+    event_s = sequence.t_s + run.ultrasound.lag_s
+    rotations, translations, valid = smoothed_poses(sequence.stream("tracker", "probe"), event_s)
+    shown = valid & sequence.image_valid & ~run.suspended(event_s)
+    kept = np.flatnonzero(shown)
+    if sequence.images is None or not len(kept):
+        raise InvalidInputError(
+            "no ultrasound frame has an image and a tracked pose; there is nothing to show"
+        )
+    kept = kept[np.unique(np.round(event_s[kept], 3), return_index=True)[1]]
+    tool = run.scenario.tool
+    at = event_s[kept]
+    held = None
+    if tool is not None and run.tip is not None and tool.valid.any():
+        known = np.flatnonzero(tool.valid)
+        last = known[np.maximum(np.searchsorted(tool.t_s[known], at, side="right") - 1, 0)]
+        held = _matrices(tool.rotations[last], tool.translations_mm[last])
+    probe = _matrices(rotations[kept], translations[kept])
+    return ShownFrames(kept.astype(np.int64), at, probe, held, run.pose_numbers(at))
+
+
+def _patient(out: SceneFolder, model: DvfModel) -> None:
+    """What lies in the pre-operative frame: images, surfaces, targets."""
+    preop, scenario = out.run.scenario.preop, out.run.scenario
+    if preop.mr is not None:
+        name = "mr.mha"
+        shown = Volume(preop.mr.grid, preop.mr.values[preop.ed_phase])
+        write_volume(shown, out.place(name, "mr"))
+        mr = out.scene.add_volume("mr", name, description=f"phase {preop.ed_phase}")
+        sequence, index = "mr.seq.nrrd", preop.mr.timing.fractions.tolist()
+        write_volume_sequence(
+            out.place(sequence, "mr"), preop.mr.values, index, grid=preop.mr.grid, name="phase", unit="RR"
+        )
+        of_cycle = out.scene.add_sequence("mr cycle", sequence, index="phase", unit="RR")
+        out.scene.add_browser("heart cycle", [(of_cycle, mr)], rate_hz=len(index) / preop.mr.timing.rr_s)
+    for phase, (mesh, fraction) in enumerate(zip(model.reference, model.timing.fractions, strict=True)):
+        name = f"heart_{phase:03d}.stl"
+        write_mesh(mesh, out.place(name, model.frame))
+        told = f"{model.surface_name} at {fraction:.3f} of the RR interval"
+        visible = phase == model.ed_phase
+        out.scene.add_model(name[:-4], name, visible=visible, color=HEART_COLOR, description=told)
+    truth = scenario.truth
+    if truth is not None:
+        _points(out, "targets", truth.targets)
+    if scenario.landmarks_mr is not None:
+        _points(out, "landmarks_mr", scenario.landmarks_mr)
+
+
+def _points(out: SceneFolder, name: str, landmarks: Landmarks, parent: str | None = None) -> None:
+    bound = out.run.bound_mm
+    told = "no bound on the registration error was stated"
+    if bound is not None:
+        told = f"registration error below {bound:.1f} mm with 95 % probability"
+    file = f"{name}.mrk.json"
+    path = out.place(file, landmarks.frame)
+    write_node_points(landmarks, path, tracked=parent is not None, descriptions=[told] * len(landmarks.names))
+    out.scene.add_points(name, file, parent, description=told)
+
+
+def _tracked(out: SceneFolder, frames: ShownFrames) -> list[tuple[str, str]]:
+    """What hangs on the tracker; sequences, each with the node that shows it, the images first."""
+    run, scene = out.run, out.scene
+    by_number = np.array([RAS_FROM_LPS @ pose.matrix for _, pose in run.poses])
+    tracker = run.scenario.tracked_against  # as it is called in the lab's own sequences
+    name = join_transform("ras", tracker)
+    placed, of_pose = _moving(out, name, by_number[frames.pose], frames.event_s, None)
+    probe, of_probe = _moving(out, join_transform(tracker, "probe"), frames.probe, frames.event_s, placed)
+    write_node_transform(
+        run.ultrasound.probe_from_image.matrix, out.place(f"{IMAGE}.tfm", "probe_from_image")
+    )
+    calibrated = scene.add_transform(
+        IMAGE, f"{IMAGE}.tfm", probe, description="image calibration, mm per pixel"
+    )
+    images = run.scenario.ultrasound.images
+    if images is None:
+        raise InvalidInputError("the recording has no images")
+    values = np.swapaxes(images[frames.number], 1, 2)[..., None]
+    first, sequence = "ultrasound.mha", "ultrasound.seq.nrrd"
+    grid = pixel_grid(*values.shape[1:3])
+    write_volume(Volume(grid, values[0]), out.place(first, "image"))
+    write_volume_sequence(
+        out.place(sequence, "image"), values, frames.event_s.tolist(), grid=grid, name="time", unit="s"
+    )
+    shown = scene.add_volume(
+        "ultrasound", first, calibrated, description="first frame; the browser plays all"
+    )
+    browsed = [(scene.add_sequence("ultrasound frames", sequence, index="time", unit="s"), shown)]
+    browsed += [of_probe, of_pose]
+    if frames.tool is not None and run.tip is not None:
+        tool, of_tool = _moving(out, join_transform(tracker, "tool"), frames.tool, frames.event_s, placed)
+        browsed.append(of_tool)
+        tip = Landmarks(("tool tip",), Points("tool", run.tip.xyz_mm))
+        write_node_points(tip, out.place("tool_tip.mrk.json", "tool"), tracked=True)
+        scene.add_points("tool_tip", "tool_tip.mrk.json", tool)
+    touched = run.scenario.landmarks_tracker
+    if touched is not None:
+        _points(out, "landmarks_touched", touched, placed)
+    return browsed
+
+
+def _moving(
+    out: SceneFolder, name: str, matrices: FloatArray, t_s: FloatArray, parent: str | None
+) -> tuple[str, tuple[str, str]]:
+    """A transform over time: the id of its node, and the pair for the browser."""
+    first, sequence = f"{name}.tfm", f"{name}.seq.mha"
+    frame = "_from_".join(split_transform(name) or (name,))
+    write_node_transform(matrices[0], out.place(first, frame))
+    comment = (
+        f"{name}, mm, row-major 4x4, to parent, in coordinates as the device reports them; Timestamp in s"
+    )
+    write_transform_sequence(name, t_s.tolist(), matrices, out.place(sequence, frame), comment)
+    shown = out.scene.add_transform(name, first, parent)
+    return shown, (out.scene.add_sequence(f"{name} over time", sequence, index="time", unit="s"), shown)
+
+
+def _matrices(rotations: FloatArray, translations_mm: FloatArray) -> FloatArray:
+    """(n, 4, 4)"""
+    out = np.tile(np.eye(4), (len(rotations), 1, 1))
+    out[:, :3, :3], out[:, :3, 3] = rotations, translations_mm
+    return out
+
+
+def _rate_hz(t_s: FloatArray) -> float:
+    return float(1.0 / np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0

@@ -1,0 +1,201 @@
+"""Commands that are killed, or interrupted, at random moments while they write: their output is old or new.
+
+A command runs up to the moment at which it first makes a temporary file or folder: until then, nothing of its
+output is touched. There it is forked, again and again, and each child is ended at a random moment of the time
+that it takes to the end; then the output is looked at as the next command would see it, and put back.
+"""
+
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import tempfile
+import time
+import uuid
+import zipfile
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from pathlib import Path
+
+from dvf_ig.io.swap_journal import JOURNAL, complete_swap
+
+WRITERS = {
+    "synth scenario": "synth scenario --preset calm --seconds 8 --seed {n} -o o/scene",
+    "synth calibration": "synth calibration nwire --seed {n} -o o/cal",
+    "gate": "gate csv:{scene}/ecg.csv -o o/gate.json",
+    "calibrate pivot": "calibrate pivot {scene}/calibration/pivot.igs.mha -o o/tip.json",
+    "calibrate latency": "calibrate latency {scene}/calibration/latency_tracker.igs.mha "
+    "{scene}/calibration/latency_video.igs.mha --line-table {scene}/calibration/latency_lines.xml "
+    "-o o/lag.json",
+    "calibrate probe": "calibrate probe {scene}/calibration/nwire.igs.mha --device-set "
+    "{scene}/calibration/nwire.xml --points {scene}/calibration/nwire_points.xml -o o/probe.json",
+    "config init": "config init --cine {scene}/preop/mr.nrrd --labels {scene}/preop/labels.nrrd --us "
+    "{scene}/ultrasound.igs.mha --ecg csv:{scene}/ecg.csv -o o/SESSION.yaml",
+    "model build": "model build --labels {scene}/preop/labels.nrrd --organ-labels 1,2 -o o/model.npz",
+    "register": "register {scene} -o o/registered",
+    "replay": "replay {scene} -o o/run",
+    "study": "study retiming --seeds 1 -o o/study",
+}
+"""Each writes below the folder "o"."""
+LEFT = re.compile(r"\.[0-9a-f]{8}(\.|$)")
+State = dict[str, tuple[int, int, int]]
+
+
+def fuzz_kill(trials: int, seed: int, chosen: list[str]) -> int:
+    """Findings over all writing commands; a line for each of them is printed."""
+    bad = 0
+    with tempfile.TemporaryDirectory() as scratch:
+        os.chdir(scratch)
+        scene = Path("scene")
+        if not (pid := os.fork()):
+            os._exit(_run(WRITERS["synth scenario"].format(n=101).replace("o/scene", "scene"), Path("log")))
+        os.waitpid(pid, 0)
+        for name in chosen:
+            read_end, write_end = os.pipe()
+            if not (pid := os.fork()):
+                os.close(read_end)
+                _trials(name, scene.resolve(), trials, seed, write_end)
+            os.close(write_end)
+            told = os.fdopen(read_end).read()
+            os.waitpid(pid, 0)
+            found = json.loads(told) if told else {"failed": 1}
+            print(f"{name}: {found}", flush=True)
+            bad += found.get("mixed", 0) + found.get("damaged", 0) + found.get("failed", 0)
+    return bad
+
+
+def _run(words: str, log: Path) -> int:
+    """A command in this process; its exit code."""
+    from dvf_ig.cli.main import app
+
+    with log.open("w") as stream, redirect_stdout(stream), redirect_stderr(stream):
+        try:
+            app(words.split(" "))
+        except SystemExit as ended:
+            return int(ended.code or 0)
+    return 0
+
+
+def _trials(name: str, scene: Path, trials: int, seed: int, answer: int) -> None:
+    """The old output, then the command up to where it writes, and from there the trials; never returns."""
+    try:
+        for folder in ("o", "kept"):
+            shutil.rmtree(folder, ignore_errors=True)
+        Path("o").mkdir()
+        words = WRITERS[name]
+        if not (pid := os.fork()):
+            os._exit(_run(words.format(n=101, scene=scene), Path("old.log")))
+        os.waitpid(pid, 0)
+        if not _state():
+            raise RuntimeError(Path("old.log").read_text()[-400:])
+        fresh = uuid.uuid4
+
+        def at_first_write() -> uuid.UUID:
+            uuid.uuid4 = fresh
+            if _forked(trials, random.Random(f"{seed} {name}"), answer):
+                return fresh()
+            os._exit(0)
+
+        uuid.uuid4 = at_first_write
+        os._exit(_run(words.format(n=102, scene=scene), Path("new.log")))
+    except (OSError, RuntimeError) as error:
+        os.write(answer, json.dumps({"failed": 1, "why": str(error)}).encode())
+    finally:  # also a child that is interrupted: what comes after is the parent's
+        os._exit(1)
+
+
+def _forked(trials: int, rng: random.Random, answer: int) -> bool:
+    """True in a child, which goes on; its parent ends each and tells what was found."""
+    shutil.copytree("o", "kept")
+    old, began = _state(), time.monotonic()
+    if not (pid := os.fork()):
+        return True
+    os.waitpid(pid, 0)
+    lasts_s, new = time.monotonic() - began, set(_state())
+    found = {"kills": 0, "old": 0, "new": 0, "completed by the journal": 0, "mixed": 0, "damaged": 0}
+    for number in range(trials):
+        old = _put_back()
+        if not (pid := os.fork()):
+            os.setpgid(0, 0)
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            return True
+        with suppress(OSError):
+            os.setpgid(pid, pid)
+        _end(pid, signal.SIGINT if number % 2 else signal.SIGKILL, rng, lasts_s)
+        found["kills"] += 1
+        _judge(old, new, found)
+    os.write(answer, json.dumps({**found, "writing lasts s": round(lasts_s, 2)}).encode())
+    return False
+
+
+def _end(pid: int, kind: signal.Signals, rng: random.Random, lasts_s: float) -> None:
+    """End a child: at any moment, or, every other time, soon after its files begin to take their places."""
+    if rng.random() < 0.5:
+        time.sleep(rng.uniform(0.0, 1.05 * lasts_s))
+    else:
+        until = time.monotonic() + 2.0 * lasts_s + 1.0
+        while not _swapping() and time.monotonic() < until and os.waitpid(pid, os.WNOHANG) == (0, 0):
+            pass
+        time.sleep(rng.uniform(0.0, 2e-4))
+    with suppress(ProcessLookupError, ChildProcessError):
+        os.kill(pid, kind)
+        for _ in range(100):  # Python loses a Ctrl-C that comes while an object is being deleted
+            if os.waitpid(pid, os.WNOHANG) != (0, 0):
+                return
+            time.sleep(0.1)
+            os.kill(pid, kind)
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+
+
+def _swapping() -> bool:
+    return any(JOURNAL in files for _, _, files in os.walk("o"))
+
+
+def _judge(old: State, new: set[str], found: dict[str, int]) -> None:
+    """Count the output as old or new, after what the next command would complete."""
+    if _swapping():
+        found["completed by the journal"] += 1
+        for place, _, _ in list(os.walk("o")):
+            complete_swap(Path(place))
+    now = _state()
+    if now == old:
+        found["old"] += 1
+    elif set(now) == new and not set(now.values()) & set(old.values()):
+        found["new"] += 1
+        found["damaged"] += not all(_whole(Path(name)) for name in now)
+    else:
+        found["mixed"] += 1
+
+
+def _state() -> State:
+    """Every file of the output and which it is; temporary ones are no output."""
+    found: State = {}
+    for path in sorted(Path("o").rglob("*")):
+        if path.is_file() and not any(LEFT.match(part) for part in path.parts):
+            at = path.stat()
+            found[str(path)] = (at.st_ino, at.st_mtime_ns, at.st_size)
+    return found
+
+
+def _put_back() -> State:
+    shutil.rmtree("o")
+    shutil.copytree("kept", "o")
+    return _state()
+
+
+def _whole(path: Path) -> bool:
+    """Whether a file ends as its kind does."""
+    checks: dict[str, Callable[[bytes], bool]] = {
+        ".json": lambda data: isinstance(json.loads(data), dict | list),
+        ".png": lambda data: data.rstrip(b"\0").endswith(b"IEND\xaeB`\x82"),
+        ".html": lambda data: data.rstrip().endswith(b"</html>"),
+        ".npz": lambda _: zipfile.ZipFile(path).testzip() is None,
+    }
+    try:
+        data = path.read_bytes()
+        return checks[path.suffix](data) if path.suffix in checks else len(data) > 0
+    except (ValueError, zipfile.BadZipFile):
+        return False

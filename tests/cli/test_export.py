@@ -1,0 +1,93 @@
+"""`dvf-ig export`: a run names its recording; what is written opens elsewhere, and a log replays."""
+
+import json
+import shutil
+from itertools import zip_longest
+from pathlib import Path
+
+import numpy as np
+import pytest
+import SimpleITK
+from typer.testing import CliRunner
+
+from dvf_ig.cli.main import app
+from dvf_ig.core import Scenario
+from dvf_ig.io import read_scenario
+from dvf_ig.replay import Replay
+from dvf_ig.replay.events import events_of
+
+
+@pytest.fixture(scope="module")
+def run(replay: Replay, written: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the shared replay, as the command writes it."""
+    out = tmp_path_factory.mktemp("export") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dvf_ig.replay.run_replay", lambda *_, **__: replay)
+        done = CliRunner().invoke(app, ["replay", str(written), "-o", str(out)])
+    assert done.exit_code == 0, done.output
+    return out
+
+
+def test_a_scene_shows_tracked_targets_on_those_of_the_mr(
+    run: Path, scenario: Scenario, tmp_path: Path
+) -> None:
+    """By SimpleITK and JSON: what the tracker would say of the targets, under the transform of the scene."""
+    done = CliRunner().invoke(app, ["export", "slicer", str(run), "-o", str(tmp_path / "scene"), "--json"])
+    assert done.exit_code == 0, done.output
+    files = json.loads(done.stdout)["files"]
+    assert {"scene.mrml", "README.md", "TrackerToRas.seq.mha", "ultrasound.seq.nrrd"} <= set(files)
+    for name, frame in files.items():
+        assert f"wrote {tmp_path / 'scene' / name}  (frame {frame})" in done.stderr
+    truth = scenario.truth
+    assert truth is not None
+    (markup,) = json.loads((tmp_path / "scene" / "targets.mrk.json").read_text())["markups"]
+    shown = [point["position"] for point in markup["controlPoints"]]
+    np.testing.assert_allclose(shown, truth.targets.points.xyz_mm)
+    assert "95 %" in markup["controlPoints"][0]["description"]
+    tracker = SimpleITK.ReadTransform(str(tmp_path / "scene" / "TrackerToRas.tfm")).GetInverse()
+    tracked = truth.mr_from_tracker_at(0.0).inverse().apply_array(truth.targets.points.xyz_mm)
+    device = tracked * (-1, -1, 1)  # device coordinates count as RAS
+    found = [tracker.TransformPoint(point) for point in device.tolist()]
+    errors_mm = np.linalg.norm(found - truth.targets.points.xyz_mm, axis=1)
+    assert errors_mm.max() < 5.0  # the registration's error
+
+
+def test_a_log_holds_the_recordings_events_to_the_last_bit(run: Path, written: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="session logs need rosbags")
+    from dvf_ig.replay.session_log_read import read_session_log
+
+    log = tmp_path / "session.mcap"
+    done = CliRunner().invoke(app, ["export", "mcap", str(run), "-o", str(log), "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["messages"] > 17_000
+    back = read_session_log(log).scenario
+    for (at, one), (when, other) in zip_longest(events_of(read_scenario(written)), events_of(back)):
+        assert at == when
+        assert type(one) is type(other)
+        for name in one.__dataclass_fields__:
+            first, second = getattr(one, name), getattr(other, name)
+            assert np.array_equal(
+                first, second, equal_nan=isinstance(first, np.ndarray) and first.dtype.kind == "f"
+            )
+
+
+def test_another_recording_is_refused(run: Path, written: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(written, other)
+    text = (other / "landmarks_mr.mrk.json").read_text()
+    (other / "landmarks_mr.mrk.json").write_text(text + "\n")
+    out = ["-o", str(tmp_path / "scene")]
+    done = CliRunner().invoke(app, ["export", "slicer", str(run), "--recording", str(other), *out])
+    assert done.exit_code == 3
+    assert "landmarks_mr.mrk.json differs" in done.stderr
+    moved = CliRunner().invoke(app, ["export", "slicer", str(run), "--recording", str(tmp_path / "no"), *out])
+    assert moved.exit_code == 2
+    assert not (tmp_path / "scene").exists()
+
+
+def test_a_folder_that_names_no_recording(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["export", "slicer", str(tmp_path), "-o", str(tmp_path / "scene")])
+    assert done.exit_code == 2
+    assert "--recording" in done.stderr
+    wrong = CliRunner().invoke(app, ["export", "mcap", str(tmp_path), "-o", "log.bag"])
+    assert wrong.exit_code == 2

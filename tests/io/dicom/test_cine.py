@@ -1,0 +1,260 @@
+"""A cine of DICOM images, written by pydicom: every voxel at its place and time, and what is refused."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dvf_ig.core import UnreadableFileError
+from dvf_ig.io import describe, image_dimension, read_volume_series
+from dvf_ig.io.dicom.cine import read_dicom_cine
+from dvf_ig.io.dicom.header import read_images
+from dvf_ig.io.dicom.stack import CineStack, stack_of
+
+pydicom = pytest.importorskip("pydicom", reason="pydicom writes the DICOM images of these tests")
+
+SLICES, PHASES, COLUMNS, ROWS = 4, 5, 6, 8
+AXES = Rotation.from_rotvec([0.3, -0.4, 0.2]).as_matrix()
+"""Columns: directions of growing column, growing row, and the normal."""
+ORIGIN = np.array([-80.0, 35.5, 120.25])
+SPACING = np.array([1.4, 1.6, 9.0])
+RR_MS = 800.0 + 10.0 * np.arange(SLICES)
+
+Change = Callable[[Any, int, int], None]
+
+
+def value(column: int, row: int, number: int, phase: int) -> int:
+    return column + 10 * row + 100 * number + 1000 * phase
+
+
+def image(number: int, phase: int) -> Any:
+    """Slice `number` at `phase`: grey levels say where and when."""
+    from pydicom.uid import ExplicitVRLittleEndian, MRImageStorage, generate_uid
+
+    data = pydicom.Dataset()
+    data.file_meta = pydicom.dataset.FileMetaDataset()
+    data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    data.file_meta.MediaStorageSOPClassUID = data.SOPClassUID = MRImageStorage
+    uid = generate_uid(entropy_srcs=[f"{number} {phase}"])
+    data.file_meta.MediaStorageSOPInstanceUID = data.SOPInstanceUID = uid
+    data.Modality, data.PatientID, data.PatientName = "MR", "heart-7", "Nobody"
+    data.StudyInstanceUID = generate_uid(entropy_srcs=["study"])
+    data.SeriesInstanceUID = generate_uid(entropy_srcs=[f"series {number}"])
+    data.SeriesDescription, data.FrameOfReferenceUID = "cine sax", generate_uid(entropy_srcs=["frame"])
+    data.InstanceNumber = phase + 1
+    data.TriggerTime = round(RR_MS[number] * (0.02 + phase / PHASES), 3)
+    data.NominalInterval = int(RR_MS[number])
+    data.ImagePositionPatient = [round(float(v), 6) for v in ORIGIN + number * SPACING[2] * AXES[:, 2]]
+    data.ImageOrientationPatient = [round(float(v), 9) for v in AXES[:, :2].T.ravel()]
+    data.PixelSpacing = [SPACING[1], SPACING[0]]
+    data.SliceThickness = 8.0
+    data.Rows, data.Columns = ROWS, COLUMNS
+    data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
+    data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 0
+    row, column = np.mgrid[:ROWS, :COLUMNS]
+    data.PixelData = (column + 10 * row + 100 * number + 1000 * phase).astype("<u2").tobytes()
+    return data
+
+
+def write(folder: Path, change: Change | None = None, leave_out: tuple[tuple[int, int], ...] = ()) -> Path:
+    """The stack, in an order of names that says nothing about place or time."""
+    folder.mkdir()
+    for number in range(SLICES):
+        within = folder / f"series{(number * 3) % SLICES}"
+        within.mkdir()
+        for phase in range(PHASES):
+            if (number, phase) in leave_out:
+                continue
+            data = image(number, phase)
+            if change is not None:
+                change(data, number, phase)
+            data.save_as(within / f"IM{(7 * phase + 3) % 11:04d}", enforce_file_format=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("dicom") / "cine")
+
+
+def test_every_voxel_lies_at_its_place_and_time(folder: Path) -> None:
+    series = read_volume_series(folder)
+    assert series.grid.shape == (COLUMNS, ROWS, SLICES)
+    assert series.values.dtype == np.int16
+    for column, row, number, phase in ((0, 0, 0, 0), (5, 2, 3, 4), (1, 7, 2, 1)):
+        assert series.values[phase, column, row, number] == value(column, row, number, phase)
+        expected = ORIGIN + AXES @ (SPACING * (column, row, number))
+        place = series.grid.to_mm(np.array([column, row, number], dtype=float))
+        np.testing.assert_allclose(place, expected, atol=1e-5)
+    np.testing.assert_allclose(series.timing.fractions, 0.02 + np.arange(PHASES) / PHASES, atol=2e-6)
+    assert series.timing.rr_s == pytest.approx(RR_MS.mean() / 1000)
+    assert not series.timing.rr_assumed
+    assert not series.timing.timing_assumed
+
+
+def test_it_is_the_image_that_simpleitk_reads(folder: Path) -> None:
+    """SimpleITK's own series reader orders the slices of a phase; voxels lie where it puts them."""
+    import SimpleITK
+
+    cine = read_dicom_cine(folder)
+    files = [str(folder / f"series{(n * 3) % SLICES}" / f"IM{(7 * 2 + 3) % 11:04d}") for n in range(SLICES)]
+    reader = SimpleITK.ImageSeriesReader()
+    reader.SetFileNames(files)
+    volume = reader.Execute()
+    np.testing.assert_array_equal(SimpleITK.GetArrayFromImage(volume).T, cine.values[2])
+    far = volume.TransformIndexToPhysicalPoint((5, 7, 3))
+    np.testing.assert_allclose(cine.grid.to_mm(np.array([5.0, 7, 3])), far, atol=1e-4)
+
+
+def test_inspect_says_whose_it_is(folder: Path) -> None:
+    told = describe(str(folder))
+    assert told.kind == "cine of DICOM images"
+    assert told.facts["patient_id"] == "heart-7"
+    assert (told.facts["phases"], told.facts["size"]) == (PHASES, [COLUMNS, ROWS, SLICES])
+    assert told.facts["series"] == ["cine sax"]
+    assert image_dimension(folder) == 4
+
+
+def test_rescale_slope_and_other_files(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    def halves(data: Any, number: int, phase: int) -> None:
+        data.RescaleSlope, data.RescaleIntercept = 0.5, -1
+
+    written = write(tmp_path / "cine", halves)
+    (written / "notes.txt").write_text("not an image")
+    (written / "DICOMDIR").write_bytes(bytes(128) + b"DICM")
+    values = read_dicom_cine(written).values
+    assert values[1, 3, 2, 1] == 0.5 * value(3, 2, 1, 1) - 1
+    assert "1 files that are no DICOM" in caplog.text
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tags as pydicom finds them, which starts no process."""
+    monkeypatch.setattr("dvf_ig.io.dicom.header.read_headers", tags_by_pydicom)
+
+
+def stack(folder: Path) -> CineStack:
+    return stack_of(folder, read_images(sorted(path for path in folder.rglob("*") if path.is_file())))
+
+
+@pytest.mark.usefixtures("quick")
+def test_without_trigger_times_the_order_is_that_of_the_instances(tmp_path: Path) -> None:
+    def untimed(data: Any, number: int, phase: int) -> None:
+        del data.TriggerTime, data.NominalInterval
+
+    found = stack(write(tmp_path / "cine", untimed))
+    assert found.timing.timing_assumed
+    assert found.timing.rr_assumed
+    assert [[image.number for image in row] for row in found.images] == [[1, 2, 3, 4, 5]] * SLICES
+
+
+@pytest.mark.usefixtures("quick")
+def test_an_rr_interval_that_cannot_be_is_not_used(tmp_path: Path) -> None:
+    def short(data: Any, number: int, phase: int) -> None:
+        data.NominalInterval = 500
+
+    timing = stack(write(tmp_path / "cine", short)).timing
+    assert timing.rr_assumed
+    assert timing.rr_s == pytest.approx(RR_MS.mean() / 1000 * 1.02, rel=1e-3)
+
+
+def set_in(number: int, **tags: Any) -> Change:
+    def change(data: Any, at: int, phase: int) -> None:
+        if at == number:
+            for name, entry in tags.items():
+                setattr(data, name, entry)
+
+    return change
+
+
+def matrix(data: Any, number: int, phase: int) -> None:
+    if number == 2:
+        data.Rows, data.PixelData = ROWS - 2, data.PixelData[: 2 * COLUMNS * (ROWS - 2)]
+
+
+def sideways(data: Any, number: int, phase: int) -> None:
+    if number == 2:
+        data.ImagePositionPatient = [
+            float(a + b) for a, b in zip(data.ImagePositionPatient, 5.0 * AXES[:, 0], strict=True)
+        ]
+
+
+def frames(data: Any, number: int, phase: int) -> None:
+    if number == 1:
+        data.NumberOfFrames, data.PixelData = 2, data.PixelData * 2
+
+
+def untimed_slice(data: Any, number: int, phase: int) -> None:
+    if number == 1:
+        del data.TriggerTime
+
+
+def moved_slice(data: Any, number: int, phase: int) -> None:
+    if number == 3:
+        data.ImagePositionPatient = [float(v) for v in ORIGIN + 3.4 * SPACING[2] * AXES[:, 2]]
+
+
+@pytest.mark.parametrize(
+    ("change", "leave_out", "message"),
+    [
+        (set_in(1, PatientID="someone else"), (), r"2 patients: 'heart-7', 'someone else'|2 patients: 'some"),
+        (set_in(1, FrameOfReferenceUID="1.2.3"), (), "2 frames of reference"),
+        (matrix, (), "2 matrix sizes: 6 x 8, 6 x 6|2 matrix sizes: 6 x 6, 6 x 8"),
+        (set_in(1, PixelSpacing=[2, 2]), (), "several pixel sizes"),
+        (set_in(1, ImageOrientationPatient=[1, 0, 0, 0, 1, 0]), (), "several orientations"),
+        (set_in(1, ImageOrientationPatient=[1, 0, 0, 1, 1, 0]), (), "not orthogonal"),
+        (None, tuple((1, p) for p in range(PHASES)), "it is 18.0 mm: a slice is missing"),
+        (moved_slice, (), "unevenly spaced"),
+        (None, ((2, 2),), "a phase is missing in the slice at"),
+        (None, ((2, 4),), "has 4 phases, others 5"),
+        (set_in(2, TriggerTime=30), (), "two images of trigger time 30 ms"),
+        (untimed_slice, (), "5 of 20 images have no trigger time"),
+        (sideways, (), "shifted sideways by 5.0 mm"),
+        (frames, (), "several frames"),
+        (set_in(0, PixelSpacing=[1e-9, 1]), (), "pixels have sides"),
+    ],
+)
+@pytest.mark.usefixtures("quick")
+def test_what_is_no_stack_is_refused_in_one_sentence(
+    tmp_path: Path,
+    change: Change | None,
+    leave_out: tuple[tuple[int, int], ...],
+    message: str,
+) -> None:
+    written = write(tmp_path / "cine", change, leave_out)
+    with pytest.raises(UnreadableFileError, match=message) as refused:
+        read_dicom_cine(written)
+    assert "\n" not in str(refused.value)
+
+
+def tags_by_pydicom(files: Sequence[Path], tags: Sequence[str]) -> list[dict[str, Any]]:
+    headers = []
+    for file in files:
+        data = pydicom.dcmread(file)
+        known = {tag: data.get(tuple(int(part, 16) for part in tag.split("|"))) for tag in tags}
+        texts = {
+            tag: "\\".join(map(str, one.value)) if one.VM > 1 else str(one.value)
+            for tag, one in known.items()
+            if one is not None
+        }
+        size = [data.Columns, data.Rows, int(data.get("NumberOfFrames", 1))]
+        headers.append({"size": size, "components": 1, "tags": texts})
+    return headers
+
+
+def test_damaged_files_are_named_and_end_no_process(tmp_path: Path) -> None:
+    written = write(tmp_path / "cine")
+    file = next((written / "series0").iterdir())
+    data = file.read_bytes()
+    for broken in (data[:200], data[:-20], data[:132] + bytes(reversed(data[132:400]))):
+        file.write_bytes(broken)
+        with pytest.raises(UnreadableFileError, match=file.name):
+            read_dicom_cine(written)
+
+
+def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableFileError, match="holds no DICOM image"):
+        read_volume_series(tmp_path)

@@ -1,0 +1,63 @@
+"""A replay that gave no force says why and how to mend it; recordings that disagree are told on its page."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from dvf_ig.cli.main import app
+from dvf_ig.guidance import Status
+from dvf_ig.io.session_file.agreement.finding import Disagreement, finding
+from dvf_ig.replay import Replay, result_of
+from dvf_ig.replay.no_force import NoForce, no_force_of
+
+
+def with_status(replay: Replay, *codes: Status) -> Replay:
+    """The replay with the first status until there was a pose, and equal shares of the others after it."""
+    ticks = replay.ticks
+    status = np.full(len(ticks), int(codes[0]))
+    later = np.flatnonzero(ticks.status != Status.NO_POSE)
+    for part, code in zip(np.array_split(later, len(codes) - 1), codes[1:], strict=True):
+        status[part] = code
+    return replace(replay, ticks=replace(ticks, status=status))
+
+
+def test_a_force_needs_no_excuse(replay: Replay) -> None:
+    assert no_force_of(replay) is None
+    assert result_of(replay)["warnings"] == []
+
+
+@pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])
+def test_every_status_is_told_with_what_to_do(replay: Replay, status: Status) -> None:
+    told = no_force_of(with_status(replay, Status.NO_POSE, status))
+    assert told is not None
+    assert told.startswith(NoForce[status.name].value.split("{", maxsplit=1)[0])
+    assert ": check " in told or ": give " in told
+
+
+def test_what_kept_the_force_back_is_looked_for_after_the_first_pose(replay: Replay) -> None:
+    mixed = (Status.OUT_OF_VOLUME, Status.OUT_OF_VOLUME, Status.NO_PHASE)
+    told = no_force_of(with_status(replay, Status.NO_POSE, *mixed))
+    assert told is not None
+    assert told.startswith("the tool stayed outside the box of the model in 67% of the ticks")
+
+
+def test_the_command_tells_and_ends_with_7(
+    replay: Replay, written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    doubt = finding(Disagreement.TOOL_FAR_FROM_HEART, "tool", "replay", mm=77.0)
+    done = replace(with_status(replay, Status.NO_POSE, Status.OUT_OF_VOLUME), findings=(doubt,))
+    monkeypatch.setattr("dvf_ig.replay.run_replay", lambda *_, **__: done)
+    run = CliRunner().invoke(app, ["replay", str(written), "-o", str(tmp_path / "run")])
+    assert run.exit_code == 7, run.output
+    assert "error: no force was given: the tool stayed outside the box of the model in 100%" in run.stderr
+    assert f"note: tool: {doubt.sentence}" in run.stderr
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert result["no_force"].startswith("the tool stayed outside")
+    assert [warning["cause"] for warning in result["warnings"]] == ["TOOL_FAR_FROM_HEART"]
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "No force was given: the tool stayed outside the box of the model" in page
+    assert "comes no nearer to the heart than 77 mm" in page
