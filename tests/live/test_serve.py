@@ -14,7 +14,7 @@ from dvf_ig.cli.main import app
 from dvf_ig.core import Scenario, UnreadableFileError
 from dvf_ig.io import read_live_patient
 from dvf_ig.io.session_file.live import EcgFieldConfig, EcgTailConfig, LiveConfig
-from dvf_ig.live.link import Arrival, Inbox, connect, listen
+from dvf_ig.live.link import Inbox, connect, listen
 from dvf_ig.live.player import ECG, IMAGE, PROBE, TOOL, messages_of, play
 
 RUNNER = CliRunner()
@@ -49,7 +49,7 @@ def test_recording_comes_over_loopback(scenario: Scenario) -> None:
         timer.start()
         sent = play(scenario, server, speed=10.0, origin_s=1000.0, stop=stop)
         timer.join()
-        arrived: list[Arrival] = []
+        arrived: list[Any] = []
         while len(arrived) < sent:
             taken = inbox.take(2.0)
             assert taken, "not all arrived"
