@@ -51,7 +51,9 @@ def cycle_surface(phases: Sequence[Mesh], pitch_mm: float) -> CycleSurface:
             before.triangles, first.triangles
         ):
             moved = moved + mesh.vertices_mm[nearest] - before.vertices_mm[nearest]
-        out.append(_onto(moved, mesh, cKDTree(mesh.vertices_mm), _normals(mesh)))
+        tree, normals = cKDTree(mesh.vertices_mm), _normals(mesh)
+        moved = _onto(moved, mesh, tree, normals)
+        out.append(_onto(0.5 * (moved + ring @ moved), mesh, tree, normals))  # or triangles would fold
     return CycleSurface(np.stack(out), triangles)
 
 
