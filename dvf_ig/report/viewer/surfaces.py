@@ -51,7 +51,9 @@ def cycle_surface(phases: Sequence[Mesh], pitch_mm: float) -> CycleSurface:
             before.triangles, first.triangles
         ):
             moved = moved + mesh.vertices_mm[nearest] - before.vertices_mm[nearest]
-        out.append(_onto(moved, mesh, cKDTree(mesh.vertices_mm), _normals(mesh)))
+        tree, normals = cKDTree(mesh.vertices_mm), _normals(mesh)
+        moved = _onto(moved, mesh, tree, normals)
+        out.append(_onto(0.5 * (moved + ring @ moved), mesh, tree, normals))  # or triangles would fold
     return CycleSurface(np.stack(out), triangles)
 
 
@@ -88,8 +90,8 @@ def _merged(mesh: Mesh, pitch_mm: float) -> tuple[FloatArray, IntArray]:
     cubes = np.floor(mesh.vertices_mm / pitch_mm).astype(np.int64)
     _, places = np.unique(cubes, axis=0, return_inverse=True)
     places = places.reshape(-1)
-    count = np.bincount(places)
-    vertices = np.column_stack([np.bincount(places, mesh.vertices_mm[:, a]) / count for a in range(3)])
+    held = np.bincount(places)
+    vertices = np.column_stack([np.bincount(places, mesh.vertices_mm[:, a]) / held for a in range(3)])
     corners = places[mesh.triangles]
     a, b, c = corners.T
     corners = corners[(a != b) & (b != c) & (c != a)]
@@ -98,6 +100,8 @@ def _merged(mesh: Mesh, pitch_mm: float) -> tuple[FloatArray, IntArray]:
     first = corners.argmin(axis=1)
     turned = np.take_along_axis(corners, (first[:, None] + np.arange(3)) % 3, axis=1)
     triangles = np.unique(turned, axis=0)
+    _, sets, count = np.unique(np.sort(triangles, axis=1), axis=0, return_inverse=True, return_counts=True)
+    triangles = triangles[count[sets.reshape(-1)] == 1]  # two that face each other enclose nothing
     used, numbers = np.unique(triangles, return_inverse=True)
     return vertices[used], numbers.reshape(-1, 3).astype(np.int64)
 
