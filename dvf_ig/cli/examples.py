@@ -44,11 +44,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "export mcap": ("dvf-ig export mcap run -o session.mcap",),
     "export rerun": ("dvf-ig export rerun run -o session.rrd",),
-    "serve": (
-        "dvf-ig serve --config session.yaml",
-        "dvf-ig serve --config session.yaml --listen --port 18944 --margin adaptive",
-    ),
-    "synth stream": ("dvf-ig synth stream demo", "dvf-ig synth stream demo --speed 2 --port 18945"),
     "synth scenario": (
         "dvf-ig synth scenario --preset calm --motion paper5mm --seconds 60 --seed 1 -o demo",
         "dvf-ig synth scenario --preset lost-ultrasound --heart varied --seed 2 -o demo",

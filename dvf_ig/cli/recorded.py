@@ -36,7 +36,7 @@ def read_recording(source: Path) -> "SessionRecordings":
     from dvf_ig.io import SessionRecordings, read_scenario, read_session
 
     if source.suffix == ".mcap" and source.is_file():
-        from dvf_ig.replay.session_log_read import read_session_log
+        from dvf_ig.replay.export.session_log_read import read_session_log
 
         return read_session_log(source)
     if source.is_dir():

@@ -77,7 +77,7 @@ def replay(
         )
         from dvf_ig.replay import result_of, run_replay, table
         from dvf_ig.replay.outputs import NAMES, require_own_outputs, write_outputs
-        from dvf_ig.replay.report import report_html
+        from dvf_ig.replay.page.replay_page import report_html
         from dvf_ig.replay.view_file import VIEW, write_view_file
 
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
@@ -133,7 +133,7 @@ def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "Se
     if scenario is None and config is None:
         raise typer.BadParameter("what is to be replayed? give a scenario folder, or --config SESSION.yaml")
     if scenario is not None and scenario.suffix == ".mcap":
-        from dvf_ig.replay.session_log_read import read_session_log
+        from dvf_ig.replay.export.session_log_read import read_session_log
 
         return read_session_log(scenario)
     if config is None:

@@ -1,4 +1,4 @@
-"""CRC-64 of OpenIGTLink bodies: ECMA-182 polynomial, most significant bit first, from zero, eight bytes a step.
+"""CRC-64 of OpenIGTLink bodies: ECMA-182 polynomial, highest bit first, from zero, eight bytes a step.
 
 Source: ECMA-182, annex B; the tables by eight are Kounavis and Berry 2005 ("slicing-by-8").
 """

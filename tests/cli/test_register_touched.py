@@ -18,7 +18,7 @@ from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, FloatArray, Rigid, TrackedSequence
 from dvf_ig.io import write_sequence, write_transform
 from dvf_ig.registration import target_errors_mm
-from dvf_ig.replay.registration_page import RegisteredInput
+from dvf_ig.replay.page.registration_page import RegisteredInput
 
 POSE = random_pose(np.random.default_rng(4))
 FILES = ["--us", "sweep.igs.mha", "--model", "heart.npz", "--probe", "probe.json", "--lag-s", "-0.065"]
@@ -69,7 +69,7 @@ def lab(files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         lambda recording, _frames, start, **_: registration(start, recording.heart.center_mm),
     )
     monkeypatch.setattr(
-        "dvf_ig.replay.registration_inputs.frames_shown",
+        "dvf_ig.replay.page.registration_inputs.frames_shown",
         lambda done, name, _: RegisteredInput(
             name, "patient toy", "tracker", "mr", "MR", "", [], [], touched=done.touched
         ),

@@ -66,7 +66,8 @@ def test_new_records_of_an_edf_are_samples(tmp_path):
 
 
 def test_edf_of_another_rate_is_told(tmp_path):
-    path, told = tmp_path / "ecg.edf", []
+    path = tmp_path / "ecg.edf"
+    told: list[str] = []
     write_ecg_edf(Signal(np.arange(400.0)[:, None], 100.0, 0.0, ("I",), "mV"), path)
     assert EdfTail(path, 250.0, told.append, Clock()).read() == []
     assert "250 Hz" in told[0]

@@ -36,7 +36,12 @@ def free_port() -> int:
 
 def taken_from(inbox: Inbox, count: int = 1) -> list[Message]:
     found: list[Arrival] = []
-    until(lambda: bool(found.extend(inbox.take(0.1)) or len(found) >= count))
+
+    def enough() -> bool:
+        found.extend(inbox.take(0.1))
+        return len(found) >= count
+
+    until(enough)
     messages = [arrival.taken for arrival in found]
     assert all(isinstance(message, Message) for message in messages), messages
     return [message for message in messages if isinstance(message, Message)]

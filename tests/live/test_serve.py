@@ -49,7 +49,7 @@ def test_recording_comes_over_loopback(scenario: Scenario) -> None:
         timer.start()
         sent = play(scenario, server, speed=10.0, origin_s=1000.0, stop=stop)
         timer.join()
-        arrived = []
+        arrived: list[Any] = []
         while len(arrived) < sent:
             taken = inbox.take(2.0)
             assert taken, "not all arrived"

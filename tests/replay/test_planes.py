@@ -10,9 +10,9 @@ from toy_session import toy_heart
 
 from dvf_ig.core import CycleTiming, FloatArray, Grid, Rigid, TrackedVolume, Volume, VolumeSeries
 from dvf_ig.registration import BoundaryTarget, ModelChannels
-from dvf_ig.replay.plane_names import edge_letters, plane_name, viewed_upright
-from dvf_ig.replay.planes import anatomy_of_heart, anatomy_of_image, plane_overlay
-from dvf_ig.replay.volume_planes import image_overlays, shown_grey, tracked_overlays
+from dvf_ig.replay.page.plane_names import edge_letters, plane_name, viewed_upright
+from dvf_ig.replay.page.planes import anatomy_of_heart, anatomy_of_image, plane_overlay
+from dvf_ig.replay.page.volume_planes import image_overlays, shown_grey, tracked_overlays
 
 X, Y, Z = np.eye(3)
 SLOPE = np.array([2.0, -1.0, 3.0])

@@ -13,8 +13,8 @@ from dvf_ig.core import Stop
 from dvf_ig.registration import Evidence, RegistrationOptions, RegistrationResult, SurfaceDisagreement
 from dvf_ig.registration.evidence.checks import VOLUME_LIMITS
 from dvf_ig.registration.evidence.phase_offset import SHIFTS, PhaseOffset
-from dvf_ig.replay.registration_checks import checks_of
-from dvf_ig.replay.registration_page import RegisteredInput, registration_page
+from dvf_ig.replay.page.registration_checks import checks_of
+from dvf_ig.replay.page.registration_page import RegisteredInput, registration_page
 from dvf_ig.report.registration import Check, Outcome
 
 START = HOME.perturbed_left(np.array([0.1, 0.0, 0.0]), np.array([0.0, 3.0, 0.0]), CENTER)

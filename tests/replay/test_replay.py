@@ -11,7 +11,7 @@ from dvf_ig.guidance import Status
 from dvf_ig.guidance.device import COMMON_DEVICE
 from dvf_ig.guidance.supervisor import FADE_S, SLEW_SPEED_M_S
 from dvf_ig.replay import Replay, result_of, run_replay, table, validate
-from dvf_ig.replay.report import report_html
+from dvf_ig.replay.page.replay_page import report_html
 
 
 def test_estimates_are_within_their_errors(replay: Replay) -> None:

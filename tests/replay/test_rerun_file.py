@@ -9,7 +9,7 @@ from toy_ball import ball_model
 from toy_run import BRIGHT, FIRST, FORCE, LAG_S, LATER, PROBE_FROM_IMAGE, pose_at, run_folder, ticks_csv
 
 from dvf_ig.core import MissingDependencyError
-from dvf_ig.replay.rerun_file import FORCE_MM_PER_N, write_rerun
+from dvf_ig.replay.export.rerun_file import FORCE_MM_PER_N, write_rerun
 from dvf_ig.replay.run_folder import read_ticks
 
 

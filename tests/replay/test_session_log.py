@@ -37,8 +37,8 @@ from dvf_ig.core import (
     VolumeSeries,
 )
 from dvf_ig.replay.events import events_of
-from dvf_ig.replay.session_log import write_session_log
-from dvf_ig.replay.session_log_read import read_session_log
+from dvf_ig.replay.export.session_log import write_session_log
+from dvf_ig.replay.export.session_log_read import read_session_log
 
 pytest.importorskip("mcap", reason="session logs need mcap")
 pytest.importorskip("rosbags", reason="session logs need rosbags")

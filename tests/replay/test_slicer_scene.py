@@ -30,8 +30,8 @@ from toy_run import (
 )
 
 from dvf_ig.core import InvalidInputError, Rigid, UnreadableFileError
-from dvf_ig.replay.exported_run import read_exported_run
-from dvf_ig.replay.slicer_scene import write_slicer_scene
+from dvf_ig.replay.export.exported_run import read_exported_run
+from dvf_ig.replay.export.slicer_scene import write_slicer_scene
 
 FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 

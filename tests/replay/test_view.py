@@ -20,7 +20,7 @@ from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, Landmarks, Points, UnreadableFileError
 from dvf_ig.io import cached_model
 from dvf_ig.replay import Replay
-from dvf_ig.replay.report import _overlays
+from dvf_ig.replay.page.replay_page import _overlays
 from dvf_ig.replay.run_folder import read_run, read_ticks
 from dvf_ig.report.viewer import RegistrationView, live_page, registration_payload, viewer_html
 

@@ -17,7 +17,7 @@ from dvf_ig.core import (
     TrackedSequence,
     VolumeSeries,
 )
-from dvf_ig.replay.exported_run import ExportedRun
+from dvf_ig.replay.export.exported_run import ExportedRun
 from dvf_ig.replay.outputs import COLUMNS
 from dvf_ig.session import UltrasoundCalibration
 

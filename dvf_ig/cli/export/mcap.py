@@ -25,7 +25,7 @@ def mcap(
     recorded numbers, calibrations and the heart for the replay. Needs pip install "dvf-ig[log]".
     """
     with command():
-        from dvf_ig.replay.session_log import write_session_log
+        from dvf_ig.replay.export.session_log import write_session_log
 
         if out.suffix != ".mcap":
             raise typer.BadParameter(f"-o is {out}; needed a name that ends in .mcap")

@@ -23,8 +23,8 @@ def rerun(
     Needs pip install "dvf-ig[rerun]" (0.7 GB). Frames hang on each other in mm, LPS; time is the tracker's.
     """
     with command():
+        from dvf_ig.replay.export.rerun_file import write_rerun
         from dvf_ig.replay.outputs import TICKS
-        from dvf_ig.replay.rerun_file import write_rerun
         from dvf_ig.replay.run_folder import read_ticks
 
         if out.suffix != ".rrd":

@@ -27,7 +27,7 @@ def slicer(
     """
     with command():
         from dvf_ig.io.atomic_folder import atomic_folder
-        from dvf_ig.replay.slicer_scene import SCENE, write_slicer_scene
+        from dvf_ig.replay.export.slicer_scene import SCENE, write_slicer_scene
 
         found, built, _ = read_source(run, recording, model)
         with atomic_folder(out) as new:

@@ -10,7 +10,7 @@ from dvf_ig.cli.recorded import read_recording, require_place
 
 if TYPE_CHECKING:
     from dvf_ig.core import DvfModel
-    from dvf_ig.replay.exported_run import ExportedRun
+    from dvf_ig.replay.export.exported_run import ExportedRun
 
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that `dvf-ig replay` wrote.")]
 RunOrRegistration = Annotated[
@@ -28,7 +28,7 @@ class Source(NamedTuple):
 
 def read_source(run: Path, recording: Path | None, model: Path | None) -> Source:
     """The run with its recording, which a replay names and a registration does not."""
-    from dvf_ig.replay.exported_run import read_exported_run
+    from dvf_ig.replay.export.exported_run import read_exported_run
     from dvf_ig.replay.view_file import VIEW, read_view_file
 
     named = read_view_file(run) if (run / VIEW).is_file() else None

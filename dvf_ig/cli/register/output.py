@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     from dvf_ig.core import Rigid
     from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
-    from dvf_ig.replay.registration_page import RegisteredInput
+    from dvf_ig.replay.page.registration_page import RegisteredInput
 
 
 class Registered(NamedTuple):
@@ -52,7 +52,7 @@ class OutputFiles(NamedTuple):
         """Write all of them or none, and tell the user."""
         from dvf_ig.cli.shell import wrote
         from dvf_ig.io import files_together, write_registration, write_sidecar, write_text, write_transforms
-        from dvf_ig.replay.registration_page import registration_page, registration_view
+        from dvf_ig.replay.page.registration_page import registration_page, registration_view
 
         result, start, shown, tracked_against = registered
         pose = result.target_from_source
@@ -122,7 +122,7 @@ def rows_of(registered: Registered, name: str) -> list[tuple[str, str]]:
     import numpy as np
 
     from dvf_ig.registration import least_constrained_direction
-    from dvf_ig.replay.registration_page import stated_rows
+    from dvf_ig.replay.page.registration_page import stated_rows
 
     result, touched = registered.result, registered.shown.touched
     sd = np.sqrt(np.diag(result.covariance))

@@ -19,7 +19,7 @@ def register_images(
     from dvf_ig.core import Rigid
     from dvf_ig.io import read_transform, read_volume
     from dvf_ig.registration import register_pair
-    from dvf_ig.replay.registration_inputs import pair_shown
+    from dvf_ig.replay.page.registration_inputs import pair_shown
 
     if fixed is None or not moving:
         raise typer.BadParameter("an image pair needs both --fixed US and --moving MR")

@@ -39,7 +39,7 @@ def _register(
     recorded: "Scenario", start: "Rigid | None", model: "DvfModel", origin: str, seed: int
 ) -> Registered:
     from dvf_ig.replay import register_scenario
-    from dvf_ig.replay.registration_inputs import frames_shown
+    from dvf_ig.replay.page.registration_inputs import frames_shown
 
     with progress("register") as report:
         done = register_scenario(recorded, start, model=model, seed=seed, progress=report)

@@ -38,7 +38,7 @@ def register_volume_files(names: Sequence[str], options: Mapping[str, Any], seed
     from time import perf_counter
 
     from dvf_ig.io import gated_volume_files, read_gated_volumes
-    from dvf_ig.replay.registration_inputs import volumes_shown
+    from dvf_ig.replay.page.registration_inputs import volumes_shown
     from dvf_ig.session import build_heart, register_gated_volumes
 
     files = gated_volume_files(names)

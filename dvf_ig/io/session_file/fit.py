@@ -13,7 +13,7 @@ from dvf_ig.core.image_map import ImageMap
 from dvf_ig.registration import TouchedPoints, start_from_landmarks
 from dvf_ig.registration.surface_points.touched import require_spread
 from dvf_ig.session.calibrations import require_lag
-from dvf_ig.session.recording_checks import (
+from dvf_ig.session.recording.checks import (
     have_common_time,
     require_common_time,
     require_heart_beats,

@@ -26,7 +26,7 @@ Orientation = Literal["MF", "UF", "MN", "UN"]
 
 
 class EcgFieldConfig(Section):
-    """An ECG among the frame fields or strings that PLUS sends; with it or after it, its last sample's time."""
+    """An ECG among the frame fields or strings that PLUS sends, with the time of its last sample."""
 
     field: DeviceName = "EcgData"
     rate_hz: RateHz

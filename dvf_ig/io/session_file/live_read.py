@@ -1,4 +1,4 @@
-"""Read what a live session needs before its first event: patient, calibrations, start, fixtures, device names."""
+"""What a live session needs before its first event: patient, calibrations, start, fixtures, device names."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -24,7 +24,7 @@ SEEN = 16
 READ = 24
 WORK = 32
 LEFT = 40
-"""(3,) mm by which the position lies off the newest prediction, (3,) the position given last, and its time."""
+"""(3,) mm by which the position lies off the newest prediction, (3,) the one given last, and its time."""
 CONTEXT_SIZE = 48
 SMOOTHED_S = 0.005
 """Where a new pose lies off the old one's prediction, the position goes over to it with this time constant: a

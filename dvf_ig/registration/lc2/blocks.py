@@ -89,8 +89,10 @@ def _cut(slices: SliceSet, owner: IntArray, corner: IntArray, size: IntArray, ma
 
 
 def _distinct(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """Distinct rows in lexical order, and (n,) which of them each is: as `np.unique` along an axis, whose sort
-    of rows keeps the interpreter from every other thread for 25 ms."""
+    """Distinct rows in lexical order, and (n,) which of them each is.
+
+    As `np.unique` along an axis, whose sort of rows keeps the interpreter from every other thread for 25 ms.
+    """
     lowest = rows.min(axis=0)
     size = tuple((rows.max(axis=0) - lowest + 1).tolist())
     found, part = np.unique(np.ravel_multi_index(tuple((rows - lowest).T), size), return_inverse=True)

@@ -30,7 +30,7 @@ from dvf_ig.io.session_file.agreement.finding import Disagreement
 from dvf_ig.io.session_file.fit import fit_of, parts_of
 from dvf_ig.io.session_file.parts import SessionParts
 from dvf_ig.io.session_file.read import read_session
-from dvf_ig.session.ecg_delay import speed_between
+from dvf_ig.session.recording.ecg_delay import speed_between
 
 Change = Callable[[SessionParts], SessionParts]
 

@@ -12,7 +12,7 @@ from dvf_ig.core.mesh import Mesh
 from dvf_ig.io.session_file.parts import SessionParts
 from dvf_ig.io.session_file.preop import PreopFiles
 from dvf_ig.registration.lc2.slices import fan_mask_from_images
-from dvf_ig.session.ecg_delay import (
+from dvf_ig.session.recording.ecg_delay import (
     LATE_S,
     CycleSpeed,
     EcgDelay,
@@ -20,7 +20,7 @@ from dvf_ig.session.ecg_delay import (
     ecg_delay,
     speed_between,
 )
-from dvf_ig.session.image_change import image_change
+from dvf_ig.session.recording.image_change import image_change
 
 from .finding import Disagreement, Finding, finding
 

@@ -26,9 +26,13 @@ def name_findings(parts: SessionParts) -> Iterator[Finding]:
             yield finding(Disagreement.TOOL_IS_PIVOT, "tool", "replay")
     heart = parts.preop
     if heart is not None and heart.named_patient not in (None, heart.preop.patient_id):
-        named, patient = str(heart.named_patient), heart.preop.patient_id
-        yield finding(Disagreement.OTHER_PATIENT, "preop.surfaces_folder", named=named, patient=patient)
-    if heart is not None and _mr_is_labels(heart.preop):
+        yield finding(
+            Disagreement.OTHER_PATIENT,
+            "preop.surfaces_folder",
+            named=str(heart.named_patient),
+            patient=heart.preop.patient_id,
+        )
+    if parts.preop is not None and _mr_is_labels(parts.preop.preop):
         yield finding(Disagreement.MR_IS_LABELS, "preop.mr")
     marked, touched = start.landmarks_mr, start.landmarks_tracker
     if marked is not None and touched is not None and _same_points(marked, touched):

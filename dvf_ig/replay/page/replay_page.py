@@ -8,6 +8,10 @@ import dvf_ig
 from dvf_ig.core import FloatArray, PhaseState, Signal
 from dvf_ig.guidance import Hazard, SupervisorState
 from dvf_ig.registration import target_errors_mm
+from dvf_ig.replay.engine import Replay
+from dvf_ig.replay.pose_summary import suspensions
+from dvf_ig.replay.result import true_contact, true_phases
+from dvf_ig.replay.table import table
 from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.replay import (
     BeatTrace,
@@ -22,11 +26,7 @@ from dvf_ig.report.style import ESTIMATE, FAINT, GUIDE, START, WRONG
 from dvf_ig.session.confirmation import MAX_AGE_S
 from dvf_ig.session.registration_monitor import SUSPEND_LOG_RATIO
 
-from .engine import Replay
 from .planes import anatomy_of_heart, frame_overlays
-from .pose_summary import suspensions
-from .result import true_contact, true_phases
-from .table import table
 
 STATE_COLORS = (
     (SupervisorState.OK, ESTIMATE),

@@ -13,9 +13,9 @@ from dvf_ig.core import DvfModel, FloatArray, MissingDependencyError, Signal
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.guidance import Hazard, SupervisorState
 from dvf_ig.io.atomic import atomic_file
+from dvf_ig.replay.preconditions import RATE_HZ
 
 from .exported_run import ExportedRun
-from .preconditions import RATE_HZ
 from .slicer_scene import ShownFrames, shown_frames
 
 FORCE_MM_PER_N = 50.0

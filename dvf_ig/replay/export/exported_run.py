@@ -19,11 +19,10 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.frames import RAS_FROM_LPS
 from dvf_ig.io import provenance_fields, read_json, read_sequence
+from dvf_ig.replay.calibrations import calibrate
+from dvf_ig.replay.outputs import POSES
+from dvf_ig.replay.run_folder import RESULT, require_same_recording
 from dvf_ig.session import UltrasoundCalibration
-
-from .calibrations import calibrate
-from .outputs import POSES
-from .run_folder import RESULT, require_same_recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)

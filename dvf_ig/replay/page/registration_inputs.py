@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 from dvf_ig.core import Rigid, TrackedVolume, Volume, VolumeSeries, mean_displacement_mm
 from dvf_ig.registration import RegistrationResult
+from dvf_ig.replay.registration import Registration
 from dvf_ig.session import Heart
 
 from .planes import anatomy_of_heart, anatomy_of_image, frame_overlays
-from .registration import Registration
 from .registration_page import RegisteredInput
 from .volume_planes import image_overlays, tracked_overlays
 

@@ -31,13 +31,13 @@ from dvf_ig.io.ros.session_document import document_of
 from dvf_ig.io.scenario.layout import PreopConfig as FolderPreop
 from dvf_ig.io.scenario.write import write_preop
 from dvf_ig.io.session_file.schema import PreopConfig
+from dvf_ig.replay.calibrations import calibrate
+from dvf_ig.replay.events import ECG_CHUNK
+from dvf_ig.replay.outputs import TICKS
+from dvf_ig.replay.preconditions import tool_of
+from dvf_ig.replay.run_folder import RESULT, read_ticks
 
-from .calibrations import calibrate
-from .events import ECG_CHUNK
 from .exported_run import ExportedRun
-from .outputs import TICKS
-from .preconditions import tool_of
-from .run_folder import RESULT, read_ticks
 
 DOCUMENT, MODEL = "session.json", "preop/model.npz"
 ECG, IMAGE, TRIGGER = "/ecg", "/ultrasound/image", "/trigger"
