@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from config_runs import errors, run, write
 from toy_lab import SESSION, poses
+from toy_sphere import sphere
 
 from dvf_ig.core import (
     CycleTiming,
@@ -24,10 +25,12 @@ from dvf_ig.core import (
     VolumeSeries,
 )
 from dvf_ig.io import write_poses, write_surface_series
+from dvf_ig.io.session_file.agreement.cycle import heart_speed
 from dvf_ig.io.session_file.agreement.finding import Disagreement
 from dvf_ig.io.session_file.fit import fit_of, parts_of
 from dvf_ig.io.session_file.parts import SessionParts
 from dvf_ig.io.session_file.read import read_session
+from dvf_ig.session.recording.ecg_delay import speed_between
 
 Change = Callable[[SessionParts], SessionParts]
 
@@ -263,6 +266,24 @@ def test_images_tell_how_late_the_ecg_is(parts: SessionParts, late_s: float) -> 
     assert seen.delay.delay_s == pytest.approx(late_s, abs=0.04)
     assert seen.delay.suspicious is (abs(late_s) > 0.08)
     assert seen.drift_s == pytest.approx(0.0, abs=0.04)
+
+
+def test_a_heart_s_speed_is_known_where_its_vertices_do_not_correspond(parts: SessionParts) -> None:
+    assert parts.preop is not None
+    assert parts.preop.model is not None
+    radii_mm = np.array([40.0, 32.0, 34.0, 38.0])
+    meshes = []
+    for k, radius_mm in enumerate(radii_mm):
+        meshes.append(Mesh("mr", *sphere(radius_mm, 3 + k % 2)))
+    model = replace(parts.preop.model, reference=tuple(meshes), reference_caps=caps_of(meshes))
+    found = heart_speed(replace(parts.preop, model=model))
+    assert found is not None
+    true = speed_between(np.abs(np.roll(radii_mm, -1) - radii_mm), model.timing.fractions)
+    assert found.speed == pytest.approx(true.speed, rel=0.15)
+
+
+def caps_of(meshes: list[Mesh]) -> tuple[np.ndarray[Any, np.dtype[np.bool_]], ...]:
+    return tuple(np.zeros(len(mesh.triangles), dtype=np.bool_) for mesh in meshes)
 
 
 def test_images_that_do_not_beat_say_nothing(parts: SessionParts) -> None:

@@ -4,9 +4,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.image_map import ImageMap
+from dvf_ig.core.mesh import Mesh
 from dvf_ig.io.session_file.parts import SessionParts
 from dvf_ig.io.session_file.preop import PreopFiles
 from dvf_ig.registration.lc2.slices import fan_mask_from_images
@@ -21,6 +23,9 @@ from dvf_ig.session.recording.ecg_delay import (
 from dvf_ig.session.recording.image_change import image_change
 
 from .finding import Disagreement, Finding, finding
+
+MOST_POINTS = 2000
+"""Of a surface whose distance from the next one is measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,18 +80,18 @@ def heart_in_images(parts: SessionParts, peaks_s: FloatArray) -> HeartInImages |
 
 
 def heart_speed(files: PreopFiles) -> CycleSpeed | None:
-    """How fast the heart moves over its cycle, by the model, its labels or its surfaces."""
+    """How fast the heart moves over its cycle, by its labels, its model or its surfaces."""
     preop, model = files.preop, files.model
-    if model is not None:
-        vertices = [mesh.vertices_mm for mesh in model.reference]
-        if len({len(xyz_mm) for xyz_mm in vertices}) > 1:
-            return None
-        return speed_between(_between_surfaces(np.stack(vertices)), model.timing.fractions)
     if preop.labels is not None:
         values = preop.labels.values
         changed = [np.count_nonzero(values[i - 1] != values[i]) for i in range(len(values))]
         amounts = np.roll(np.array(changed, dtype=np.float64), -1)
         return speed_between(amounts, preop.labels.timing.fractions)
+    if model is not None:
+        vertices = [mesh.vertices_mm for mesh in model.reference]
+        if len({len(xyz_mm) for xyz_mm in vertices}) == 1:
+            return speed_between(_between_surfaces(np.stack(vertices)), model.timing.fractions)
+        return speed_between(_between_others(model.reference), model.timing.fractions)
     surface = next((series for series in preop.surfaces if series.name == preop.surface), None)
     if surface is None:
         return None
@@ -97,6 +102,20 @@ def _between_surfaces(vertices_mm: FloatArray) -> FloatArray:
     """(m,) mean distance of the vertices of each of (m, n, 3) phases from those of the next, mm."""
     step = np.roll(vertices_mm, -1, axis=0) - vertices_mm
     return np.asarray(np.linalg.norm(step, axis=2).mean(axis=1))
+
+
+def _between_others(surfaces: tuple[Mesh, ...]) -> FloatArray:
+    """(m,) the same along the normals, where vertices do not correspond: to the plane at the nearest one."""
+    out = []
+    for here, there in zip(surfaces, (*surfaces[1:], surfaces[0]), strict=True):
+        points = here.vertices_mm[:: max(1, len(here.vertices_mm) // MOST_POINTS)]
+        centers = there.vertices_mm[there.triangles].mean(axis=1)
+        corners = there.vertices_mm[there.triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        nearest = cKDTree(centers).query(points)[1]
+        out.append(np.abs(((points - centers[nearest]) * normals[nearest]).sum(axis=1)).mean())
+    return np.array(out)
 
 
 def cycle_findings(seen: HeartInImages | None) -> Iterator[Finding]:
