@@ -11,7 +11,7 @@ from dvf_ig.live.igtl import Message, encode
 from .inbox import Inbox
 from .peer import Peer
 
-RETRY_S = 0.5
+RETRY_S = 0.2
 CONNECT_WITHIN_S = 2.0
 MOST_PEERS = 8
 LOOPBACK = "127.0.0.1"
