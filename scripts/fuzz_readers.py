@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dvf_ig import io
-from dvf_ig.core import PoseStream
+from dvf_ig.core import PoseStream, Volume
 
 Read = Callable[[Path], Any]
 GAPS = {"samples", "values", "points_px"}
@@ -24,10 +24,13 @@ def write_seeds(folder: Path) -> None:
 
     scenario: Any = _make_scenario(1)
     io.write_scenario(scenario, folder / "scenario")
+    io.add_ecg_field(folder / "scenario" / "ultrasound.igs.mha", scenario.ecg, folder / "ecg.igs.mha")
     preop, out = scenario.preop, folder
     for ending in ("nrrd", "mha", "nii", "nii.gz", "mhd", "nhdr"):
         io.write_volume(preop.labels.phase(0), out / f"volume.{ending}")
         io.write_volume_series(preop.mr, out / f"series.{ending}")
+    io.write_volume(Volume(preop.mr.grid, preop.mr.values[0].astype(np.float32)), out / "grey.mha")
+    io.write_volume(Volume(preop.mr.grid, preop.mr.values[0].astype(np.float64)), out / "grey.nii")
     mesh = preop.surfaces[0].phase(0)
     for ending in ("obj", "stl", "ply", "vtp"):
         io.write_mesh(mesh, out / f"mesh.{ending}")
@@ -97,8 +100,8 @@ def _scenario_config(path: Path) -> Any:
 
 READERS: dict[str, tuple[tuple[str, ...], Read]] = {
     "volume-nrrd": (("volume.nrrd", "volume.nhdr"), io.read_volume),
-    "volume-mha": (("volume.mha", "volume.mhd"), io.read_volume),
-    "volume-nifti": (("volume.nii", "volume.nii.gz"), io.read_volume),
+    "volume-mha": (("volume.mha", "volume.mhd", "grey.mha"), io.read_volume),
+    "volume-nifti": (("volume.nii", "volume.nii.gz", "grey.nii"), io.read_volume),
     "series-nrrd": (("series.nrrd", "series.nhdr"), io.read_volume_series),
     "series-mha": (("series.mha",), io.read_volume_series),
     "series-nifti": (("series.nii", "series.nii.gz"), io.read_volume_series),
@@ -114,7 +117,7 @@ READERS: dict[str, tuple[tuple[str, ...], Read]] = {
     "seeds": (("seeds.json",), io.read_seeds),
     "poses": (("poses.txt",), io.read_poses),
     "sequence": (("scenario/ultrasound.igs.mha", "scenario/tool.igs.mha"), io.read_sequence),
-    "ecg-field": (("scenario/ultrasound.igs.mha",), lambda p: io.read_ecg(f"plus:{p}")),
+    "ecg-field": (("ecg.igs.mha",), lambda p: io.read_ecg(f"plus:{p}")),
     "features": (("features.csv",), lambda p: {"points_px": io.read_feature_points(p)}),
     "wire-phantom": (("scenario/calibration/nwire.xml",), io.read_nwire_phantom),
     "wire-points": (("scenario/calibration/nwire_points.xml",), _wire_points),

@@ -22,6 +22,8 @@ VOXEL_BYTES = 4 << 30
 """An image when unpacked: a cardiac CT of 512 x 512 x 300 voxels in 20 phases has 3.1 GB."""
 DICOM_FILES = 20_000
 """Images in a folder: a short-axis stack of 20 slices in 30 phases has 600, a whole examination 5 000."""
+GREY_VALUE = 1e12
+"""A voxel's value in any unit: scanners store 16 bit, 32 bit reach 4.3e9; damaged float32 reach 3e38."""
 AXIS = 1 << 16
 """Voxels or pixels along an axis; the longest in use, RF lines of ultrasound, have 4 000 to 16 000."""
 FRAMES = 1_000_000

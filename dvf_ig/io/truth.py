@@ -41,7 +41,7 @@ def write_truth(truth: ScenarioTruth, folder: Path) -> None:
         folder / "truth.json",
         {
             "schema": SCHEMA,
-            "units": "mm, s, rad, LPS",
+            "units": UNITS,
             "mr_from_tracker": [
                 {"from_s": start_s, "matrix": pose.matrix} for start_s, pose in truth.mr_from_tracker
             ],
@@ -75,6 +75,7 @@ def write_truth(truth: ScenarioTruth, folder: Path) -> None:
     )
 
 
+UNITS = "mm, s, rad, LPS"
 _MOST = {
     "t_s": limits.TIME_S,
     "lag_s": limits.TIME_S,
@@ -101,6 +102,8 @@ def read_truth(folder: Path) -> ScenarioTruth:
         document = read_json(path, "the truth of a scenario")
         if not isinstance(document, dict) or document.get("schema") != SCHEMA:
             raise UnreadableFileError(f"{path} is not the truth of a scenario; needed schema '{SCHEMA}'")
+        if document.get("units", UNITS) != UNITS:
+            raise UnreadableFileError(f"{path} is in {str(document['units'])[:40]!r}; needed '{UNITS}'")
         try:
             return _truth(folder, document)
         except KeyError as exc:

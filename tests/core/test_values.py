@@ -91,6 +91,8 @@ def test_fan_mask_has_the_sectors_area() -> None:
 
 
 def test_every_exported_name_is_importable_and_documented() -> None:
+    aliases = {"Progress"}  # of a type, like the arrays; its module says what it is
     names = [n for n in vars(core) if not n.startswith("_") and n[0].isupper() and "Array" not in n]
+    names = [n for n in names if n not in aliases]
     undocumented = [n for n in names if not getattr(core, n).__doc__]
     assert undocumented == []

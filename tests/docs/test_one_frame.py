@@ -53,7 +53,6 @@ def test_no_module_stands_there_twice_and_every_step_of_the_session_once() -> No
         "setup",
         "touched_landmarks",
     }
-    beside |= {"recording_checks", "image_change", "ecg_delay"}  # before a session
     beside |= {"volume_registration"}  # of gated 3-D images, not frames
     assert steps - set(paths) == {f"dvf_ig/session/{name}.py" for name in beside}
 

@@ -224,6 +224,7 @@ CHANGES: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({"es_fraction": 7.0}, {}, "es_fraction"),
     ({}, {"origin_mm": np.array([np.nan, 0, 0])}, "origin_mm are not all finite"),
     ({}, {"origin_mm": np.array([1e300, 0, 0])}, "check the unit"),
+    ({}, {"coefficients": np.full((4, 33, 33, 33), np.nan, np.float32)}, "not all finite"),
     ({}, {"vertex_counts": np.array([-1, 1])}, "do not count|vertex_counts"),
     ({}, {"triangle_counts": np.array([1.5, 1.5])}, "do not count|triangle_counts"),
     ({}, {"reference_triangles": np.array([[0, 1, 10**6]] * 10, np.int32)}, "do not count|refers to vertex"),

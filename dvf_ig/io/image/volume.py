@@ -39,7 +39,7 @@ def read_volume(path: Path | str, frame: str = "mr") -> Volume:
         path: NIfTI, NRRD or MetaImage.
         frame: name of the image's LPS frame.
     Raises:
-        UnreadableFileError: absent, damaged, not 3-D, not scalar, or with a sheared grid.
+        UnreadableFileError: absent, damaged, not 3-D, not scalar, infinite, or with a sheared grid.
     """
     grid, values = read_array(Path(path), frame, 3)
     return Volume(grid, values)
@@ -224,10 +224,29 @@ def _right_handed(
             f"{DIRECTION_TOLERANCE:g}); resample it with: antsApplyTransforms -d 3 -i {path.name} "
             f"-r ORTHOGONAL_REFERENCE.nii.gz -o straight_{path.name}"
         )
+    _require_finite(path, values)
     shape = (int(values.shape[-3]), int(values.shape[-2]), int(values.shape[-1]))
     owned = in_c_order(values)  # a copy: `values` may be a view into an image that goes away
     owned.setflags(write=False)
     return Grid(frame, shape, origin, spacing, direction), owned
+
+
+def _require_finite(path: Path, values: AnyArray) -> None:
+    """In a 3-D image NaN stands for what was not imaged, as beside an ultrasound's fan; infinity for nothing.
+
+    Raises:
+        UnreadableFileError: a voxel is infinite or beyond GREY_VALUE, or NaN in a cyclic image.
+    """
+    if values.dtype.kind != "f" or max(abs(values.max()), abs(values.min())) <= limits.GREY_VALUE:
+        return
+    allowed = np.abs(values) <= limits.GREY_VALUE
+    if values.ndim == 3:
+        allowed |= np.isnan(values)
+    if not allowed.all():
+        raise UnreadableFileError(
+            f"{path} holds {np.count_nonzero(~allowed)} voxels that are not finite or beyond "
+            f"{limits.GREY_VALUE:g}; needed numbers: set them to 0"
+        )
 
 
 def _image(grid: Grid, values: AnyArray) -> Any:

@@ -36,8 +36,8 @@ from dvf_ig.preop import ModelOptions, model_from_labels
 
 @pytest.fixture(scope="module")
 def recording() -> SecondWorldRecording:
-    """Five seconds of seed 5002 (a development seed), with as few images as a recording may have."""
-    return second_world_recording(SecondWorldSpec(seed=5002, seconds=5.0, us_rate_hz=6.0))
+    """Five seconds of seed 5002 (a development seed), with as many images as it takes to register."""
+    return second_world_recording(SecondWorldSpec(seed=5002, seconds=5.0, us_rate_hz=8.0))
 
 
 @pytest.fixture(scope="module")
