@@ -11,6 +11,10 @@ from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit,
 def live(
     scenario: Annotated[Path, typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`).")],
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for live.json.")] = None,
+    cut_s: Annotated[
+        float | None,
+        typer.Option("--cut", min=1.0, help="Cut the connection after so long, within a message."),
+    ] = None,
     as_json: JsonFlag = False,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,
@@ -25,7 +29,7 @@ def live(
         from dvf_ig.io import cached_model, output_folder, read_scenario, write_json
         from dvf_ig.replay import run_replay
         from dvf_ig.replay.start import landmarks_start
-        from dvf_ig.study.live.compare import comparison
+        from dvf_ig.study.live.compare import after_cut, comparison
         from dvf_ig.study.live.run import run_live
 
         recorded = read_scenario(scenario)
@@ -35,7 +39,10 @@ def live(
         landmarks = None
         if landmarks_start(recorded) and recorded.landmarks_mr and recorded.landmarks_tracker:
             landmarks = (recorded.landmarks_mr, recorded.landmarks_tracker)
-        result = comparison(run_live(scenario, replayed.setup, landmarks), replayed, recorded.truth)
+        run = run_live(scenario, replayed.setup, landmarks, cut_s)
+        result = comparison(run, replayed, recorded.truth)
+        if cut_s is not None:
+            result["cut"] = after_cut(run, replayed, cut_s)
         if out is not None:
             with output_folder(out):
                 write_json(out / "live.json", result)
@@ -62,6 +69,16 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
         tre = result["tre_mm"]
         means = f"live {tre['live']['mean']:.3f} mm, replay {tre['replay']['mean']:.3f} mm"
         rows.append(("mean error at the targets", means))
+    if "cut" in result:
+        cut = result["cut"]
+        times = ", ".join(
+            f"{what} after {cut[key]:.2f} s"
+            for key, what in (("fading_s", "fades"), ("back_s", "comes back"), ("phase_s", "with its phase"))
+            if cut[key] is not None
+        )
+        rows.append(
+            (f"force after the cut at {cut['cut_s']:g} s", times, "re-armed" if cut["latched"] else "")
+        )
     for number, row in enumerate(result["registrations"], start=1):
         ours, theirs = row["live"], row["replay"]
         both = " / ".join(

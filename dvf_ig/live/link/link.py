@@ -11,7 +11,7 @@ from dvf_ig.live.igtl import Message, encode
 from .inbox import Inbox
 from .peer import Peer
 
-RETRY_S = 0.5
+RETRY_S = 0.2
 CONNECT_WITHIN_S = 2.0
 MOST_PEERS = 8
 LOOPBACK = "127.0.0.1"
@@ -32,6 +32,8 @@ class Link:
         self.connections = self.turned_away = 0
         self.last_end: str | None = None
         """Why the last connection ended."""
+        self.unreachable: str | None = None
+        """Why a client could not connect when it last tried and failed."""
         self.stop = threading.Event()
         self._peers: list[Peer] = []
         self._changed = threading.Lock()
@@ -89,7 +91,7 @@ def connect(host: str, port: int, inbox: Inbox | None) -> Link:
                 try:
                     connection = socket.create_connection((host, port), timeout=CONNECT_WITHIN_S)
                 except OSError as error:
-                    link.last_end = f"{host}:{port}: {error.strerror or error}"
+                    link.unreachable = f"{host}:{port}: {error.strerror or error}"
                 else:
                     link.add(connection, f"{host}:{port}")
             link.stop.wait(RETRY_S)

@@ -168,3 +168,34 @@ def _tre(
             "max": float(np.abs(a - b).max()),
         },
     }
+
+
+def after_cut(live: LiveRun, replay: Replay, cut_s: float) -> dict[str, Any]:
+    """What the force did when the connection was cut, by the servo's states; seconds after the cut.
+
+    Returns:
+        `fading_s`: when the force began to fade; `back_s`: when the tool was known again; `phase_s`: when the
+        phase was locked again, too; null where that did not happen. `latched`: whether it took an operator.
+    """
+    samples, recorded = samples_of(live), replay.scenario
+    first_s = min(float(recorded.ecg.t_s[0]), float(recorded.ultrasound.t_s[0]))
+    since_s = samples.servo_s - first_s - cut_s
+    faded = samples.servo > SupervisorState.DEGRADED
+    fading = _first(since_s, (since_s > 0.0) & faded)
+    back = None if fading is None else _first(since_s, (since_s > fading) & ~faded)
+    phase = None if back is None else _first(since_s, (since_s >= back) & (samples.status == Status.OK))
+    until = np.inf if back is None else back
+    latched = (since_s > 0.0) & (since_s < until) & (samples.servo == SupervisorState.LATCHED)
+    return {
+        "cut_s": cut_s,
+        "fading_s": fading,
+        "back_s": back,
+        "phase_s": phase,
+        "latched": bool(latched.any()),
+        "connections": live.result["connections"],
+    }
+
+
+def _first(t_s: FloatArray, where: BoolArray) -> float | None:
+    found = np.flatnonzero(where)
+    return float(t_s[found[0]]) if len(found) else None

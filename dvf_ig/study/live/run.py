@@ -7,11 +7,14 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dvf_ig.core import InvalidInputError, Landmarks
 from dvf_ig.guidance import SupervisorState
 from dvf_ig.io import read_scenario
 from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
-from dvf_ig.live.link import listen
+from dvf_ig.live.igtl import Message, Transform, encode
+from dvf_ig.live.link import Link, listen
 from dvf_ig.live.loop import Answer, LiveLoop
 from dvf_ig.live.player import play
 from dvf_ig.live.serve import LiveOptions, live_session, run_in_thread
@@ -44,13 +47,16 @@ class LiveRun:
 
 
 def run_live(
-    folder: Path, setup: SessionSetup, landmarks: tuple[Landmarks, Landmarks] | None, speed: float = 1.0
+    folder: Path,
+    setup: SessionSetup,
+    landmarks: tuple[Landmarks, Landmarks] | None,
+    cut_s: float | None = None,
 ) -> LiveRun:
     """Stream a scenario folder to a live session on this machine.
 
     Args:
         setup, landmarks: as a replay of it has them.
-        speed: recorded seconds a second.
+        cut_s: so long after the beginning the other process sends half a message and closes the connection.
     Raises:
         InvalidInputError: beats from a trigger, or a stream that did not begin.
     """
@@ -58,7 +64,7 @@ def run_live(
         raise InvalidInputError("a live session is compared on an ECG; this recording has a trigger")
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    child = context.Process(target=stream_folder, args=(folder, speed, theirs), daemon=True)
+    child = context.Process(target=stream_folder, args=(folder, cut_s, theirs), daemon=True)
     child.start()
     try:
         if not ours.poll(CONNECT_WITHIN_S):
@@ -70,7 +76,7 @@ def run_live(
         child.join()
 
 
-def stream_folder(folder: Path, speed: float, told: Connection) -> None:
+def stream_folder(folder: Path, cut_s: float | None, told: Connection) -> None:
     """In the other process: say the port, wait for a word, stream, and say that it is over."""
     scenario = read_scenario(folder, truth=False)
     with listen("127.0.0.1", 0, None) as link:
@@ -79,8 +85,18 @@ def stream_folder(folder: Path, speed: float, told: Connection) -> None:
         stop = threading.Event()
         while not link.peers:
             stop.wait(0.01)
-        told.send(play(scenario, link, speed=speed, origin_s=ORIGIN_S, stop=stop))
+        if cut_s is not None:
+            threading.Timer(cut_s, _cut, (link,)).start()
+        told.send(play(scenario, link, speed=1.0, origin_s=ORIGIN_S, stop=stop))
         told.recv()
+
+
+def _cut(link: Link) -> None:
+    """Half a message, and the end; the other side may connect again."""
+    whole = encode(Message("ToolToTracker", 1.0, Transform(np.eye(4))))
+    for peer in link.peers:
+        peer.offer(whole[: len(whole) // 2])
+        peer.close()
 
 
 def _taken(
