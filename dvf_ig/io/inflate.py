@@ -63,7 +63,9 @@ def _blocks(path: Path, packed: memoryview) -> Iterator[bytes]:
             if packed[begin : begin + 2] != _GZIP:
                 return
             inflater = zlib.decompressobj(_GZIP_OR_ZLIB)
-    raise UnreadableFileError(f"{path} is truncated: its packed image data do not end; copy it again")
+    raise UnreadableFileError(
+        f"{path} is truncated: its packed image data do not end; copy or record it again"
+    )
 
 
 def require_size(path: Path, got: int, needed: int) -> None:

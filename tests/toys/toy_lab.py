@@ -69,7 +69,7 @@ def poses(
     tracked: bool = True,
 ) -> PoseStream:
     """A marker that moves slowly: the needle's with its tip at the heart, every other one above it."""
-    height_mm = -120.0 if source == "needle" else 100.0
+    height_mm = -120.0 if source == "needle" else 60.0
     t_s = begin_s + np.arange(round(seconds * rate_hz)) / rate_hz
     turns = Rotation.from_rotvec(np.outer(0.05 * t_s, [0.0, 0.6, 0.8])).as_matrix()
     places = np.column_stack([5 * np.sin(t_s), 3 * np.cos(t_s), height_mm + t_s])

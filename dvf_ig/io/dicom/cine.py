@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dvf_ig.core.arrays import read_only_arrays
 from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.volume import Grid
@@ -24,6 +25,7 @@ _MARK, _PREAMBLE = b"DICM", 128
 WHAT = "a folder of DICOM images"
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class DicomCine:
     """A short-axis cine stack.

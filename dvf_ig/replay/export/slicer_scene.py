@@ -20,7 +20,16 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError, Landmarks, Points, Volume
+from dvf_ig.core import (
+    DvfModel,
+    FloatArray,
+    IntArray,
+    InvalidInputError,
+    Landmarks,
+    Points,
+    Volume,
+    read_only_arrays,
+)
 from dvf_ig.core.frames import RAS_FROM_LPS
 from dvf_ig.io import write_mesh, write_text, write_volume
 from dvf_ig.io.plus.names import join_transform, split_transform
@@ -57,6 +66,7 @@ class SceneFolder:
         return self.folder / name
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownFrames:
     """The ultrasound frames of a scene: those with an image, a pose of the probe and one of the patient.
