@@ -23,6 +23,7 @@ REQUIRED = (
     "PyYAML",
     "jsonschema",
     "matplotlib",
+    "zlib-ng",
 )
 EXTRAS = {"wfdb": ("ecg", "WFDB records"), "open3d": ("open3d", "points touched on the heart")}
 """Optional package to the extra that brings it, and what needs it."""

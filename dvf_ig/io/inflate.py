@@ -1,12 +1,15 @@
-"""Bytes of a zlib or gzip stream, as many as a header promises; memory is taken for no more than those."""
+"""Bytes of a zlib or gzip stream, as many as a header promises; memory is taken for no more than those.
 
-import zlib
+zlib-ng unpacks images in half the time of Python's own zlib, as ITK does.
+"""
+
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from zlib_ng import zlib_ng
 
 from dvf_ig.core.errors import UnreadableFileError
 
@@ -42,7 +45,7 @@ def inflated(path: Path, packed: Any, needed: int, *, more: bool = False) -> NDA
             at += len(part)
             if len(part) < len(block):
                 break
-    except zlib.error as exc:
+    except zlib_ng.error as exc:  # type: ignore[misc]  # its stub calls the class an instance
         raise UnreadableFileError(
             f"{path}: its packed image data are damaged ({exc}); copy it again"
         ) from exc
@@ -53,7 +56,7 @@ def inflated(path: Path, packed: Any, needed: int, *, more: bool = False) -> NDA
 
 def _blocks(path: Path, packed: memoryview) -> Iterator[bytes]:
     """What each step of the stream unpacks to, until it ends."""
-    inflater = zlib.decompressobj(_GZIP_OR_ZLIB)
+    inflater = zlib_ng.decompressobj(_GZIP_OR_ZLIB)
     begin = 0
     while begin < len(packed):
         yield inflater.decompress(packed[begin : begin + _STEP])
@@ -62,7 +65,7 @@ def _blocks(path: Path, packed: memoryview) -> Iterator[bytes]:
             begin = min(begin, len(packed)) - len(inflater.unused_data)
             if packed[begin : begin + 2] != _GZIP:
                 return
-            inflater = zlib.decompressobj(_GZIP_OR_ZLIB)
+            inflater = zlib_ng.decompressobj(_GZIP_OR_ZLIB)
     raise UnreadableFileError(
         f"{path} is truncated: its packed image data do not end; copy or record it again"
     )
