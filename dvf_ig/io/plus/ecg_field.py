@@ -229,6 +229,8 @@ def _raster(path: Path, field: str, batches: _Batches, stated_hz: float | None) 
 def _recorded(counts: IntArray, first_s: FloatArray, rate_hz: float) -> _Raster | None:
     """As times and rate say; None where batches would overlap or lie between samples."""
     position = (first_s - first_s[0]) * rate_hz
+    if not (np.abs(position) < 2.0**53).all():  # beyond it a sample's number is not exact, or none
+        return None
     first = np.rint(position).astype(np.int64)
     fits = np.abs(position - first).max() < OFF_RASTER and (np.diff(first) >= counts[:-1]).all()
     return _Raster(rate_hz, float(first_s[0]), first) if fits else None
