@@ -33,7 +33,7 @@ WRITERS = {
     "{scene}/calibration/nwire.xml --points {scene}/calibration/nwire_points.xml -o o/probe.json",
     "config init": "config init --cine {scene}/preop/mr.nrrd --labels {scene}/preop/labels.nrrd --us "
     "{scene}/ultrasound.igs.mha --ecg csv:{scene}/ecg.csv -o o/SESSION.yaml",
-    "model build": "model build --labels {scene}/preop/labels.nrrd --organ-labels 1,2 -o o/model.npz",
+    "model build": "model build --labels {scene}/preop/labels.nrrd --organ 1,2 -o o/model.npz",
     "register": "register {scene} -o o/registered",
     "replay": "replay {scene} -o o/run",
     "study": "study retiming --seeds 1 -o o/study",

@@ -1,9 +1,13 @@
 """Files that another file names: they stand in its folder, and are files."""
 
+import os
 import stat
 from pathlib import Path
 
 from dvf_ig.core.errors import UnreadableFileError
+
+LONGEST_NAME = 255
+"""Bytes, on the file systems in use."""
 
 
 def file_within(folder: Path, name: str, named_by: Path) -> Path:
@@ -42,7 +46,8 @@ def path_within(folder: Path, name: str, named_by: Path) -> Path:
         UnreadableFileError: an absolute name, one with "..", or one that no file can have.
     """
     parts = Path(name).parts
-    if not parts or "\0" in name or Path(name).is_absolute() or ".." in parts:
+    long = any(len(os.fsencode(part)) > LONGEST_NAME for part in parts)
+    if long or not parts or "\0" in name or Path(name).is_absolute() or ".." in parts:
         raise UnreadableFileError(
             f"{named_by} names {name[:80]!r}; needed the name of a file in its own folder, without '..': put "
             "the file there"

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from dvf_ig.io.file_within import path_within
 from dvf_ig.io.session_file.ecg_name import split_ecg
 from dvf_ig.io.session_file.schema import (
     CalibrationConfig,
@@ -16,7 +17,7 @@ from dvf_ig.io.session_file.schema import (
     UltrasoundConfig,
 )
 
-from .layout import TRUTH, ScenarioConfig
+from .layout import CONFIG, TRUTH, ScenarioConfig
 
 
 def session_of_scenario(config: ScenarioConfig, folder: Path, *, truth: bool = True) -> SessionConfig:
@@ -25,8 +26,11 @@ def session_of_scenario(config: ScenarioConfig, folder: Path, *, truth: bool = T
     Args:
         folder: is looked into for files that a scenario may lack.
         truth: name its truth where it has one.
+    Raises:
+        UnreadableFileError: the name of its phase times is none of a file in the folder.
     """
     files, preop = config.files, config.preop
+    timing = path_within(folder, preop.timing, folder / CONFIG)
     return SessionConfig(
         name=config.name,
         preset=config.preset,
@@ -40,7 +44,7 @@ def session_of_scenario(config: ScenarioConfig, folder: Path, *, truth: bool = T
             surfaces_folder=preop.surfaces_folder if preop.surfaces else None,
             surfaces=preop.surfaces,
             surface=preop.surface,
-            timing=preop.timing if (folder / preop.timing).is_file() else None,
+            timing=preop.timing if timing.is_file() else None,
         ),
         ultrasound=UltrasoundConfig(
             file=files.ultrasound,
