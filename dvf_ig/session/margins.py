@@ -92,7 +92,7 @@ class MarginTracker:
         rate_mm_per_cycle: float,
         pose_age_s: float,
     ) -> None:
-        """Move towards what σ at the tip asks for; without a force the last wish stays.
+        """Move towards what σ at the tip asks for; without a force the last target stays.
 
         Args:
             status: of the fixtures; gradient_tracker: (3,) ∇d, tracker frame.

@@ -12,9 +12,9 @@ from dvf_ig.guidance.servo import ServoInputs, ServoOptions, ServoRecord, Simula
 from dvf_ig.study.passivity.pressing import steady_transform
 from dvf_ig.study.passivity.wall import wall_model
 
-from .course import Course
 from .faulty_device import RATE_HZ, FaultyDevice
 from .session_trial import OUT_MM
+from .trace import TrialTrace
 
 BEGIN_S = 1.0
 """The force has risen by then; the fault begins within 0.1 s from here on."""
@@ -69,9 +69,9 @@ class ServoFault:
 
 @dataclass(frozen=True, slots=True)
 class ServoRun:
-    """A trial's course, and when the fault began and ended and the operator re-armed."""
+    """A trial's trace, and when the fault began and ended and the operator re-armed."""
 
-    course: Course
+    trace: TrialTrace
     begin_s: float
     end_s: float
     rearm_s: float
@@ -139,14 +139,14 @@ def _joined(records: list[ServoRecord]) -> ServoRecord:
     return ServoRecord(np.concatenate([record.rows for record in records]))
 
 
-def _course(record: ServoRecord, device: FaultyDevice) -> Course:
+def _course(record: ServoRecord, device: FaultyDevice) -> TrialTrace:
     """What the device was sent: by a tick, or by the watchdog between two of them."""
     sent = device.sent
     tick = np.searchsorted(record.t_s, sent[:, 0] - 1e-7)
     by_tick = np.abs(record.t_s[np.minimum(tick, len(record) - 1)] - sent[:, 0]) < 1e-6
     tick = np.minimum(tick, len(record) - 1)
     wanted_n = np.linalg.norm(record.wanted_n, axis=1)
-    return Course(
+    return TrialTrace(
         np.where(by_tick, record.t_s[tick], sent[:, 0]),
         np.where(by_tick, record.hazards[tick], int(Hazard.MISSED_DEADLINES)),
         np.where(by_tick, record.state[tick], int(SupervisorState.LATCHED)),

@@ -8,7 +8,6 @@ from data_synth.seeds import child_rng
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.session import GuidanceState, Rearm, Session, SessionHistory
 
-from .course import Course
 from .injection import Fault, When
 from .known_ultrasound import Coordinates, KnownUltrasound, at_rest
 from .patient import CENTER, HOME, wall_setup
@@ -21,6 +20,7 @@ from .streams import (
     drawn_ecg,
     drawn_streams,
 )
+from .trace import TrialTrace
 
 BEGIN_S = 15.0
 """The pose is in use from about 13 s on; the fault begins within a second from here on."""
@@ -61,13 +61,13 @@ class SessionFault:
 
 @dataclass(frozen=True, slots=True)
 class SessionRun:
-    """A trial's course.
+    """A trial's trace.
 
     Attributes:
         begin_s, end_s: of the fault; rearm_s: when the operator asked for force.
     """
 
-    course: Course
+    trace: TrialTrace
     begin_s: float
     end_s: float
     rearm_s: float
@@ -92,13 +92,13 @@ def run_session_fault(given: SessionFault, seed: int) -> SessionRun:
         ultrasound=lambda buffer: KnownUltrasound(buffer, patient, child_rng(seed, "beats"), registered),
     ) as session:
         times = _times(when, until_s, WARM_UP_STEP_S if given.from_start else given.step_s)
-        course = _run(session, streams, patient, times, (when.begin_s, rearm_s))
+        trace = _run(session, streams, patient, times, (when.begin_s, rearm_s))
     if given.on_registration:
         taken = [a.ready_s for a in history.attempts if when.begin_s <= a.asked_s < when.end_s]
         if not taken:
             raise InvalidInputError("no registration was asked for while the fault lasted; give it longer")
         when = replace(when, begin_s=taken[0])
-    return SessionRun(course, when.begin_s, when.end_s, rearm_s)
+    return SessionRun(trace, when.begin_s, when.end_s, rearm_s)
 
 
 def _streams(
@@ -153,8 +153,8 @@ def _run(
     patient: Coordinates,
     times: list[float],
     begin_and_rearm_s: tuple[float, float],
-) -> Course:
-    """States at all times; the course begins a moment before the fault."""
+) -> TrialTrace:
+    """States at all times; the trace begins a moment before the fault."""
     begin_s, rearm_s = begin_and_rearm_s
     arrivals = streams.merged()
     rows, pushed, rearmed = [], 0, False
@@ -179,7 +179,7 @@ def _run(
                 )
             )
     t_s, hazards, states, sent_n, wanted_n, off_mm = (np.array(column) for column in zip(*rows, strict=True))
-    return Course(t_s, hazards.astype(np.int64), states.astype(np.int64), sent_n, wanted_n, off_mm)
+    return TrialTrace(t_s, hazards.astype(np.int64), states.astype(np.int64), sent_n, wanted_n, off_mm)
 
 
 def _pose_error_mm(state: GuidanceState, patient: Coordinates) -> float:

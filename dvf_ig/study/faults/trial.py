@@ -5,11 +5,11 @@ from math import isfinite
 from dvf_ig.study.trials import Line, Settings
 
 from .catalogue import ROWS, SEVERITIES
-from .course import judge
 from .row import Row, Severity
 from .servo_trial import ServoFault, run_servo_fault
 from .session_trial import SessionFault, run_session_fault
 from .start_trial import StartFault, refused
+from .trace import judge
 
 CASES = SEVERITIES * len(ROWS)
 """Rows times severities: trials of one seed."""
@@ -51,12 +51,12 @@ def fault_trial(settings: Settings, number: int) -> Line:
 def _judged(row: Row, severity: Severity, fault: SessionFault | ServoFault, seed: int) -> Line:
     if isinstance(fault, SessionFault):
         session = run_session_fault(fault, seed)
-        course, begin_s, end_s, rearm_s = session.course, session.begin_s, session.end_s, session.rearm_s
+        trace, begin_s, end_s, rearm_s = session.trace, session.begin_s, session.end_s, session.rearm_s
     else:
         servo = run_servo_fault(fault, seed)
-        course, begin_s, end_s, rearm_s = servo.course, servo.begin_s, servo.end_s, servo.rearm_s
+        trace, begin_s, end_s, rearm_s = servo.trace, servo.begin_s, servo.end_s, servo.rearm_s
     done = judge(
-        course,
+        trace,
         row.hazards,
         begin_s=begin_s,
         end_s=end_s,

@@ -8,8 +8,8 @@ from dvf_ig.report.study.faults import faults_page
 from dvf_ig.study.faults import clean
 from dvf_ig.study.faults.catalogue import ROWS, SEVERITIES
 from dvf_ig.study.faults.clean import AlarmCount, clean_trial
-from dvf_ig.study.faults.course import Course, judge
 from dvf_ig.study.faults.summary import summarise_clean, summarise_faults, table_counts
+from dvf_ig.study.faults.trace import TrialTrace, judge
 from dvf_ig.study.faults.trial import CASES, case_of, fault_trial, trial_numbers
 from dvf_ig.study.trials import Line
 
@@ -101,12 +101,12 @@ def test_alarms_are_counted_from_the_first_full_force_on_each_time_they_begin() 
 # ------------------------------------------------------------------ what is judged
 
 
-def course(hazard: Hazard, from_s: float, until_s: float, *, gone_s: float, state: int = FADE) -> Course:
+def trace(hazard: Hazard, from_s: float, until_s: float, *, gone_s: float, state: int = FADE) -> TrialTrace:
     """A hazard between two times, and a force that goes `gone_s` after it began."""
     t = np.arange(0.0, 5.0, 0.001)
     active = (t >= from_s) & (t < until_s)
     withheld = (t >= from_s + gone_s) & (t < until_s)
-    return Course(
+    return TrialTrace(
         t,
         np.where(active, int(hazard), 0),
         np.where(active, state, OK),
@@ -117,12 +117,12 @@ def course(hazard: Hazard, from_s: float, until_s: float, *, gone_s: float, stat
 
 
 def test_a_force_that_stays_too_long_is_given_in_error() -> None:
-    given = course(Hazard.TOOL_LOST, 1.01, 1.9, gone_s=0.4)
+    given = trace(Hazard.TOOL_LOST, 1.01, 1.9, gone_s=0.4)
     done = judge(given, Hazard.TOOL_LOST, begin_s=1.0, end_s=1.9, limit_s=0.02, rearm_s=3.0)
     assert done.detected_s == pytest.approx(0.01)
     assert done.error_n == 0.5
     assert done.error_s == pytest.approx(1.01 + 0.4 - (1.0 + 0.02 + 0.25), abs=0.002)
-    in_time = course(Hazard.TOOL_LOST, 1.01, 1.9, gone_s=0.2)
+    in_time = trace(Hazard.TOOL_LOST, 1.01, 1.9, gone_s=0.2)
     done = judge(in_time, Hazard.TOOL_LOST, begin_s=1.0, end_s=1.9, limit_s=0.02, rearm_s=3.0)
     assert (done.error_n, done.error_s) == (0.0, 0.0)
     assert done.recovered
@@ -130,19 +130,19 @@ def test_a_force_that_stays_too_long_is_given_in_error() -> None:
 
 
 def test_a_hazard_that_should_latch_and_does_not_is_no_recovery() -> None:
-    long = course(Hazard.TOOL_LOST, 1.0, 3.0, gone_s=0.25)
+    long = trace(Hazard.TOOL_LOST, 1.0, 3.0, gone_s=0.25)
     done = judge(long, Hazard.TOOL_LOST, begin_s=1.0, end_s=3.0, limit_s=0.02, rearm_s=4.0)
     assert done.latch_due
     assert not done.latched
     assert not done.recovered
-    latched = course(Hazard.TOOL_LOST, 1.0, 3.0, gone_s=0.25, state=LATCHED)
+    latched = trace(Hazard.TOOL_LOST, 1.0, 3.0, gone_s=0.25, state=LATCHED)
     done = judge(latched, Hazard.TOOL_LOST, begin_s=1.0, end_s=3.0, limit_s=0.02, rearm_s=2.9)
     assert done.recovered
     assert done.recovery_s == pytest.approx(0.1, abs=0.002)
 
 
 def test_a_fault_that_is_never_found_is_missed_and_what_came_before_is_early() -> None:
-    other = course(Hazard.NO_PHASE, 0.2, 0.4, gone_s=0.1)
+    other = trace(Hazard.NO_PHASE, 0.2, 0.4, gone_s=0.1)
     done = judge(other, Hazard.TOOL_LOST, begin_s=1.0, end_s=2.0, limit_s=0.02, rearm_s=3.0)
     assert done.detected_s == np.inf
     assert done.early

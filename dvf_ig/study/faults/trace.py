@@ -24,7 +24,7 @@ _FADE_S = {Response.NO_FORCE: 0.0, Response.FAST_FADE: FAST_FADE_S, Response.FAD
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class TrialTrace:
     """Steps of one trial.
 
     Attributes:
@@ -81,7 +81,7 @@ class Judgement:
 
 
 def judge(
-    course: Course,
+    trace: TrialTrace,
     expected: Hazard,
     *,
     begin_s: float,
@@ -98,20 +98,20 @@ def judge(
         rearm_s: when the operator re-armed.
         by_pose: the force is wrong while the pose is off, whenever that is over.
     """
-    t = course.t_s
-    during = (t >= begin_s) & course.has(expected)
+    t = trace.t_s
+    during = (t >= begin_s) & trace.has(expected)
     first = int(np.argmax(during)) if during.any() else -1
-    found = Hazard(int(np.bitwise_or.reduce(course.hazards[during] & int(expected), initial=0)))
-    before = course.has(~Hazard.POSE_MOVING)[t < begin_s - NEAR_S].any()
-    gone = _gone_within(course, expected, first)
+    found = Hazard(int(np.bitwise_or.reduce(trace.hazards[during] & int(expected), initial=0)))
+    before = trace.has(~Hazard.POSE_MOVING)[t < begin_s - NEAR_S].any()
+    gone = _gone_within(trace, expected, first)
     error_n = error_s = None
     if found & withholding(walls=True):  # without a phase the wall stays
         wrong = (t > begin_s + limit_s + gone) & (t <= end_s)
         if by_pose:
-            wrong &= course.pose_error_mm > POSE_OFF_MM
-        error_n = float(course.sent_n[wrong].max(initial=0.0))
-        error_s = _time(t, wrong & (course.sent_n > FORCE_N))
-    latched = bool((course.state == SupervisorState.LATCHED).any())
+            wrong &= trace.pose_error_mm > POSE_OFF_MM
+        error_n = float(trace.sent_n[wrong].max(initial=0.0))
+        error_s = _time(t, wrong & (trace.sent_n > FORCE_N))
+    latched = bool((trace.state == SupervisorState.LATCHED).any())
     return Judgement(
         detected_s=float(t[first]) - begin_s if first >= 0 else inf,
         found=found,
@@ -119,34 +119,34 @@ def judge(
         error_n=error_n,
         error_s=error_s,
         latched=latched,
-        latch_due=_latch_due(course),
-        recovery_s=_recovery_s(course, begin_s, rearm_s if latched else end_s),
-        slow=_slow(course),
+        latch_due=_latch_due(trace),
+        recovery_s=_recovery_s(trace, begin_s, rearm_s if latched else end_s),
+        slow=_slow(trace),
     )
 
 
-def _gone_within(course: Course, expected: Hazard, first: int) -> float:
+def _gone_within(trace: TrialTrace, expected: Hazard, first: int) -> float:
     """The slowest fade of the hazards with which the fault was found."""
-    at = Hazard(int(course.hazards[first]) & int(expected)) if first >= 0 else Hazard.NONE
+    at = Hazard(int(trace.hazards[first]) & int(expected)) if first >= 0 else Hazard.NONE
     return max((_FADE_S.get(HAZARD_RULES[h].response, 0.0) for h in at), default=0.0)
 
 
-def _latch_due(course: Course) -> bool:
+def _latch_due(trace: TrialTrace) -> bool:
     """What the rules of the hazards that were active ask for."""
     late = Hazard.NONE
     for hazard, rule in HAZARD_RULES.items():
-        if rule.latch is Latch.AT_ONCE and course.has(hazard).any():
+        if rule.latch is Latch.AT_ONCE and trace.has(hazard).any():
             return True
         if rule.latch is Latch.AFTER_1_S:
             late |= hazard
-    return _longest(course.t_s, course.has(late)) >= LATCH_AFTER_S
+    return _longest(trace.t_s, trace.has(late)) >= LATCH_AFTER_S
 
 
-def _recovery_s(course: Course, begin_s: float, from_s: float) -> float | None:
+def _recovery_s(trace: TrialTrace, begin_s: float, from_s: float) -> float | None:
     """Until the force is what is wanted again, where it was not."""
-    t, wanted = course.t_s, course.wanted_n
-    given = course.sent_n > BACK_SHARE * wanted
-    lacking = (t >= begin_s) & ((course.state >= SupervisorState.FADE) | ~given)
+    t, wanted = trace.t_s, trace.wanted_n
+    given = trace.sent_n > BACK_SHARE * wanted
+    lacking = (t >= begin_s) & ((trace.state >= SupervisorState.FADE) | ~given)
     if not lacking.any():
         return None
     last = int(np.flatnonzero(lacking)[-1])
@@ -155,16 +155,16 @@ def _recovery_s(course: Course, begin_s: float, from_s: float) -> float | None:
     return max(0.0, float(t[last + 1]) - from_s)
 
 
-def _slow(course: Course) -> bool | None:
+def _slow(trace: TrialTrace) -> bool | None:
     """Force steps under a hazard with that response, against 6 N/s."""
     slowing = Hazard.NONE
     for hazard, rule in HAZARD_RULES.items():
         if rule.response is Response.SLOW:
             slowing |= hazard
-    active = course.has(slowing)[1:] & (course.state[1:] == SupervisorState.DEGRADED)
+    active = trace.has(slowing)[1:] & (trace.state[1:] == SupervisorState.DEGRADED)
     if not active.any():
         return None
-    rate = np.abs(np.diff(course.sent_n)) / np.diff(course.t_s)
+    rate = np.abs(np.diff(trace.sent_n)) / np.diff(trace.t_s)
     return bool((rate[active] <= 1.01 * SLOW_SLEW_N_PER_S).all())
 
 
