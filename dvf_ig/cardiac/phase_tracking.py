@@ -60,7 +60,7 @@ def stream_recording(
     for first in range(0, len(source), step):
         start_s = source.start_s + first / source.rate_hz
         peaks.extend(detector.push(source.samples[first : first + step], start_s))
-        progress((first + step) / len(source))
+        progress(min(1.0, (first + step) / len(source)))
     return tuple(peaks), tuple(detector.take_lead_changes())
 
 

@@ -21,6 +21,7 @@ from dvf_ig.core import (
     Progress,
     SurfaceSeries,
     VolumeSeries,
+    untold,
 )
 from dvf_ig.core.frames import require_same_frame
 from dvf_ig.preop.spline.phase_fit import axis_solvers, fit_phase, sample_grid
@@ -104,7 +105,7 @@ def build_model(
         )
         options = replace(options, knot_spacing_mm=choice.knot_spacing_mm)
     grid = sample_grid(reference, frame, options.knot_spacing_mm, options.margin_mm)
-    coefficients = _fit_phases(reference, grid, options, progress or (lambda _: None))
+    coefficients = _fit_phases(reference, grid, options, progress or untold)
     enclosed = np.array([mesh.volume_mm3() for mesh in reference])
     volumes = enclosed if cavity_mm3 is None else cavity_mm3
     return DvfModel(

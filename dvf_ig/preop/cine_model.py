@@ -18,6 +18,7 @@ from dvf_ig.core import (
     Volume,
     VolumeSeries,
     read_only_arrays,
+    untold,
 )
 from dvf_ig.preop.motion.cavity import cavity_volumes_mm3
 from dvf_ig.preop.motion.cycle import CycleMotion, MotionOptions, propagate_surface, track_cycle
@@ -106,7 +107,7 @@ def model_from_cine(
     """
     organ = largest_component(_chosen(labels, options.organ_labels, "organ"))
     cavities = [_chosen(labels, (value,), "cavity") for value in options.cavity_labels]
-    report = progress or (lambda _: None)
+    report = progress or untold
     surface = surface_of_mask(organ, image.grid)
     caps = border_caps(surface, image.grid)
     _require_imaged(surface, caps, image.grid)

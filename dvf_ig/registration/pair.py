@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, InvalidInputError, NoOverlapError, Rigid, Stop, Volume
+from dvf_ig.core import BoolArray, InvalidInputError, NoOverlapError, Rigid, Stop, Volume, untold
 
 from .data import RegistrationOptions
 from .evidence.checks import Evidence, Limits
@@ -58,7 +58,7 @@ def register_pair(
         InvalidInputError: no image or too many, an empty image, or a mask on another grid.
         NoOverlapError: the images do not overlap at the start.
     """
-    began, report = clock(), progress or (lambda _: None)
+    began, report = clock(), progress or untold
     if not 1 <= len(anatomies) <= MAX_IMAGES:
         raise InvalidInputError(f"{len(anatomies)} moving images; needed 1 to {MAX_IMAGES}")
     usable = usable_voxels(ultrasound, mask)

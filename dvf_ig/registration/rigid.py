@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dvf_ig.core import Rigid, mean_displacement_mm
+from dvf_ig.core import Rigid, mean_displacement_mm, untold
 from dvf_ig.registration.evidence.assessment import features_of, table_of
 from dvf_ig.registration.evidence.image_statistics import image_statistics
 from dvf_ig.registration.lc2.threads import SliceThreads
@@ -46,7 +46,7 @@ def register_rigid(
     Returns:
         the most likely pose, its evidence, and whether it may be used.
     """
-    opts, report_progress = options or RegistrationOptions(), progress or (lambda _: None)
+    opts, report_progress = options or RegistrationOptions(), progress or untold
     began = clock()
     with SliceThreads() as threads:
         coarse = data.coarse.metric(opts, threads)

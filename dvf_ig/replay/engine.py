@@ -14,7 +14,7 @@ from time import perf_counter
 import numpy as np
 
 from dvf_ig.cardiac import RetimeMode
-from dvf_ig.core import DvfModel, Progress, Rigid, Scenario
+from dvf_ig.core import DvfModel, Progress, Rigid, Scenario, untold
 from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
 from dvf_ig.io import SessionRecordings
 from dvf_ig.io.session_file.agreement.finding import Finding
@@ -108,7 +108,7 @@ def run_replay(
         InvalidInputError: a recording cannot be used (no heart beats, no tracked pose, …).
         QualityGateError: a calibration refused its recording.
     """
-    report_progress = progress or (lambda _: None)
+    report_progress = progress or untold
     began = clock()
     require_start(scenario)
     require_tracked_poses(scenario)

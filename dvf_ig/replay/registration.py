@@ -6,7 +6,7 @@ from time import perf_counter
 import numpy as np
 
 from dvf_ig.cardiac import stream_recording
-from dvf_ig.core import DvfModel, Progress, Rigid, Scenario, Stop
+from dvf_ig.core import DvfModel, Progress, Rigid, Scenario, Stop, untold
 from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
 from dvf_ig.session import (
     GatedFrames,
@@ -66,7 +66,7 @@ def register_scenario(
         NoOverlapError: too few frames can be compared with the model.
         InvalidInputError, QualityGateError: as `run_replay`.
     """
-    report_progress = progress or (lambda _: None)
+    report_progress = progress or untold
     if start is None:
         require_start(scenario)
     require_tracked_probe(scenario)

@@ -27,6 +27,7 @@ from dvf_ig.core import (
     Volume,
     VolumeSeries,
     read_only_arrays,
+    untold,
 )
 from dvf_ig.core.frames import require_same_frame
 
@@ -286,7 +287,7 @@ class _Counter:
 
     def __init__(self, total: int, report: Progress | None) -> None:
         self._total, self._done = total, 0
-        self._report, self._lock = report or (lambda _: None), Lock()
+        self._report, self._lock = report or untold, Lock()
 
     def step(self) -> None:
         with self._lock:

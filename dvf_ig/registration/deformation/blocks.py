@@ -7,6 +7,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
 from dvf_ig.kernels.boundary import UNKNOWNS
 from dvf_ig.registration.boundary.blocks import BoundaryBlocks
+from dvf_ig.registration.distinct_rows import distinct_rows
 from dvf_ig.registration.lc2.blocks import BlockedLc2, BlockGradients
 from dvf_ig.registration.pose_chart import PoseChart
 
@@ -66,8 +67,7 @@ def blocks_at(
         gradient = np.vstack([gradient, per_point * boundary.gradient])
         cells = np.vstack([cells, boundary.cell])
         slices = np.concatenate([slices, np.full(len(boundary.cell), -1, dtype=np.int64)])
-    keys, block = np.unique(cells, axis=0, return_inverse=True)
-    block = block.ravel()
+    keys, block = distinct_rows(cells)
     summed, curvature = np.zeros((len(keys), UNKNOWNS)), np.zeros((len(keys), UNKNOWNS, UNKNOWNS))
     np.add.at(summed, block, gradient)
     own = np.zeros((len(keys), 6, 6))

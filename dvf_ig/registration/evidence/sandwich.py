@@ -12,6 +12,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray
 from dvf_ig.registration.deformation.joint_fit import none_negative
+from dvf_ig.registration.distinct_rows import distinct_rows
 
 
 def sandwich(influence: FloatArray, cell: IntArray, number: IntArray) -> FloatArray:
@@ -29,8 +30,8 @@ def sandwich(influence: FloatArray, cell: IntArray, number: IntArray) -> FloatAr
 
 def _clustered(influence: FloatArray, key: IntArray) -> FloatArray:
     """(6, 6) Σ over clusters of ψψᵀ, with the usual correction for few of them."""
-    _, group = np.unique(key, axis=0, return_inverse=True)
+    _, group = distinct_rows(key)
     count = int(group.max()) + 1
     sums = np.zeros((count, influence.shape[1]))
-    np.add.at(sums, group.ravel(), influence)
+    np.add.at(sums, group, influence)
     return np.asarray(count / max(count - 1, 1) * sums.T @ sums)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
+from dvf_ig.registration.distinct_rows import distinct_rows
 
 from .density_weights import patch_centers_mm
 from .lc2 import Lc2
@@ -47,7 +48,7 @@ class BlockedLc2:
         slices, patches = metric.slices, metric.patches
         owner = np.repeat(np.arange(len(slices)), np.diff(patches.first))
         cell = np.floor(patch_centers_mm(slices, patches.first, patches.centers) / block_mm).astype(np.int64)
-        keys, part = _distinct(np.column_stack([owner, cell]))
+        keys, part = distinct_rows(np.column_stack([owner, cell]))
         order = np.argsort(part.ravel(), kind="stable")
         counts = np.bincount(part.ravel(), minlength=len(keys))
         first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
@@ -86,14 +87,3 @@ def _cut(slices: SliceSet, owner: IntArray, corner: IntArray, size: IntArray, ma
         masks=np.ascontiguousarray(masks[number, row, column]),
         frame_from_pixel=maps,
     )
-
-
-def _distinct(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """Distinct rows in lexical order, and (n,) which of them each is.
-
-    As `np.unique` along an axis, whose sort of rows keeps the interpreter from every other thread for 25 ms.
-    """
-    lowest = rows.min(axis=0)
-    size = tuple((rows.max(axis=0) - lowest + 1).tolist())
-    found, part = np.unique(np.ravel_multi_index(tuple((rows - lowest).T), size), return_inverse=True)
-    return np.column_stack(np.unravel_index(found, size)) + lowest, part

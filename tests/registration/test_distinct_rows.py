@@ -4,13 +4,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dvf_ig.registration.lc2.blocks import _distinct
+from dvf_ig.registration.distinct_rows import distinct_rows
 
 
 @given(st.lists(st.tuples(*[st.integers(-9, 9)] * 4), min_size=1, max_size=40))
 def test_distinct_rows_are_those_of_numpy(rows):
     given_rows = np.array(rows, dtype=np.int64)
     keys, part = np.unique(given_rows, axis=0, return_inverse=True)
-    found, number = _distinct(given_rows)
+    found, number = distinct_rows(given_rows)
     np.testing.assert_array_equal(found, keys)
     np.testing.assert_array_equal(number, part.ravel())
