@@ -5,6 +5,7 @@ patches are independent observations; blocks of some centimetres nearly are. Eve
 blocks, and their patches are evaluated as slices of their own.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,6 +69,15 @@ class BlockedLc2:
         """Of every block at a pose."""
         found = self._parts.cost_gradient(pose, center_mm)
         return BlockGradients(found.cost, found.gradient)
+
+    def shifted(self, shift_mm: FloatArray) -> "BlockedLc2":
+        """The same blocks, each moved by (b, 3) in the slices' frame."""
+        slices = self._parts.slices
+        maps = slices.frame_from_pixel.copy()
+        maps[:, :, 2] += shift_mm
+        out = copy(self)
+        out._parts = self._parts.with_patches(replace(slices, frame_from_pixel=maps), self._parts.patches)
+        return out
 
 
 def _cut(slices: SliceSet, owner: IntArray, corner: IntArray, size: IntArray, margin: int) -> SliceSet:
