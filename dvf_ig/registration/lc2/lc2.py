@@ -8,6 +8,7 @@ import numpy as np
 
 from dvf_ig.core import (
     FloatArray,
+    IntArray,
     InvalidInputError,
     Rigid,
     read_only_arrays,
@@ -24,11 +25,13 @@ from dvf_ig.kernels.lc2 import (
     Scratch,
     lc2_slices,
 )
+from dvf_ig.kernels.lc2_parts import SliceParts, lc2_step_parts
 from dvf_ig.kernels.lc2_step import STEP_SCORE, STEP_SUMS, STEP_WEIGHT, lc2_step_slices
 
 from .channels import ModelChannels
 from .motion import SliceMotion
-from .patches import Patches, patches_of, pixel_runs
+from .parts import slice_parts
+from .patches import patches_of, pixel_runs
 from .slices import SliceSet
 from .threads import SliceThreads
 
@@ -108,7 +111,6 @@ class Lc2:
         pitch_mm: float,
         density_width_mm: float | None = None,
         threads: SliceThreads | None = None,
-        patches: Patches | None = None,
     ) -> None:
         """LC2 of a slice set against a model, at any pose.
 
@@ -117,7 +119,6 @@ class Lc2:
             patch_mm: edge of a patch; pitch_mm: of a pixel.
             density_width_mm: see `patches_of`.
             threads: of the caller, who closes them; without any all slices run on the calling thread.
-            patches: of the slices, in place of all that `patches_of` finds.
         Raises:
             InvalidInputError: the model has one voxel only along an axis.
         """
@@ -128,13 +129,10 @@ class Lc2:
         self.slices = slices
         self._model = model
         self._threads = threads
-        self._sizes = (patch_mm, pitch_mm)
         self._phases = model.nearest_phase(slices.model_phase)
         radius = max(2, round(patch_mm / pitch_mm / 2))
         pixels = pixel_runs(slices)
-        if patches is None:
-            patches = patches_of(slices, pixels, radius, density_width_mm)
-        self.patches = patches
+        self.patches = patches = patches_of(slices, pixels, radius, density_width_mm)
         self._patch_pixels = (2 * radius + 1) ** 2
         self._patched = PatchedSlices(
             pixels.values,
@@ -150,18 +148,6 @@ class Lc2:
         )
         self._index_from_mm = np.ascontiguousarray(np.linalg.inv(model.grid.axes_mm))
         self._channels = model.values.reshape(*model.values.shape[:3], -1)
-
-    @property
-    def radius(self) -> int:
-        """Of a patch of (2·radius + 1)² pixels."""
-        return self._patched.radius
-
-    def with_patches(self, slices: SliceSet, patches: Patches) -> "Lc2":
-        """The same metric of other slices, by patches that were found already."""
-        patch_mm, pitch_mm = self._sizes
-        return Lc2(
-            slices, self._model, patch_mm=patch_mm, pitch_mm=pitch_mm, threads=self._threads, patches=patches
-        )
 
     def per_slice(self, target_from_source: Rigid) -> FloatArray:
         """(s, 3) weighted score, weight and overlap of each slice."""
@@ -191,6 +177,22 @@ class Lc2:
     def cost_gradient(self, target_from_source: Rigid, center_mm: FloatArray) -> CostGradient:
         """Cost of each slice and its gradient in the coordinates of `PoseChart`."""
         sums, motion = self._step_sums(target_from_source, center_mm, matrix=False)
+        return CostGradient(sums[:, STEP_WEIGHT] - sums[:, STEP_SCORE], -2.0 * motion.gradient(sums))
+
+    def cut(self, owner: IntArray, part: IntArray) -> SliceParts:
+        """The slices in parts; see `slice_parts`."""
+        return slice_parts(self._patched, owner, part)
+
+    def part_gradients(
+        self, parts: SliceParts, target_from_source: Rigid, center_mm: FloatArray
+    ) -> CostGradient:
+        """As `cost_gradient` of every part in place of every slice."""
+        model, mm_from_pixel = self._placed(target_from_source)
+        mm_from_pixel[:, :, 2] += self._model.grid.origin_mm - center_mm
+        sums = np.empty((parts.first_part[-1], STEP_SUMS))
+        ordered = np.empty_like(self._scratch.fits)
+        self._run(lc2_step_parts, (self._patched, parts, model, self._scratch, ordered, sums))
+        motion = SliceMotion.of(mm_from_pixel, self._index_from_mm).repeated(np.diff(parts.first_part))
         return CostGradient(sums[:, STEP_WEIGHT] - sums[:, STEP_SCORE], -2.0 * motion.gradient(sums))
 
     @property
