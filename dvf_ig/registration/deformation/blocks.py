@@ -83,12 +83,10 @@ def blocks_at(
 
 def _expansion(lc2: BlockedLc2, chart: PoseChart) -> tuple[BlockGradients, FloatArray]:
     """Cost and gradient at the chart's pose, and (b, 6, 6) change of the gradient with the pose."""
-    here = lc2.gradients(chart.base, chart.center_mm)
-    change = np.empty((len(here.gradient), 6, 6))
-    for k, step in enumerate(STEP_MM * np.eye(6)):
-        up, down = (lc2.gradients(chart.pose(sign * step), chart.center_mm).gradient for sign in (1, -1))
-        change[:, k] = (up - down) / (2.0 * STEP_MM)
-    return here, change
+    steps = STEP_MM * np.vstack([np.eye(6), -np.eye(6)])
+    here, *moved = lc2.gradients([chart.base, *(chart.pose(step) for step in steps)], chart.center_mm)
+    gradient = np.stack([at.gradient for at in moved], axis=1)
+    return here, (gradient[:, :6] - gradient[:, 6:]) / (2.0 * STEP_MM)
 
 
 def _widened(gradient: FloatArray) -> FloatArray:

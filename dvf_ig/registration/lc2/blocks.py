@@ -4,6 +4,7 @@ Neighbouring patches share the difference between patient and pre-operative imag
 patches are independent observations; blocks of some centimetres nearly are.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,7 +51,7 @@ class BlockedLc2:
         self.cell: IntArray = keys[:, 1:]
         self.slice: IntArray = keys[:, 0]
 
-    def gradients(self, pose: Rigid, center_mm: FloatArray) -> BlockGradients:
-        """Of every block at a pose."""
-        found = self._metric.part_gradients(self._parts, pose, center_mm)
-        return BlockGradients(found.cost, found.gradient)
+    def gradients(self, poses: Sequence[Rigid], center_mm: FloatArray) -> tuple[BlockGradients, ...]:
+        """Of every block at each pose; poses that lie together cost less than one by one."""
+        found = self._metric.part_gradients(self._parts, poses, center_mm)
+        return tuple(BlockGradients(at.cost, at.gradient) for at in found)

@@ -1,6 +1,6 @@
 """LC2 of a slice set against the phase-matched model, as a function of the pose."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +26,7 @@ from dvf_ig.kernels.lc2 import (
     lc2_slices,
 )
 from dvf_ig.kernels.lc2_parts import SliceParts, lc2_step_parts
-from dvf_ig.kernels.lc2_step import STEP_SCORE, STEP_SUMS, STEP_WEIGHT, lc2_step_slices
+from dvf_ig.kernels.lc2_step import MATRIX, STEP_SCORE, STEP_SUMS, STEP_WEIGHT, lc2_step_slices
 
 from .channels import ModelChannels
 from .motion import SliceMotion
@@ -184,16 +184,19 @@ class Lc2:
         return slice_parts(self._patched, owner, part)
 
     def part_gradients(
-        self, parts: SliceParts, target_from_source: Rigid, center_mm: FloatArray
-    ) -> CostGradient:
-        """As `cost_gradient` of every part in place of every slice."""
-        model, mm_from_pixel = self._placed(target_from_source)
-        mm_from_pixel[:, :, 2] += self._model.grid.origin_mm - center_mm
-        sums = np.empty((parts.first_part[-1], STEP_SUMS))
+        self, parts: SliceParts, poses: Sequence[Rigid], center_mm: FloatArray
+    ) -> tuple[CostGradient, ...]:
+        """As `cost_gradient` at each of some poses, of every part in place of every slice."""
+        placed = [self._placed(pose) for pose in poses]
+        model = placed[0][0]._replace(index_from_pixel=np.stack([at.index_from_pixel for at, _ in placed]))
+        sums = np.empty((len(poses), parts.first_part[-1], MATRIX))
         ordered = np.empty_like(self._scratch.fits)
         self._run(lc2_step_parts, (self._patched, parts, model, self._scratch, ordered, sums))
-        motion = SliceMotion.of(mm_from_pixel, self._index_from_mm).repeated(np.diff(parts.first_part))
-        return CostGradient(sums[:, STEP_WEIGHT] - sums[:, STEP_SCORE], -2.0 * motion.gradient(sums))
+        found, counts = [], np.diff(parts.first_part)
+        for own, (_, mm_from_pixel) in zip(sums, placed, strict=True):
+            motion = self._motion(mm_from_pixel, center_mm).repeated(counts)
+            found.append(CostGradient(own[:, STEP_WEIGHT] - own[:, STEP_SCORE], -2.0 * motion.gradient(own)))
+        return tuple(found)
 
     @property
     def information(self) -> float:
@@ -213,10 +216,13 @@ class Lc2:
     ) -> tuple[FloatArray, SliceMotion]:
         """(s, STEP_SUMS) of `lc2_step_slices`, and what they mean for the pose."""
         model, mm_from_pixel = self._placed(target_from_source)
-        mm_from_pixel[:, :, 2] += self._model.grid.origin_mm - center_mm
         out = np.empty((len(self.slices), STEP_SUMS))
         self._run(lc2_step_slices, (self._patched, model, self._scratch, matrix, out))
-        return out, SliceMotion.of(mm_from_pixel, self._index_from_mm)
+        return out, self._motion(mm_from_pixel, center_mm)
+
+    def _motion(self, mm_from_pixel: FloatArray, center_mm: FloatArray) -> SliceMotion:
+        mm_from_pixel[:, :, 2] += self._model.grid.origin_mm - center_mm
+        return SliceMotion.of(mm_from_pixel, self._index_from_mm)
 
     def _placed(self, target_from_source: Rigid) -> tuple[PlacedModel, FloatArray]:
         """The model at a pose, and (s, 3, 3) mm from its grid's origin from (column, row, 1)."""
