@@ -81,8 +81,7 @@ class BlockedMatch:
             shift_mm: (n, 3) of the blocks, target frame.
             offset_mm: of the boundary's surface, beside that of its fit.
         """
-        moved = self._lc2.shifted((shift_mm @ pose.rotation)[self._of_lc2])
-        found = self._scale * moved.gradients(pose, self._center_mm).gradient
+        found = self._scale * self._lc2.shifted_gradient(pose, shift_mm[self._of_lc2], self._center_mm)
         gradient = np.hstack([found, np.zeros((len(found), 1))])
         curvature = np.zeros((len(self), UNKNOWNS, UNKNOWNS))
         curvature[:, POSE, POSE] = self._lc2_curvature
@@ -107,9 +106,7 @@ def about_no_shift(costs: BlockCosts, shift_mm: FloatArray) -> BlockCosts:
 
 def _expansion(lc2: BlockedLc2, chart: PoseChart) -> tuple[BlockGradients, FloatArray]:
     """Cost and gradient at the chart's pose, and (b, 6, 6) change of the gradient with the pose."""
-    here = lc2.gradients(chart.base, chart.center_mm)
-    change = np.empty((len(here.gradient), 6, 6))
-    for k, step in enumerate(STEP_MM * np.eye(6)):
-        up, down = (lc2.gradients(chart.pose(sign * step), chart.center_mm).gradient for sign in (1, -1))
-        change[:, k] = (up - down) / (2.0 * STEP_MM)
-    return here, change
+    steps = STEP_MM * np.vstack([np.eye(6), -np.eye(6)])
+    here, *moved = lc2.gradients([chart.base, *(chart.pose(step) for step in steps)], chart.center_mm)
+    gradient = np.stack([at.gradient for at in moved], axis=1)
+    return here, (gradient[:, :6] - gradient[:, 6:]) / (2.0 * STEP_MM)

@@ -28,11 +28,10 @@ def nothing(_: PoseChart) -> tuple[FloatArray, FloatArray]:
 def test_blocks_of_lc2_that_are_all_moved_alike_see_what_a_moved_pose_sees() -> None:
     blocks, shift = BlockedLc2(METRIC, block_mm=BLOCK_MM), np.array([0.8, -1.1, 0.4])
     moved = Rigid("mr", "tracker", toy_pose().rotation, toy_pose().translation_mm + shift)
-    every = np.repeat((shift @ toy_pose().rotation)[None], len(blocks.slice), axis=0)
-    expected = blocks.gradients(moved, CENTER_MM + shift)
-    found = blocks.shifted(every).gradients(toy_pose(), CENTER_MM)
-    np.testing.assert_allclose(found.cost, expected.cost, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(found.gradient[:, 3:], expected.gradient[:, 3:], rtol=1e-4, atol=1e-6)
+    every = np.repeat(shift[None], len(blocks.slice), axis=0)
+    (expected,) = blocks.gradients([moved], CENTER_MM + shift)
+    found = blocks.shifted_gradient(toy_pose(), every, CENTER_MM)
+    np.testing.assert_allclose(found[:, 3:], expected.gradient[:, 3:], rtol=1e-6, atol=1e-9)
 
 
 def test_blocks_of_the_boundary_that_are_all_moved_alike_pull_as_at_a_moved_pose() -> None:
