@@ -1,9 +1,7 @@
 """Rows of the table whose faults are at the servo: device, session, deadlines, energy, jumps of force."""
 
 from dvf_ig.guidance import Hazard
-
-from .row import Row, Severity
-from .servo_trial import (
+from dvf_ig.study.faults.servo_trial import (
     ServoFault,
     device_silent,
     jumps,
@@ -12,6 +10,8 @@ from .servo_trial import (
     session_silent,
     trembling,
 )
+
+from .row import Row, Severity
 
 TICK_S = 0.001
 

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 from dvf_ig.guidance import Hazard
-
-from .servo_trial import ServoFault
-from .session_trial import SessionFault
-from .start_trial import StartFault
+from dvf_ig.study.faults.servo_trial import ServoFault
+from dvf_ig.study.faults.session_trial import SessionFault
+from dvf_ig.study.faults.start_trial import StartFault
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,7 @@
 import numpy as np
 
 from dvf_ig.guidance import Hazard
-
-from .row import Row, Severity
-from .start_trial import (
+from dvf_ig.study.faults.start_trial import (
     PATIENT,
     RAS,
     Start,
@@ -17,6 +15,8 @@ from .start_trial import (
     posed_in,
     with_bytes_changed,
 )
+
+from .row import Row, Severity
 
 AT_START = "before the first force"
 SAME = np.ones(3)
