@@ -10,7 +10,7 @@ from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, Rigid, mean_displacement_mm
 from dvf_ig.core.pose_motion import UPDATE_MM_PER_S
 from dvf_ig.registration import Gated, PoseChart
-from dvf_ig.replay.pose_summary import drift_mm_per_min, suspensions
+from dvf_ig.replay.result.pose_summary import drift_mm_per_min, suspensions
 from dvf_ig.session import Refusal, SessionHistory
 from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
 from dvf_ig.session.confirmation import MAX_AGE_S, MAX_MISSED_BEATS

@@ -5,8 +5,7 @@ from enum import Enum
 import numpy as np
 
 from dvf_ig.guidance import Status
-
-from .engine import Replay
+from dvf_ig.replay.engine import Replay
 
 
 class NoForce(Enum):
