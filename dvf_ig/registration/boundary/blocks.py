@@ -7,7 +7,9 @@ import numpy as np
 from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
 from dvf_ig.kernels.boundary import RIGHT, SQUARES, UNKNOWNS
 
-from .fit import Boundary, BoundaryFit, BoundaryFitOptions, BoundaryProblem, normal_matrices
+from .fit import BoundaryFit
+from .options import BoundaryFitOptions
+from .problem import Boundary, BoundaryProblem, normal_matrices
 
 
 @read_only_arrays
