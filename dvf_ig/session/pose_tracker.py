@@ -9,75 +9,36 @@ ended, when all of them have arrived; a registration takes effect COMPUTE_S afte
 BEAT_COMPUTE_S after its R peak was detected, or as soon afterwards as the executor has done.
 """
 
-from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import PoseMotion, Rigid, Stop
 from dvf_ig.registration import PoseEstimate
 
-from .beat_evaluation import (
-    BEAT_COMPUTE_S,
-    BeatEvaluation,
-    ComparableBeat,
-    ComparedBeat,
-    as_of,
-    evaluation_of,
-)
+from .beat_evaluation import BeatEvaluation, ComparableBeat, as_of, evaluation_of
+from .beat_jobs import BeatJobs, FinishedBeat
 from .confirmation import Confirmation
 from .events import Landmark
-from .executor import Job
 from .history import Attempt, PoseUpdate, SessionHistory
 from .refusal import Refusal, Refused
+from .registration_jobs import FinishedRegistration, RegistrationJobs
 from .registration_monitor import RegistrationMonitor, confirms
 from .touched_landmarks import TouchedLandmarks
-from .ultrasound_source import RegistrationAnswer, RegistrationRequest, UltrasoundSource
+from .ultrasound_source import RegistrationRequest, UltrasoundSource
 
 FIRST_ATTEMPT_S = 8.0
+"""The first registration is asked for when there are so many seconds of ultrasound."""
 RETRY_S = 4.0
+"""Least time between two registrations; one that gave no pose is repeated after it."""
 REFRESH_S = 12.0
+"""A pose in use is registered anew after so many seconds at most."""
 RECOVER_S = 3.0
 """A suspended pose is registered anew when frames of this long after the disturbance are at hand."""
 MEMORY_S = 12.0
 """How far back a registration looks: one refresh, so that a patient who moved is seen unmixed by the next."""
-COMPUTE_S = 3.0
-"""A registration takes effect this long after its last frame: a fixed allowance for computing it."""
-LATEST_S = 12.0
-"""A result that comes this late is dropped: the frames it is made of are too old."""
-GATHER_S = 0.35
-"""Frames are gathered this long after a registration was asked for: the longest gap of poses, and images that
-are stamped up to COVERED_LAG_S after what they show; later stamps are waited for besides."""
-COVERED_LAG_S = 0.1
-BEAT_GATHER_S = 0.05
-"""The same for a beat, whose R peak was detected some 0.12 s after its last frame."""
-LATEST_BEAT_S = 3.0
-"""A beat that is compared this late is dropped: it says too little of the pose by then."""
-POLL_S = 0.01
-"""Work that is not done when it is due is asked for again after this."""
 REMEMBERED_BEATS = 6
-REMEMBERED_PEAKS = 100
-
-
-@dataclass(slots=True)
-class _Registration:
-    """A registration that was asked for; the job is None until its frames are gathered."""
-
-    asked_s: float
-    request: RegistrationRequest
-    next_s: float
-    job: Job[RegistrationAnswer] | None = None
-    cancelled: bool = False
-
-
-@dataclass(slots=True)
-class _Beat:
-    """A beat that has ended; the job is None until its frames are gathered."""
-
-    peaks: tuple[RPeak, ...]
-    next_s: float
-    tested: PoseEstimate | None = None
-    job: Job[ComparedBeat] | None = None
+"""A registration that waits for confirmation is compared with so many beats that ended meanwhile."""
 
 
 class PoseTracker:
@@ -104,15 +65,13 @@ class PoseTracker:
         self.motion: PoseMotion | None = None
         """The pose in use over time; None while no pose may be used."""
         self.confirmation: Confirmation | None = None
-        self._source, self._start = source, start
-        self._gather_s = GATHER_S + max(0.0, -lag_s - COVERED_LAG_S)
+        self._start = start
         self._landmarks = TouchedLandmarks()
         self._frames_from_s = inf
         """Earlier frames show another pose."""
         self._next_start_s = inf
-        self._registrations: list[_Registration] = []
-        self._beats: deque[_Beat] = deque()
-        self._peaks: deque[RPeak] = deque(maxlen=REMEMBERED_PEAKS)
+        self._registrations = RegistrationJobs(source, lag_s)
+        self._beats = BeatJobs(source)
         self._recent: list[ComparableBeat] = []
         self._beat_pose: Rigid | None = None
         """The best pose of the last beat, from when one suspended the pose in use until a registration."""
@@ -122,12 +81,7 @@ class PoseTracker:
     @property
     def next_s(self) -> float:
         """When something is to be done next, never before the last step; infinite where nothing is."""
-        due_s = min(
-            self._next_start_s,
-            min((r.next_s for r in self._registrations), default=inf),
-            self._beats[0].next_s if self._beats else inf,
-        )
-        return max(self._stepped_s, due_s)
+        return max(self._stepped_s, min(self._next_start_s, self._registrations.next_s, self._beats.next_s))
 
     def begin(self, event_s: float) -> None:
         """The first frame was recorded; its image shows what happened at `event_s`."""
@@ -135,9 +89,7 @@ class PoseTracker:
 
     def add_peak(self, peak: RPeak) -> None:
         """An R peak was detected, and a beat ended with it."""
-        self._peaks.append(peak)
-        if len(self._peaks) > 1:
-            self._beats.append(_Beat(tuple(self._peaks), peak.detected_at_s + BEAT_GATHER_S))
+        self._beats.add_peak(peak)
 
     def add_landmark(self, landmark: Landmark) -> None:
         """A landmark was touched."""
@@ -147,17 +99,19 @@ class PoseTracker:
     def step(self) -> None:
         """Do what is to be done at `next_s`."""
         self._stepped_s = now_s = self.next_s
-        due = [r for r in self._registrations if r.next_s <= now_s]
-        done = next((r for r in due if r.job is not None), None)
-        if done is not None and done.job is not None:
-            self._take_answer(done, done.job, now_s)
+        if self._registrations.answer_due(now_s):
+            registered = self._registrations.take_answer(now_s)
+            if registered is not None:
+                self._take_registration(registered, now_s)
         elif self._next_start_s <= now_s:
             self._ask_registration(now_s)
-        elif due:
-            due[0].job = self._source.register(due[0].request, now_s)
-            due[0].next_s = max(now_s, due[0].asked_s + COMPUTE_S)
+        elif self._registrations.next_s <= now_s:
+            self._registrations.gather(now_s)
         else:
-            self._step_beat(self._beats[0], now_s)
+            in_use = self.monitor.in_use is not None
+            beat = self._beats.step(now_s, self.monitor.under_test, in_use=in_use)
+            if beat is not None:
+                self._take_beat(beat, now_s)
 
     # ------------------------------------------------------------------ registrations
 
@@ -173,8 +127,8 @@ class PoseTracker:
             self._landmarks.forget(held.confirmed_s)
         since_s = max(self._frames_from_s, now_s - MEMORY_S)
         prior = None if self._start is not None else self._landmarks.prior
-        request = RegistrationRequest(since_s, now_s, pose, warm, prior, tuple(self._peaks))
-        self._registrations.append(_Registration(now_s, request, now_s + self._gather_s))
+        request = RegistrationRequest(since_s, now_s, pose, warm, prior, self._beats.peaks)
+        self._registrations.ask(request, now_s)
 
     def _registration_start(self) -> tuple[Rigid, bool] | None:
         """Where a registration begins, and whether that is relied on; None where nothing is known.
@@ -193,21 +147,13 @@ class PoseTracker:
             return pose, True
         return tested.pose, False
 
-    def _take_answer(self, asked: _Registration, job: Job[RegistrationAnswer], now_s: float) -> None:
-        if not job.done() and now_s < asked.asked_s + LATEST_S:
-            asked.next_s = now_s + POLL_S
-            return
-        self._registrations.remove(asked)
-        if not job.done():
-            attempt = Attempt(asked.asked_s, now_s, None, None, "not finished in time")
-        else:
-            answer = job.result()
-            attempt = Attempt(asked.asked_s, now_s, answer.frames, answer.result, answer.failure)
+    def _take_registration(self, done: FinishedRegistration, now_s: float) -> None:
+        attempt = done.attempt
         self.history.attempts.append(attempt)
-        if asked.cancelled:
-            self.history.set_refused(asked.asked_s, Refused(Refusal.SUSPENDED_MEANWHILE))
+        if done.cancelled:
+            self.history.set_refused(attempt.asked_s, Refused(Refusal.SUSPENDED_MEANWHILE))
             return
-        self._next_start_s = max(now_s, asked.asked_s + RETRY_S)
+        self._next_start_s = max(now_s, attempt.asked_s + RETRY_S)
         if attempt.usable:
             self._take_pose(attempt, now_s)
         elif attempt.result is not None:
@@ -219,7 +165,7 @@ class PoseTracker:
         if result is None or frames is None:
             return
         middle_s = float(frames.event_s[frames.used].mean())
-        beats = sum(middle_s < p.t_s < now_s for p in self._peaks)
+        beats = sum(middle_s < p.t_s < now_s for p in self._beats.peaks)
         found = PoseEstimate.from_registration(
             result.target_from_source,
             result.covariance,
@@ -258,30 +204,16 @@ class PoseTracker:
 
     # ------------------------------------------------------------------ beats
 
-    def _step_beat(self, beat: _Beat, now_s: float) -> None:
-        if beat.job is None:
-            beat.tested = self.monitor.under_test
-            pose = None if beat.tested is None else beat.tested.matched_pose
-            beat.job = self._source.beat(beat.peaks, now_s, pose, in_use=self.monitor.in_use is not None)
-            beat.next_s = max(now_s, beat.peaks[-1].detected_at_s + BEAT_COMPUTE_S)
-        elif now_s >= beat.peaks[-1].detected_at_s + LATEST_BEAT_S:
-            self._beats.popleft()
-            self._take_beat(ComparedBeat(None, None, irregular=False), None, now_s)
-        elif not beat.job.done():
-            beat.next_s = now_s + POLL_S
-        else:
-            self._beats.popleft()
-            self._take_beat(beat.job.result(), beat.tested, now_s)
-
-    def _take_beat(self, done: ComparedBeat, compared_with: PoseEstimate | None, now_s: float) -> None:
+    def _take_beat(self, done: FinishedBeat, now_s: float) -> None:
         """A beat's evaluation; anew where another pose is under test by now."""
         before_s = None if self.confirmation is None else self.confirmation.confirmed_s
-        if done.slices is not None:
-            self._recent = [*self._recent[1 - REMEMBERED_BEATS :], done.slices]
-            same = compared_with is self.monitor.under_test
-            self._compare(done.slices, now_s, done.evaluation if same else None, evaluated=same)
+        slices = done.compared.slices
+        if slices is not None:
+            self._recent = [*self._recent[1 - REMEMBERED_BEATS :], slices]
+            same = done.tested is self.monitor.under_test
+            self._compare(slices, now_s, done.compared.evaluation if same else None, evaluated=same)
         held = self.confirmation
-        if held is not None and held.confirmed_s == before_s and not done.irregular:
+        if held is not None and held.confirmed_s == before_s and not done.compared.irregular:
             self.confirmation = held.missed()
 
     def _compare(
@@ -323,8 +255,7 @@ class PoseTracker:
 
     def _suspend(self, end_s: float, beat_pose: Rigid, now_s: float) -> None:
         """Register anew from frames after the beat that contradicted the pose in use."""
-        for asked in self._registrations:
-            asked.cancelled = True
+        self._registrations.cancel()
         self._landmarks.forget()
         self._frames_from_s, self._beat_pose = end_s, beat_pose
         self._next_start_s = max(now_s, end_s + RECOVER_S)

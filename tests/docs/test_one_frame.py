@@ -7,10 +7,12 @@ from pathlib import Path
 from dvf_ig.core import pose_motion
 from dvf_ig.session import (
     beat_evaluation,
+    beat_jobs,
     confirmation,
     frame_buffer,
     gated_frames,
     pose_tracker,
+    registration_jobs,
     stamp_order,
     tool_tracker,
 )
@@ -75,9 +77,9 @@ def test_every_term_is_in_the_glossary() -> None:
 def test_the_times_are_the_code_s() -> None:
     text = " ".join(PAGE.split())
     for stated in (
-        f"gathered {pose_tracker.BEAT_GATHER_S:g} s after $D$",
-        f"a registration {pose_tracker.GATHER_S:g} s after",
-        f"$A$ + {pose_tracker.COMPUTE_S:g} s",
+        f"a beat are gathered {beat_jobs.BEAT_GATHER_S:g} s after $D$",
+        f"a registration {registration_jobs.GATHER_S:g} s after",
+        f"$A$ + {registration_jobs.COMPUTE_S:g} s",
         f"$D$ + {beat_evaluation.BEAT_COMPUTE_S:g} s",
         f"for {frame_buffer.KEEP_S:g} s",
         f"{gated_frames.MIN_FRAMES} to {gated_frames.MAX_FRAMES} slices of up to {pose_tracker.MEMORY_S:g} s",

@@ -17,7 +17,8 @@ from dvf_ig.session.confirmation import MAX_AGE_S, MAX_MISSED_BEATS
 from dvf_ig.session.executor import Job, answered
 from dvf_ig.session.gated_frames import GatedFrames
 from dvf_ig.session.history import PoseUpdate
-from dvf_ig.session.pose_tracker import COMPUTE_S, FIRST_ATTEMPT_S, RECOVER_S, PoseTracker
+from dvf_ig.session.pose_tracker import FIRST_ATTEMPT_S, RECOVER_S, PoseTracker
+from dvf_ig.session.registration_jobs import COMPUTE_S
 from dvf_ig.session.registration_monitor import RegistrationMonitor
 from dvf_ig.session.ultrasound_source import RegistrationAnswer, RegistrationRequest
 

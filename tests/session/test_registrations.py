@@ -16,15 +16,8 @@ from dvf_ig.session.confirmation import MAX_AGE_S
 from dvf_ig.session.doubt import DoubtCause
 from dvf_ig.session.executor import Job, answered
 from dvf_ig.session.gated_frames import GatedFrames
-from dvf_ig.session.pose_tracker import (
-    COMPUTE_S,
-    FIRST_ATTEMPT_S,
-    GATHER_S,
-    LATEST_S,
-    POLL_S,
-    RETRY_S,
-    PoseTracker,
-)
+from dvf_ig.session.pose_tracker import FIRST_ATTEMPT_S, RETRY_S, PoseTracker
+from dvf_ig.session.registration_jobs import COMPUTE_S, GATHER_S, LATEST_S, POLL_S
 from dvf_ig.session.registration_monitor import RegistrationMonitor
 from dvf_ig.session.ultrasound_source import RegistrationAnswer, RegistrationRequest
 

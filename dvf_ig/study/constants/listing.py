@@ -18,11 +18,13 @@ import dvf_ig.registration as registration
 
 SESSION_MODULES = (
     "beat_evaluation",
+    "beat_jobs",
     "confirmation",
     "frame_registration",
     "gated_frames",
     "heart",
     "pose_tracker",
+    "registration_jobs",
     "registration_monitor",
 )
 """Modules of the session that decide on registrations."""
