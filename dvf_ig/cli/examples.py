@@ -60,7 +60,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "calibrate pivot": ("dvf-ig calibrate pivot pivot.igs.mha -o tip.json",),
     "calibrate probe": (
         "dvf-ig calibrate probe nwire.igs.mha --device-set PlusDeviceSet.xml -o probe.json",
-        "dvf-ig calibrate probe cross_wire.igs.mha --phantom cross-wire -o probe.json",
+        "dvf-ig calibrate probe cross-wire.igs.mha --phantom cross-wire -o probe.json",
     ),
     "calibrate latency": ("dvf-ig calibrate latency tracker.igs.mha video.igs.mha -o latency.json",),
     "calibrate landmarks": (
