@@ -19,7 +19,7 @@ from dvf_ig.guidance.sideways import check_sideways
 from dvf_ig.guidance.supervisor import RearmAnswer
 from dvf_ig.kernels.servo import loop as kernel
 from dvf_ig.kernels.servo import shared
-from dvf_ig.kernels.servo import tick as tick_kernel
+from dvf_ig.kernels.servo.record import ROW, T_S
 
 from .bound import REARM_ANSWERS
 from .deadlines import Deadlines
@@ -78,7 +78,7 @@ class Servo:
         for part in fixtures.parts:
             if isinstance(part, Evaluator):
                 check_sideways(part, limits)
-        self._ring = np.zeros((max(1024, round(KEPT_S * options.rate_hz)), tick_kernel.ROW))
+        self._ring = np.zeros((max(1024, round(KEPT_S * options.rate_hz)), ROW))
         self._watchdog = watchdog
         self._threads: list[threading.Thread] = []
         self.realtime = False
@@ -128,10 +128,10 @@ class Servo:
         """The ticks since the last call, or as many of them as the ring buffer still holds."""
         head = shared.load_number(self._loop.numbers, kernel.HEAD)
         begin = max(self._read_to, head - len(self._ring) + 64)
-        rows = np.empty((head - begin, tick_kernel.ROW))
+        rows = np.empty((head - begin, ROW))
         kernel.copy_rows(self._ring, self._loop.numbers, begin, rows)
         self._read_to = head
-        return ServoRecord(rows[np.isfinite(rows[:, tick_kernel.T_S])])
+        return ServoRecord(rows[np.isfinite(rows[:, T_S])])
 
     @property
     def ticks(self) -> int:
@@ -160,9 +160,9 @@ class Servo:
             float(np.sum(coefficients))
         shared.publish(self._loop.counter, self._loop.published, self._loop.published.copy())
         nobody = RecordedDevice(np.zeros((WARM_UP_TICKS, 3)), self.options.rate_hz)
-        loop, ring = self._loop.on_device(nobody), np.zeros((WARM_UP_TICKS, tick_kernel.ROW))
+        loop, ring = self._loop.on_device(nobody), np.zeros((WARM_UP_TICKS, ROW))
         on_time = np.zeros(WARM_UP_TICKS, dtype=np.int64)
         kernel.run_servo(*loop.arguments(loop.new_scratch(), ring, start_ns=1, late_ns=on_time))
-        kernel.copy_rows(ring, loop.numbers, 0, np.empty((1, tick_kernel.ROW)))
+        kernel.copy_rows(ring, loop.numbers, 0, np.empty((1, ROW)))
         loop.numbers[kernel.STOP] = 1
         kernel.watch(loop.functions, loop.context, loop.numbers, WATCHDOG_NS, CHECK_NS)

@@ -9,7 +9,7 @@ from dvf_ig.guidance.devices.protocol import HapticDevice
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.supervisor import RearmAnswer
 from dvf_ig.kernels.servo import loop as kernel
-from dvf_ig.kernels.servo.tick import ROW
+from dvf_ig.kernels.servo.record import ROW
 
 from .bound import REARM_ANSWERS
 from .inputs import ServoInputs
