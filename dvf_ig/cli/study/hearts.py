@@ -15,7 +15,7 @@ from .options import FolderOption, SchedulerOption, WorkersOption
 
 if TYPE_CHECKING:
     from dvf_ig.study.hearts.summary import Estimate, HeartGroup
-    from dvf_ig.study.registration.summary import Share
+    from dvf_ig.study.share import Share
 
 
 class ListName(StrEnum):

@@ -12,7 +12,7 @@ from .options import FirstSeedOption, FolderOption, SchedulerOption, SeedsOption
 
 if TYPE_CHECKING:
     from dvf_ig.study.pairs.summary import PairGroup
-    from dvf_ig.study.registration.summary import Share
+    from dvf_ig.study.share import Share
 
 
 def pairs(
