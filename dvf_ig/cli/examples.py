@@ -47,7 +47,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "synth scenario": (
         "dvf-ig synth scenario --preset calm --motion paper5mm --seconds 60 --seed 1 -o demo",
         "dvf-ig synth scenario --preset lost-ultrasound --heart varied --seed 2 -o demo",
-        "dvf-ig synth scenario --anatomy cine --cine cine.nrrd --labels ed.nrrd --es-labels es.nrrd@9 -o demo",
+        "dvf-ig synth scenario --anatomy cine --cine mr.nrrd --labels ed.nrrd --es-labels es.nrrd@9 -o demo",
     ),
     "synth us": ('dvf-ig synth us --labels heart.nii.gz --view "tee four-chamber" -o ultrasound',),
     "synth calibration": ("dvf-ig synth calibration nwire --seed 1 -o nwire",),

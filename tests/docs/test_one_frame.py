@@ -5,18 +5,10 @@ import re
 from pathlib import Path
 
 from dvf_ig.core import pose_motion
-from dvf_ig.session import (
-    beat_evaluation,
-    beat_jobs,
-    confirmation,
-    frame_buffer,
-    gated_frames,
-    pose_tracker,
-    registration_jobs,
-    stamp_order,
-    tool_tracker,
-)
 from dvf_ig.session import heart as session_heart
+from dvf_ig.session import stamp_order, tool_tracker
+from dvf_ig.session.pose import beat_jobs, confirmation, pose_tracker, registration_jobs
+from dvf_ig.session.ultrasound import beat_evaluation, frame_buffer, gated_frames
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "dvf_ig/docs/guide/one-frame.md").read_text(encoding="utf-8")
@@ -44,17 +36,10 @@ def test_every_module_has_the_function_that_the_page_names() -> None:
 def test_no_module_stands_there_twice_and_every_step_of_the_session_once() -> None:
     paths = [path for path, _ in ROWS]
     assert len(paths) == len(set(paths))
-    steps = {path.relative_to(ROOT).as_posix() for path in (ROOT / "dvf_ig/session").glob("*.py")}
-    beside = {
-        "__init__",
-        "calibrations",
-        "doubt",
-        "heart",
-        "history",
-        "refusal",
-        "setup",
-        "touched_landmarks",
-    }
+    folders = (ROOT / "dvf_ig/session" / folder for folder in (".", "ultrasound", "pose"))
+    steps = {path.relative_to(ROOT).as_posix() for folder in folders for path in folder.glob("*.py")}
+    beside = {"__init__", "ultrasound/__init__", "pose/__init__", "calibrations", "heart", "setup"}
+    beside |= {"pose/doubt", "pose/history", "pose/refusal", "pose/touched_landmarks"}
     beside |= {"volume_registration"}  # of gated 3-D images, not frames
     assert steps - set(paths) == {f"dvf_ig/session/{name}.py" for name in beside}
 

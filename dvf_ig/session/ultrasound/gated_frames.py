@@ -28,9 +28,9 @@ from dvf_ig.registration import (
     prepare_slices,
     subsample,
 )
+from dvf_ig.session.calibrations import UltrasoundCalibration
+from dvf_ig.session.heart import Heart
 
-from .calibrations import UltrasoundCalibration
-from .heart import Heart
 from .probe_motion import smoothed_poses
 
 MAX_FRAMES = 48

@@ -15,17 +15,17 @@ from math import inf
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import PoseMotion, Rigid, Stop
 from dvf_ig.registration import PoseEstimate
+from dvf_ig.session.events import Landmark
+from dvf_ig.session.ultrasound.beat_evaluation import BeatEvaluation, ComparableBeat, as_of, evaluation_of
+from dvf_ig.session.ultrasound.ultrasound_source import RegistrationRequest, UltrasoundSource
 
-from .beat_evaluation import BeatEvaluation, ComparableBeat, as_of, evaluation_of
 from .beat_jobs import BeatJobs, FinishedBeat
 from .confirmation import Confirmation
-from .events import Landmark
 from .history import Attempt, PoseUpdate, SessionHistory
 from .refusal import Refusal, Refused
 from .registration_jobs import FinishedRegistration, RegistrationJobs
 from .registration_monitor import RegistrationMonitor, confirms
 from .touched_landmarks import TouchedLandmarks
-from .ultrasound_source import RegistrationRequest, UltrasoundSource
 
 FIRST_ATTEMPT_S = 8.0
 """The first registration is asked for when there are so many seconds of ultrasound."""

@@ -6,11 +6,11 @@ from math import inf
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.registration import PoseEstimate
+from dvf_ig.session.executor import Job
+from dvf_ig.session.ultrasound.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
+from dvf_ig.session.ultrasound.ultrasound_source import UltrasoundSource
 
-from .beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
-from .executor import Job
 from .registration_jobs import POLL_S
-from .ultrasound_source import UltrasoundSource
 
 BEAT_GATHER_S = 0.05
 """Frames of a beat are gathered this long after its R peak was detected, some 0.12 s after its last frame."""

@@ -6,8 +6,7 @@ import numpy as np
 
 from dvf_ig.core import InvalidInputError, Landmarks, Points, Rigid
 from dvf_ig.registration import LandmarkPrior, prior_from_landmarks, start_from_landmarks
-
-from .events import Landmark
+from dvf_ig.session.events import Landmark
 
 
 class TouchedLandmarks:

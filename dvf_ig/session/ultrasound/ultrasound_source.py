@@ -9,14 +9,14 @@ import numpy as np
 from dvf_ig.cardiac import RetimeMode, RPeak
 from dvf_ig.core import DvfIgError, Fan, Rigid
 from dvf_ig.registration import LandmarkPrior, RegistrationResult, SliceThreads
+from dvf_ig.session.calibrations import UltrasoundCalibration
+from dvf_ig.session.executor import Executor, Job, answered
+from dvf_ig.session.heart import Heart
 
 from .beat_evaluation import ComparedBeat, compare_beat
-from .calibrations import UltrasoundCalibration
-from .executor import Executor, Job, answered
 from .frame_buffer import FrameBuffer
 from .frame_registration import register_frames
 from .gated_frames import GatedFrames, UltrasoundRecording, gate_recording
-from .heart import Heart
 
 _FAILURES = (DvfIgError, np.linalg.LinAlgError)
 """What a registration or a comparison of unfit images may end with."""

@@ -18,8 +18,8 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, Stop, mean_displacement_mm, read_only_arrays
 from dvf_ig.registration import BeatMeasurement, PoseEstimate, ShiftDetector, SimilarityWatch
+from dvf_ig.session.ultrasound.beat_evaluation import BeatEvaluation
 
-from .beat_evaluation import BeatEvaluation
 from .doubt import Doubt, DoubtCause
 from .refusal import Refusal, Refused
 

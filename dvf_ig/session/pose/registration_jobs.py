@@ -3,9 +3,14 @@
 from dataclasses import dataclass
 from math import inf
 
-from .executor import Job
+from dvf_ig.session.executor import Job
+from dvf_ig.session.ultrasound.ultrasound_source import (
+    RegistrationAnswer,
+    RegistrationRequest,
+    UltrasoundSource,
+)
+
 from .history import Attempt
-from .ultrasound_source import RegistrationAnswer, RegistrationRequest, UltrasoundSource
 
 COMPUTE_S = 3.0
 """A registration takes effect this long after its last frame: a fixed allowance for computing it."""

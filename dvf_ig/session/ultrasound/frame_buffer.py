@@ -6,9 +6,8 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, TrackedSequence
 from dvf_ig.core.rigid import is_rigid
-
-from .events import TrackedFrame
-from .stamp_order import StampOrder
+from dvf_ig.session.events import TrackedFrame
+from dvf_ig.session.stamp_order import StampOrder
 
 KEEP_S = 20.0
 """Frames older than this are forgotten: longer than a registration looks back, and its work is delayed."""

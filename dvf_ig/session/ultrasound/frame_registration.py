@@ -19,9 +19,9 @@ from dvf_ig.registration import (
     root_amplitude,
 )
 from dvf_ig.registration.evidence.checks import SLICE_LIMITS
+from dvf_ig.session.heart import COARSE_PITCH_MM, FINE_PITCH_MM
 
 from .gated_frames import GatedFrames, UltrasoundRecording, slices_of, ultrasound_mask
-from .heart import COARSE_PITCH_MM, FINE_PITCH_MM
 
 DENSITY_WIDTH_MM = 12.0
 """Patches share their weight over this width: a sweep sees the heart's middle from everywhere. On tuning

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import Rigid
 from dvf_ig.registration import RegistrationResult
+from dvf_ig.session.ultrasound.beat_evaluation import BeatEvaluation
+from dvf_ig.session.ultrasound.gated_frames import GatedFrames
 
-from .beat_evaluation import BeatEvaluation
 from .doubt import Doubt
-from .gated_frames import GatedFrames
 from .refusal import Refused
 
 
