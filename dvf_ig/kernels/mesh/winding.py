@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, IntArray
-
-from .compiled import inlined, kernel
+from dvf_ig.kernels.compiled import inlined, kernel
 
 
 @inlined

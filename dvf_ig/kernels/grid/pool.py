@@ -6,7 +6,7 @@ from math import ceil, floor
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import inlined, kernel
+from dvf_ig.kernels.compiled import inlined, kernel
 
 Corner = tuple[int, int, int]
 """First voxel of a block."""

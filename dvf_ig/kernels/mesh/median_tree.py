@@ -1,8 +1,7 @@
 """Median splits of triangles into a complete tree of bounding boxes."""
 
 from dvf_ig.core import FloatArray, IntArray
-
-from .compiled import inlined, kernel
+from dvf_ig.kernels.compiled import inlined, kernel
 
 
 @inlined

@@ -11,8 +11,7 @@ import math
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray
-
-from .compiled import inlined, kernel
+from dvf_ig.kernels.compiled import inlined, kernel
 
 DEPTH = 64
 """Capacity for pending nodes: one for each level of the tree."""

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import kernel
+from dvf_ig.kernels.compiled import kernel
 
 
 @kernel

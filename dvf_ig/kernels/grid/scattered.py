@@ -6,8 +6,7 @@ Row r of an axis has four `weights` for the coefficients from `first[r]` on (as 
 from typing import NamedTuple
 
 from dvf_ig.core import FloatArray, IntArray
-
-from .compiled import kernel
+from dvf_ig.kernels.compiled import kernel
 
 
 class AxisRows(NamedTuple):

@@ -9,8 +9,7 @@ readable forms are NumPy products with the dense matrix, in the tests.
 """
 
 from dvf_ig.core import FloatArray, IntArray
-
-from .compiled import kernel
+from dvf_ig.kernels.compiled import kernel
 
 
 @kernel
