@@ -217,7 +217,7 @@ def propagate_labels(motion: CycleMotion, image: VolumeSeries, labels: Volume, p
 def _matched(
     compared: Compared, phase: int, before: AnyDeformation, options: MotionOptions
 ) -> tuple[AnyDeformation, float]:
-    """The deformation from end-diastole to a phase, begun at its neighbour's; the error of the way back, mm."""
+    """Deformation from end-diastole to a phase, begun at its neighbour's; the error of the way back, mm."""
     pair = (compared.grey[compared.ed_phase], compared.grey[phase])
     mask, observable = compared.mask, compared.observable
     if not isinstance(before, FreeForm):

@@ -42,6 +42,7 @@ Coordinates = Callable[[float], FloatArray]
 
 
 def at_rest(t_s: float) -> FloatArray:
+    """The patient does not move."""
     return np.zeros(6)
 
 
