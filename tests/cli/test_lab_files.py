@@ -320,8 +320,8 @@ def test_a_model_takes_the_patient_that_is_named(
 
 
 def test_a_cross_wire_as_two_text_tables(tmp_path: Path) -> None:
-    assert run("synth", "calibration", "crosswire", "-o", tmp_path, "--seed", 5).exit_code == 0
-    sequence, points = tmp_path / "crosswire.igs.mha", tmp_path / "crosswire_points.csv"
+    assert run("synth", "calibration", "cross-wire", "-o", tmp_path, "--seed", 5).exit_code == 0
+    sequence, points = tmp_path / "cross-wire.igs.mha", tmp_path / "cross-wire_points.csv"
     command = ("calibrate", "probe", "--phantom", "cross-wire")
     whole = found(*command, sequence, "--points", points)
     poses = read_sequence(sequence).poses["tracker_from_probe"]
@@ -344,8 +344,8 @@ def test_a_cross_wire_as_two_text_tables(tmp_path: Path) -> None:
 
 
 def test_a_probe_and_a_reference_under_other_names(tmp_path: Path) -> None:
-    assert run("synth", "calibration", "crosswire", "-o", tmp_path, "--seed", 5).exit_code == 0
-    sequence, points = tmp_path / "crosswire.igs.mha", tmp_path / "crosswire_points.csv"
+    assert run("synth", "calibration", "cross-wire", "-o", tmp_path, "--seed", 5).exit_code == 0
+    sequence, points = tmp_path / "cross-wire.igs.mha", tmp_path / "cross-wire_points.csv"
     command = ("calibrate", "probe", "--phantom", "cross-wire", "--points", points)
     usual = found(*command, sequence)
     other = tmp_path / "other.igs.mha"

@@ -21,7 +21,7 @@ from dvf_ig.core import (
     TrackedVolume,
     Volume,
 )
-from dvf_ig.kernels.pool import pool_blocks, pool_cubes
+from dvf_ig.kernels.grid.pool import pool_blocks, pool_cubes
 from dvf_ig.registration import (
     VOLUME_SMOOTHING_MM,
     BoundaryTarget,

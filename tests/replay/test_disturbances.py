@@ -10,8 +10,8 @@ from dvf_ig.guidance import Status
 from dvf_ig.guidance.supervisor import FADE_S
 from dvf_ig.preop import ModelOptions, model_from_labels
 from dvf_ig.replay import Replay, run_replay
-from dvf_ig.replay.pose_summary import suspensions
-from dvf_ig.replay.score import pose_errors_mm
+from dvf_ig.replay.result.pose_summary import suspensions
+from dvf_ig.replay.result.score import pose_errors_mm
 from dvf_ig.session import Refusal
 
 RECOVERED_TRE_MM = 1.85

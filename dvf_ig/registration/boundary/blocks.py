@@ -6,7 +6,8 @@ from dvf_ig.core import HEART_RADIUS_MM, FloatArray, IntArray, Rigid
 from dvf_ig.kernels.boundary import RIGHT, SQUARES, SUMS, UNKNOWNS, OrientedPoints, boundary_step_sums
 from dvf_ig.registration.distinct_rows import distinct_rows
 
-from .fit import Boundary, BoundaryFitOptions, BoundaryProblem, normal_matrices
+from .options import BoundaryFitOptions
+from .problem import Boundary, BoundaryProblem, normal_matrices
 
 
 class BlockedBoundary:
