@@ -21,12 +21,12 @@ from dvf_ig.io.file_within import path_within
 from dvf_ig.io.model import read_model
 from dvf_ig.io.provenance import not_recorded
 from dvf_ig.io.ros import messages as ros
+from dvf_ig.io.ros.attached_heart import MODEL
 from dvf_ig.io.ros.log_file import opened_log
 from dvf_ig.io.ros.session_document import SessionDocument, read_document
+from dvf_ig.io.ros.session_topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
 from dvf_ig.io.session_file.preop import PreopFiles, read_preop
 from dvf_ig.io.session_file.read import SessionRecordings
-
-from .session_log import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, MODEL, STREAMS, TRIGGER
 
 _POSE = 14
 """Numbers of a pose: stamp, validity, rotation, translation."""
