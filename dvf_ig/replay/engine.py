@@ -115,7 +115,7 @@ def run_replay(
         require_tracked_poses(scenario)
     else:
         seed = live.seed
-    t_s = tick_times(scenario) if live is None else live.states[:, 0]
+    t_s = tick_times(scenario) if live is None else live.last_states[:, 0]
     calibrations = calibrate(scenario, seed)
     report_progress(0.05)
     heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.05 + 0.35 * f))

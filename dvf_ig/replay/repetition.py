@@ -7,6 +7,7 @@ it is asked for so often.
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from math import inf
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -22,12 +23,12 @@ T = TypeVar("T")
 
 
 def repeat(session: Session, record: LiveRecord, observe: Callable[[int, GuidanceState], None]) -> None:
-    """Push and ask as the live session did; `observe` is told each state with its number."""
-    asked = 0
+    """Push and ask as the live session did; `observe` is told each state with the number of its moment."""
+    number, before_s = -1, -inf
     for step in record.steps:
         if isinstance(step, float):
-            observe(asked, session.state(step))
-            asked += 1
+            number, before_s = number + (step > before_s), step
+            observe(number, session.state(step))
         else:
             with suppress(DvfIgError):
                 session.push(*step)
@@ -64,18 +65,19 @@ class _Recorded(Generic[T]):
 
 def recorded_ticks(record: LiveRecord) -> Ticks:
     """What a live session answered, as it was recorded."""
-    columns = dict(zip(STATE_COLUMNS, record.states.T, strict=True))
+    rows = record.last_states
+    columns = dict(zip(STATE_COLUMNS, rows.T, strict=True))
 
     def vector(form: str) -> FloatArray:
         return np.column_stack([columns[form.format(axis)] for axis in "xyz"])
 
     first = STATE_COLUMNS.index("mr_from_tracker_00")
-    t_s, codes = columns["t_s"], record.states[:, -4:-1].astype(np.int64)
+    t_s, codes = columns["t_s"], rows[:, -4:-1].astype(np.int64)
     state = columns["phase_state"].astype(np.int64)
     return Ticks(
         phase=PhaseTrack(t_s, columns["phi"], columns["sigma_phi"], columns["rr_s"], state),
         model_phase=columns["model_phase"],
-        mr_from_tracker=record.states[:, first : first + 12].reshape(-1, 3, 4),
+        mr_from_tracker=rows[:, first : first + 12].reshape(-1, 3, 4),
         pose_age_s=columns["pose_age_s"],
         tre_bound_mm=columns["tre_bound_mm"],
         tip_tracker_mm=vector("tip_tracker_{}_mm"),

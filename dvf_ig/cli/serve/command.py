@@ -167,14 +167,14 @@ def _serve(
         result["record"] = {"folder": str(out), "lost": record.lost, "failure": failure}
     reason = history.attempts[-1].reason if history.attempts else None
     silent = no_force(summary.by_status, posed=bool(history.updates), reason=reason)
-    tell = None
-    if out is not None and failure is None and summary.answers:
-        tell = write_run(out, ready, history)
     emit(result, summary.table(result), as_json=as_json)
     if silent is not None:
         warn(f"no force was given: {silent}")
-    if tell is not None:
-        tell()
+    if out is not None and failure is None:
+        if summary.answers:
+            write_run(out, ready, history)
+        else:
+            warn("no pose of the tool came, so that there is nothing to replay or to view")
     if failure is not None:
         raise OutputError(failure)
 

@@ -1,6 +1,6 @@
 """What a live session leaves in its folder: the log while it runs, and at its end what a replay leaves."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,8 +44,8 @@ def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]"
             yield record
 
 
-def write_run(out: Path, ready: "LiveSetup", history: "SessionHistory") -> Callable[[], None]:
-    """Write what a replay leaves, from the finished log; what tells it to the user.
+def write_run(out: Path, ready: "LiveSetup", history: "SessionHistory") -> None:
+    """Write what a replay leaves, from the finished log.
 
     Raises:
         UnreadableFileError: the session never began.
@@ -63,7 +63,7 @@ def write_run(out: Path, ready: "LiveSetup", history: "SessionHistory") -> Calla
     recordings = read_session_log(out / LOG, images=False)
     live = recordings.live
     if live is None:
-        return lambda: None
+        return
     ticks = recorded_ticks(live)
     seconds = float(ticks.t_s[-1] - ticks.t_s[0])
     done = Replay(
@@ -84,8 +84,7 @@ def write_run(out: Path, ready: "LiveSetup", history: "SessionHistory") -> Calla
         frames = write_outputs(done.poses, ticks, new, recordings.scenario.tracked_against)
         write_view_file(done, new, out, out / LOG, None)
 
-    def tell() -> None:
-        for name in (LOG, RESULT, PAGE, VIEW, *frames):
-            wrote(out / name, frames.get(name))
-
-    return tell
+    for name in (LOG, RESULT, PAGE, VIEW, *frames):
+        wrote(out / name, frames.get(name))
+    for warning in result["warnings"]:
+        warn(f"{warning['key']}: {warning['sentence']}")

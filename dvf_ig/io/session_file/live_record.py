@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
 from dvf_ig.session import Event
 
@@ -30,3 +32,9 @@ class LiveRecord:
     states: FloatArray
     seed: int
     findings: tuple[Finding, ...]
+
+    @property
+    def last_states(self) -> FloatArray:
+        """Of `states` the last of each moment: after a re-arming there may be two of one."""
+        t_s = self.states[:, 0]
+        return self.states[np.append(t_s[1:] > t_s[:-1], True)]

@@ -23,6 +23,7 @@ from dvf_ig.io.ros.live_log import (
     work_message,
 )
 from dvf_ig.io.ros.log_file import UNFINISHED, LogWriter, require_log_packages
+from dvf_ig.live.priority import RECORDING, schedule_first
 from dvf_ig.session import Event, GuidanceState, TrackedFrame
 
 LOG, PART = "session.mcap", f"session-{UNFINISHED}"
@@ -162,6 +163,7 @@ class SessionRecord:
         self._waiting.append(_Waiting(messages, size))
 
     def _write_all(self) -> None:
+        schedule_first(RECORDING)
         told = False
         while self.failure is None:
             last = self._stop.is_set()
