@@ -21,6 +21,7 @@ from dvf_ig.io.session_file.live_record import Arrived, LiveRecord
 from dvf_ig.session import EcgSamples, Landmark, Rearm, ToolPose, TrackedFrame
 
 Stamped = TypeVar("Stamped", TrackedFrame, ToolPose)
+UNIT = "as sent"
 LONGEST_ECG_S = 24 * 3600.0
 """ECG samples that are stamped further from the first are no part of the recording."""
 
@@ -133,7 +134,7 @@ def read_live_streams(
     batches = [event for event in events if isinstance(event, EcgSamples)]
     return LiveStreams(
         record,
-        _signal(batches, document.beats.rate_hz or 0.0),
+        _signal(batches, document.beats.rate_hz or 0.0, float(states[0, 0])),
         _sequence(frames, document.orientation),
         _stream("tool", [(one.t_s, one.tracker_from_tool) for one in _in_order(tool)]),
     )
@@ -208,10 +209,10 @@ def _stream(source: str, poses: Sequence[tuple[float, FloatArray | None]]) -> Po
     return PoseStream("tracker", source, t_s, matrices[:, :3, :3], matrices[:, :3, 3], valid)
 
 
-def _signal(batches: Sequence[EcgSamples], rate_hz: float) -> Signal:
-    """Batches at their places on one clock."""
+def _signal(batches: Sequence[EcgSamples], rate_hz: float, begin_s: float) -> Signal:
+    """Batches at their places on one clock; without any, unknown samples from `begin_s` on."""
     if not batches:
-        return Signal(np.full((2, 1), np.nan), rate_hz, 0.0, ("ECG",))
+        return Signal(np.full((2, 1), np.nan), rate_hz, begin_s, ("ECG",), UNIT)
     first_s, leads = batches[0].start_s, batches[0].samples.shape[1]
     placed = [
         (round((one.start_s - first_s) * rate_hz), one.samples)
@@ -223,4 +224,4 @@ def _signal(batches: Sequence[EcgSamples], rate_hz: float) -> Signal:
     for at, samples in placed:
         signal[at : at + len(samples)] = samples
     names = tuple(f"lead {n + 1}" for n in range(leads)) if leads > 1 else ("ECG",)
-    return Signal(signal, rate_hz, first_s, names, "")
+    return Signal(signal, rate_hz, first_s, names, UNIT)
