@@ -37,4 +37,4 @@ class LiveRecord:
     def last_states(self) -> FloatArray:
         """Of `states` the last of each moment: after a re-arming there may be two of one."""
         t_s = self.states[:, 0]
-        return self.states[np.append(t_s[1:] > t_s[:-1], True)]
+        return np.asarray(self.states[np.append(t_s[1:] > t_s[:-1], True)])
