@@ -1,4 +1,4 @@
-"""LC2's force on parts of slices at several poses: a slice is sampled and fitted once a pose for all its parts.
+"""LC2's force on parts of slices at several poses: a slice is sampled and fitted once a pose, for all parts.
 
 A part is some of a slice's patches. A pixel that patches of several parts cover counts in each of them, with
 those patches alone; the forces on the parts of a slice add up to that on the slice. All poses of a slice come
