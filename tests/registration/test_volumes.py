@@ -12,6 +12,7 @@ from toy_volume import resampled, toy_surface, toy_volume
 
 from dvf_ig.core import (
     AnyArray,
+    BoolArray,
     FloatArray,
     FrameMismatchError,
     Grid,
@@ -65,8 +66,13 @@ def root(grey: int) -> float:
     return float(10 ** ((grey / 255 - 1) * 60 / 40)) if grey else 0.0
 
 
-@pytest.mark.parametrize("step", [1, 2, 3])
-def test_blocks_are_averaged_as_the_twin_says(step: int) -> None:
+def on_planes(shape: tuple[int, ...], every: int) -> BoolArray:
+    """What of a volume lies on planes that are looked at."""
+    return np.asarray((np.indices(shape) % every == every // 2).any(axis=0))
+
+
+@pytest.mark.parametrize(("step", "every"), [(1, 4), (2, 1), (3, 2)])
+def test_blocks_are_averaged_as_the_twin_says(step: int, every: int) -> None:
     rng = np.random.default_rng(step)
     grey = rng.integers(0, 256, SHAPE).astype(np.uint8)
     mask = (rng.random(SHAPE) > 0.01).astype(np.uint8) * 7
@@ -75,15 +81,17 @@ def test_blocks_are_averaged_as_the_twin_says(step: int) -> None:
     cut = tuple(slice(0, n * step) for n in small)
     blocks = (small[0], step, small[1], step, small[2], step)
     mean = table[grey][cut].astype(np.float64).reshape(blocks).mean(axis=(1, 3, 5))
-    whole = (mask[cut] > 0).reshape(blocks).all(axis=(1, 3, 5))
+    whole = (mask[cut] > 0).reshape(blocks).all(axis=(1, 3, 5)) & on_planes(small, every)
     out = np.full(small, -1.0, dtype=np.float32)
-    pool_blocks(grey, mask, table, step, out)
+    pool_blocks(grey, mask, table, step, every, out)
     assert 0 < whole.sum() < whole.size
     np.testing.assert_allclose(out, np.where(whole, mean, np.nan), rtol=2e-6)
 
 
-@pytest.mark.parametrize("edge", [(2.5, 1.25, 3.3), (2.0, 2.0, 2.0), (0.6, 1.7, 0.9)])
-def test_cubes_are_averaged_as_the_twin_says(edge: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize(
+    ("edge", "every"), [((2.5, 1.25, 3.3), 1), ((2.0, 2.0, 2.0), 2), ((0.6, 1.7, 0.9), 5)]
+)
+def test_cubes_are_averaged_as_the_twin_says(edge: tuple[float, float, float], every: int) -> None:
     """The twin weights every voxel along each axis by the length of its overlap with the cube."""
     rng = np.random.default_rng(3)
     grey = rng.integers(0, 256, SHAPE).astype(np.uint8)
@@ -96,8 +104,9 @@ def test_cubes_are_averaged_as_the_twin_says(edge: tuple[float, float, float]) -
         weights.append(np.clip(np.minimum(low + e, voxel + 1) - np.maximum(low, voxel), 0, None) / e)
     mean = np.einsum("ia,jb,kc,abc->ijk", *weights, table[grey], optimize=True)
     seen = np.einsum("ia,jb,kc,abc->ijk", *weights, mask > 0, optimize=True) > 1 - 1e-6
+    seen &= on_planes(tuple(counts), every)
     out = np.full(counts, -1.0, dtype=np.float32)
-    pool_cubes(grey, mask, table, np.array(edge), out)
+    pool_cubes(grey, mask, table, np.array(edge), every, out)
     assert 0 < seen.sum() < seen.size
     np.testing.assert_allclose(out, np.where(seen, mean, np.nan), rtol=2e-6)
 
@@ -107,8 +116,8 @@ def test_cubes_of_whole_voxels_are_blocks() -> None:
     grey, mask = rng.integers(0, 256, SHAPE).astype(np.uint8), np.ones(SHAPE, dtype=np.uint8)
     table, small = rng.random(256).astype(np.float32), tuple(n // 3 for n in SHAPE)
     blocks, cubes = np.zeros(small, dtype=np.float32), np.zeros(small, dtype=np.float32)
-    pool_blocks(grey, mask, table, 3, blocks)
-    pool_cubes(grey, mask, table, np.full(3, 0.3 / 0.1), cubes)
+    pool_blocks(grey, mask, table, 3, 1, blocks)
+    pool_cubes(grey, mask, table, np.full(3, 0.3 / 0.1), 1, cubes)
     np.testing.assert_allclose(cubes, blocks, rtol=2e-6)
 
 
