@@ -162,7 +162,7 @@ def _cubes(volume: TrackedVolume, table: NDArray[np.float32], pitch_mm: float, p
 
 
 def _every(small: NDArray[np.float32], planes: int) -> int:
-    return max(1, max(small.shape) // planes)
+    return max(1, int(max(small.shape)) // planes)
 
 
 def _insonified(volume: TrackedVolume) -> NDArray[np.uint8]:
