@@ -42,7 +42,7 @@ register --model s/model.npz --us-volume s/volume.nii@0.3 --us-volume s/volume.m
 replay s/scenario -o run|replay --config s/session.yaml -o run
 config init s/scenario -o s.yaml|config dump s/session.yaml|config validate s/session.yaml
 synth scenario --preset calm --seconds 8 --seed 1 -o scene|synth us s/volume.nrrd -o us.mha
-synth calibration --kind nwire -o cal|bench
+synth calibration nwire -o cal|bench
 """.replace("\n", "|")
 HOSTILE = r"""
 ||.|..|-|--|s|s/none|s/none/below|s/model.npz|s/volume.nrrd|s/ecg.csv|s/session.yaml|s/zero|s/fifo|a/../b

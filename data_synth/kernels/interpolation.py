@@ -19,6 +19,7 @@ def cell(u: float, count: int) -> tuple[int, float]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def nearest(u: float, count: int) -> int:
+    """Index of the node of a line that is nearest to `u`, in [0, count)."""
     return min(max(int(u + 0.5), 0), count - 1)
 
 

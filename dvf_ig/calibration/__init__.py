@@ -1,10 +1,10 @@
 """Spatial and temporal calibration: tool tip, image, video lag, landmarks, hand–eye."""
 
-from .hand_eye.calibration import HAND_EYE_METHODS as HAND_EYE_METHODS
-from .hand_eye.calibration import HandEyeMethod as HandEyeMethod
 from .hand_eye.calibration import HandEyeOptions as HandEyeOptions
 from .hand_eye.calibration import HandEyeResult as HandEyeResult
 from .hand_eye.calibration import calibrate_hand_eye as calibrate_hand_eye
+from .hand_eye.closed_form import HAND_EYE_METHODS as HAND_EYE_METHODS
+from .hand_eye.closed_form import HandEyeMethod as HandEyeMethod
 from .landmarks.dwells import DwellOptions as DwellOptions
 from .landmarks.dwells import Dwells as Dwells
 from .landmarks.dwells import TipCheck as TipCheck

@@ -47,7 +47,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "synth scenario": (
         "dvf-ig synth scenario --preset calm --motion paper5mm --seconds 60 --seed 1 -o demo",
         "dvf-ig synth scenario --preset lost-ultrasound --heart varied --seed 2 -o demo",
-        "dvf-ig synth scenario --anatomy cine --cine cine.nrrd --labels ed.nrrd --seed 1 -o demo",
+        "dvf-ig synth scenario --anatomy cine --cine mr.nrrd --labels ed.nrrd --es-labels es.nrrd@9 -o demo",
     ),
     "synth us": ('dvf-ig synth us --labels heart.nii.gz --view "tee four-chamber" -o ultrasound',),
     "synth calibration": ("dvf-ig synth calibration nwire --seed 1 -o nwire",),
@@ -60,7 +60,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "calibrate pivot": ("dvf-ig calibrate pivot pivot.igs.mha -o tip.json",),
     "calibrate probe": (
         "dvf-ig calibrate probe nwire.igs.mha --device-set PlusDeviceSet.xml -o probe.json",
-        "dvf-ig calibrate probe cross_wire.igs.mha --phantom cross-wire -o probe.json",
+        "dvf-ig calibrate probe cross-wire.igs.mha --phantom cross-wire --points crossing.csv -o probe.json",
     ),
     "calibrate latency": ("dvf-ig calibrate latency tracker.igs.mha video.igs.mha -o latency.json",),
     "calibrate landmarks": (

@@ -41,7 +41,7 @@ from .worst_phase import wall_without_phase
 
 @inlined
 def _force_per_gradient_of_blend(f: FloatArray, field: Float64x4) -> float:
-    """`_force_per_gradient` on a blended field; d/|∇d| because a blend of distances is no distance."""
+    """`force_per_gradient` on a blended field; d/|∇d| because a blend of distances is no distance."""
     d, gx, gy, gz = unpack(field)
     norm = math.sqrt(gx * gx + gy * gy + gz * gz)
     return force_per_gradient(f, d / norm - f[DEPTH], norm) if norm > 0.0 else 0.0

@@ -79,7 +79,7 @@ def force_per_gradient(f: FloatArray, s_mm: float, norm: float) -> float:
 
 @inlined
 def force_per_gradient_of_field(f: FloatArray, field: Float64x4) -> float:
-    """`_force_per_gradient` at a distance and gradient of one phase."""
+    """`force_per_gradient` at a distance and gradient of one phase."""
     d, gx, gy, gz = unpack(field)
     return force_per_gradient(f, d - f[DEPTH], math.sqrt(gx * gx + gy * gy + gz * gz))
 
@@ -94,6 +94,7 @@ def field_of_phase(coefficients: NDArray[np.float32], phase: int, cell: Cell, pe
 
 @inlined
 def cells_of(coefficients: NDArray[np.float32]) -> tuple[int, int, int]:
+    """Cells of the spline along each axis."""
     return coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3
 
 

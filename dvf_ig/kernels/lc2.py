@@ -212,7 +212,7 @@ def _fit_patch(slices: PatchedSlices, p: int, columns: Floats, fits: Floats, at:
     """Fit a patch whose rows the columns hold.
 
     Args:
-        fits: row `at` is filled with c·α², c·αβ, c·β², c·α, c·β, c·αγ, c·βγ, c = w/(n·Var u).
+        fits: row `at` is filled with c·α², c·αβ, c·β², c·α, c·β, c·αγ, c·βγ, w·S; c = w/(n·Var u).
     Returns:
         w·S and w.
     """
@@ -234,8 +234,9 @@ def _fit_patch(slices: PatchedSlices, p: int, columns: Floats, fits: Floats, at:
     c = w * inverse * per_variance
     ca, cb = c * alpha, c * beta
     store4(fits, np.uintp(at), np.uintp(0), pack(ca * alpha, ca * beta, cb * beta, ca))
-    store4(fits, np.uintp(at), np.uintp(4), pack(cb, ca * gamma, cb * gamma, 0.0))
-    return w * min(max((alpha * ua + beta * ub) * per_variance, 0.0), 1.0), w
+    explained = w * min(max((alpha * ua + beta * ub) * per_variance, 0.0), 1.0)
+    store4(fits, np.uintp(at), np.uintp(4), pack(cb, ca * gamma, cb * gamma, explained))
+    return explained, w
 
 
 @kernel

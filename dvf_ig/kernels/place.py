@@ -151,6 +151,7 @@ def _pose_between(p: FloatArray, t_s: float) -> Columns:
 
 @inlined
 def pose_at(p: FloatArray, t_s: float) -> Columns:
+    """Pose and its rates at a time; before and after its motion it stands still."""
     if p[START_S] <= t_s and t_s < p[END_S]:
         return _pose_between(p, t_s)
     at, still = (END_POSE if t_s >= p[END_S] else START_POSE), (0.0, 0.0, 0.0)
@@ -206,6 +207,7 @@ def status_at(p: FloatArray, t_s: float, finite: float) -> int:
 
 @inlined
 def set_pose(out: FloatArray, at: int, pose: Columns) -> None:
+    """Write the (3, 4) pose row by row, from `at` on."""
     for row in range(3):
         for column in range(4):
             out[at + 4 * row + column] = pose[column][row]

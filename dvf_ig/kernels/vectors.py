@@ -15,9 +15,11 @@ def vector_at(numbers: FloatArray, at: int) -> Vector:
 
 @inlined
 def dot(a: Vector, b: Vector) -> float:
+    """a · b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @inlined
 def cross(a: Vector, b: Vector) -> Vector:
+    """a × b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
-from dvf_ig.kernels.separable import multiply_axis, multiply_axis_transposed
+from dvf_ig.kernels.grid.separable import multiply_axis, multiply_axis_transposed
 
 
 @read_only_arrays

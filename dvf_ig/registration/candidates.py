@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import Rigid
-from dvf_ig.registration.boundary.fit import Boundary, boundary_starts
+from dvf_ig.registration.boundary.problem import Boundary
+from dvf_ig.registration.boundary.starts import boundary_starts
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, Optimum, optimise
 

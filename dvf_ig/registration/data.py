@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from dvf_ig.core import FloatArray, read_only_arrays
-from dvf_ig.registration.boundary.fit import Boundary
+from dvf_ig.registration.boundary.problem import Boundary
 from dvf_ig.registration.evidence.checks import IMAGE_LIMITS, Limits
 from dvf_ig.registration.lc2.channels import ModelChannels
 from dvf_ig.registration.lc2.lc2 import Lc2

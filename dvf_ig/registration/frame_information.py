@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, read_only_arrays
-from dvf_ig.kernels.block_sums import block_sums
+from dvf_ig.kernels.grid.block_sums import block_sums
 
 BLOCK_MM = 4.0
 MIN_FILL = 0.6

@@ -5,9 +5,9 @@ from .engine import run_replay as run_replay
 from .events import events_of as events_of
 from .registration import Registration as Registration
 from .registration import register_scenario as register_scenario
-from .result import evidence_of as evidence_of
-from .result import result_of as result_of
-from .result import schema as schema
-from .result import validate as validate
+from .result.evidence import evidence_of as evidence_of
+from .result.result import result_of as result_of
+from .result.schema import schema as schema
+from .result.schema import validate as validate
 from .table import table as table
 from .ticks import Ticks as Ticks

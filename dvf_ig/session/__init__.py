@@ -1,6 +1,5 @@
 """The push-driven engine: events in, pose and phase and a supervised force out; no file, network or clock."""
 
-from .beat_evaluation import BeatEvaluation as BeatEvaluation
 from .calibrations import CalibrationsInUse as CalibrationsInUse
 from .calibrations import UltrasoundCalibration as UltrasoundCalibration
 from .events import EcgSamples as EcgSamples
@@ -14,10 +13,6 @@ from .executor import Beside as Beside
 from .executor import Executor as Executor
 from .executor import InCaller as InCaller
 from .executor import Job as Job
-from .frame_registration import register_frames as register_frames
-from .gated_frames import GatedFrames as GatedFrames
-from .gated_frames import UltrasoundRecording as UltrasoundRecording
-from .gated_frames import gate_recording as gate_recording
 from .heart import Heart as Heart
 from .heart import build_heart as build_heart
 from .heart import label_map as label_map
@@ -26,15 +21,20 @@ from .heart_clock import BeatSource as BeatSource
 from .heart_clock import EcgSource as EcgSource
 from .heart_clock import TriggerSource as TriggerSource
 from .heart_clock import beat_source_of as beat_source_of
-from .history import Attempt as Attempt
-from .history import PoseUpdate as PoseUpdate
-from .history import SessionHistory as SessionHistory
-from .refusal import Refusal as Refusal
-from .refusal import Refused as Refused
-from .registration_monitor import RegistrationMonitor as RegistrationMonitor
-from .registration_monitor import landmark_disagreement_mm as landmark_disagreement_mm
+from .pose.history import Attempt as Attempt
+from .pose.history import PoseUpdate as PoseUpdate
+from .pose.history import SessionHistory as SessionHistory
+from .pose.refusal import Refusal as Refusal
+from .pose.refusal import Refused as Refused
+from .pose.registration_monitor import RegistrationMonitor as RegistrationMonitor
+from .pose.registration_monitor import landmark_disagreement_mm as landmark_disagreement_mm
 from .session import Session as Session
 from .setup import SessionSetup as SessionSetup
 from .state import GuidanceState as GuidanceState
+from .ultrasound.beat_evaluation import BeatEvaluation as BeatEvaluation
+from .ultrasound.frame_registration import register_frames as register_frames
+from .ultrasound.gated_frames import GatedFrames as GatedFrames
+from .ultrasound.gated_frames import UltrasoundRecording as UltrasoundRecording
+from .ultrasound.gated_frames import gate_recording as gate_recording
 from .volume_registration import model_phase_at as model_phase_at
 from .volume_registration import register_gated_volumes as register_gated_volumes

@@ -1,7 +1,7 @@
 """Margins of a session's fixtures: σ of the distance at the tip from all that the session knows.
 
 What a session does not measure comes from constants: tip and tool as pivot calibrations and optical trackers
-have them, the pose's ageing as in `dvf_ig.session.confirmation`. The pose's covariance
+have them, the pose's ageing as in `dvf_ig.session.pose.confirmation`. The pose's covariance
 holds probe calibration and lag as far as the registration states them (docs/theory/registration.md), so they
 are not added again.
 """
@@ -15,7 +15,7 @@ from dvf_ig.guidance import DeviceLimits, FixtureSet, PoseAndPhase, Status
 from dvf_ig.guidance.margins import DistanceSigma, distance_sigma, isotropic, next_margin_mm
 from dvf_ig.guidance.supervisor import SLEW_SPEED_M_S
 
-from .confirmation import AGEING_MM_PER_S
+from .pose.confirmation import AGEING_MM_PER_S
 
 TIP_SIGMA_MM = 0.3
 """Of the calibrated tip, a coordinate. By judgement, on no heart."""

@@ -30,17 +30,17 @@ from dvf_ig.registration import SliceThreads
 
 from .events import EcgSamples, Event, Landmark, Rearm, ToolPose, TrackedFrame, Trigger
 from .executor import Executor, InCaller
-from .frame_buffer import FrameBuffer
 from .heart_clock import HeartClock
-from .history import SessionHistory
 from .margins import MarginTracker
-from .pose_tracker import PoseTracker
-from .registration_monitor import RegistrationMonitor
+from .pose.history import SessionHistory
+from .pose.pose_tracker import PoseTracker
+from .pose.registration_monitor import RegistrationMonitor
 from .setup import SessionSetup
 from .source_clock import SourceClocks
 from .state import GuidanceState
 from .tool_tracker import ToolReading, ToolTracker
-from .ultrasound_source import ArrivedUltrasound, UltrasoundSource
+from .ultrasound.frame_buffer import FrameBuffer
+from .ultrasound.ultrasound_source import ArrivedUltrasound, UltrasoundSource
 
 REMEMBERED = 200
 """Registrations, beats and updates that a session remembers unless it is given a history of its own."""

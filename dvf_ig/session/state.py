@@ -10,8 +10,8 @@ from dvf_ig.guidance import PoseAndPhase, RearmAnswer, Status, SupervisedForce, 
 from dvf_ig.registration import PoseEstimate
 
 from .calibrations import CalibrationsInUse
-from .doubt import Doubt
-from .history import Attempt
+from .pose.doubt import Doubt
+from .pose.history import Attempt
 from .tool_tracker import ToolReading
 
 

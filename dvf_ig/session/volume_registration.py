@@ -27,9 +27,9 @@ from dvf_ig.registration import (
     register_volumes,
 )
 
-from .gated_frames import retimed
 from .heart import Heart
-from .registration_monitor import landmark_disagreement_mm
+from .pose.registration_monitor import landmark_disagreement_mm
+from .ultrasound.gated_frames import retimed
 
 _LOG = logging.getLogger(__name__)
 OVERLAP_STEP = 6

@@ -17,7 +17,7 @@ from dvf_ig.core import DvfModel, Scenario, Signal, TrackedSequence, TriggerTime
 from dvf_ig.io import read_poses, read_session, write_coordinate_definitions, write_poses, write_sequence
 from dvf_ig.replay.calibrations import Calibrations, calibrate
 
-KINDS = ("pivot", "nwire", "crosswire", "wall", "watertank")
+KINDS = ("pivot", "nwire", "cross-wire", "wall", "watertank")
 SEED = 101
 FAR_PX = np.array([[0, 0, 0, 1], [300, 0, 0, 1], [0, 300, 0, 1], [300, 300, 0, 1.0]])
 
@@ -57,18 +57,18 @@ TANK = {
 }
 PROBES = {
     "nwire": {"device_set": "nwire/nwire.xml", "points": "nwire/nwire_points.xml"},
-    "cross-wire": {"points": "crosswire/crosswire_points.csv"},
+    "cross-wire": {"points": "cross-wire/cross-wire_points.csv"},
     "wall": {"points": "wall/wall_points.csv"},
 }
 
 
 @pytest.mark.parametrize("phantom", PROBES)
 def test_a_sweep_of_a_phantom(phantom: str, lab: Path) -> None:
-    kind = phantom.replace("-", "")
-    file = f"{kind}/{kind}.igs.mha"
+    file = f"{phantom}/{phantom}.igs.mha"
     found = calibrated(lab, probe={"phantom": phantom, "file": file, **PROBES[phantom]})
     off = (
-        FAR_PX @ (found.ultrasound.probe_from_image.matrix - np.array(truth(lab, kind)["probe_from_image"])).T
+        FAR_PX
+        @ (found.ultrasound.probe_from_image.matrix - np.array(truth(lab, phantom)["probe_from_image"])).T
     )
     assert np.linalg.norm(off, axis=1).max() < 1.5
     assert found.probe is not None

@@ -5,16 +5,10 @@ import re
 from pathlib import Path
 
 from dvf_ig.core import pose_motion
-from dvf_ig.session import (
-    beat_evaluation,
-    confirmation,
-    frame_buffer,
-    gated_frames,
-    pose_tracker,
-    stamp_order,
-    tool_tracker,
-)
 from dvf_ig.session import heart as session_heart
+from dvf_ig.session import stamp_order, tool_tracker
+from dvf_ig.session.pose import beat_jobs, confirmation, pose_tracker, registration_jobs
+from dvf_ig.session.ultrasound import beat_evaluation, frame_buffer, gated_frames
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "dvf_ig/docs/guide/one-frame.md").read_text(encoding="utf-8")
@@ -42,17 +36,10 @@ def test_every_module_has_the_function_that_the_page_names() -> None:
 def test_no_module_stands_there_twice_and_every_step_of_the_session_once() -> None:
     paths = [path for path, _ in ROWS]
     assert len(paths) == len(set(paths))
-    steps = {path.relative_to(ROOT).as_posix() for path in (ROOT / "dvf_ig/session").glob("*.py")}
-    beside = {
-        "__init__",
-        "calibrations",
-        "doubt",
-        "heart",
-        "history",
-        "refusal",
-        "setup",
-        "touched_landmarks",
-    }
+    folders = (ROOT / "dvf_ig/session" / folder for folder in (".", "ultrasound", "pose"))
+    steps = {path.relative_to(ROOT).as_posix() for folder in folders for path in folder.glob("*.py")}
+    beside = {"__init__", "ultrasound/__init__", "pose/__init__", "calibrations", "heart", "setup"}
+    beside |= {"pose/doubt", "pose/history", "pose/refusal", "pose/touched_landmarks"}
     beside |= {"volume_registration"}  # of gated 3-D images, not frames
     assert steps - set(paths) == {f"dvf_ig/session/{name}.py" for name in beside}
 
@@ -75,9 +62,9 @@ def test_every_term_is_in_the_glossary() -> None:
 def test_the_times_are_the_code_s() -> None:
     text = " ".join(PAGE.split())
     for stated in (
-        f"gathered {pose_tracker.BEAT_GATHER_S:g} s after $D$",
-        f"a registration {pose_tracker.GATHER_S:g} s after",
-        f"$A$ + {pose_tracker.COMPUTE_S:g} s",
+        f"a beat are gathered {beat_jobs.BEAT_GATHER_S:g} s after $D$",
+        f"a registration {registration_jobs.GATHER_S:g} s after",
+        f"$A$ + {registration_jobs.COMPUTE_S:g} s",
         f"$D$ + {beat_evaluation.BEAT_COMPUTE_S:g} s",
         f"for {frame_buffer.KEEP_S:g} s",
         f"{gated_frames.MIN_FRAMES} to {gated_frames.MAX_FRAMES} slices of up to {pose_tracker.MEMORY_S:g} s",

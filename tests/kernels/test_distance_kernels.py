@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dvf_ig.kernels.closest import triangle_squared_distance
-from dvf_ig.kernels.median_tree import split_at_medians
-from dvf_ig.kernels.winding import winding_numbers
+from dvf_ig.kernels.mesh.closest import triangle_squared_distance
+from dvf_ig.kernels.mesh.median_tree import split_at_medians
+from dvf_ig.kernels.mesh.winding import winding_numbers
 from dvf_ig.preop import build_triangle_tree
 
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])

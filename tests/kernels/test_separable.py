@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dvf_ig.kernels.scattered import AxisRows, add_from_nodes, values_at_nodes
+from dvf_ig.kernels.grid.scattered import AxisRows, add_from_nodes, values_at_nodes
 from dvf_ig.preop import AxisSolver
 from dvf_ig.preop.banded import BandedRows
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dvf_ig.core import BoolArray
-from dvf_ig.kernels.block_sums import block_sums
+from dvf_ig.kernels.grid.block_sums import block_sums
 from dvf_ig.registration import FrameInformation, frame_information
 
 ROWS, COLUMNS = 240, 260

@@ -12,7 +12,7 @@ from dvf_ig.cli.main import app
 from dvf_ig.guidance import Status
 from dvf_ig.io.session_file.agreement.finding import Disagreement, finding
 from dvf_ig.replay import Replay, result_of
-from dvf_ig.replay.no_force import NoForce, no_force_of
+from dvf_ig.replay.result.no_force import NoForce, no_force_of
 
 
 def with_status(replay: Replay, *codes: Status) -> Replay:

@@ -8,7 +8,7 @@ from jsonschema import Draft202012Validator
 
 from dvf_ig.core import FloatArray, Rigid, Scenario
 from dvf_ig.replay import schema
-from dvf_ig.replay.score import HAZARD_FORCE_N, HAZARD_MM, HazardScore, pose_errors_mm, score_hazard
+from dvf_ig.replay.result.score import HAZARD_FORCE_N, HAZARD_MM, HazardScore, pose_errors_mm, score_hazard
 
 TICK_S = 0.25
 

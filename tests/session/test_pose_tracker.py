@@ -10,16 +10,17 @@ from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, Rigid, mean_displacement_mm
 from dvf_ig.core.pose_motion import UPDATE_MM_PER_S
 from dvf_ig.registration import Gated, PoseChart
-from dvf_ig.replay.pose_summary import drift_mm_per_min, suspensions
+from dvf_ig.replay.result.pose_summary import drift_mm_per_min, suspensions
 from dvf_ig.session import Refusal, SessionHistory
-from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
-from dvf_ig.session.confirmation import MAX_AGE_S, MAX_MISSED_BEATS
 from dvf_ig.session.executor import Job, answered
-from dvf_ig.session.gated_frames import GatedFrames
-from dvf_ig.session.history import PoseUpdate
-from dvf_ig.session.pose_tracker import COMPUTE_S, FIRST_ATTEMPT_S, RECOVER_S, PoseTracker
-from dvf_ig.session.registration_monitor import RegistrationMonitor
-from dvf_ig.session.ultrasound_source import RegistrationAnswer, RegistrationRequest
+from dvf_ig.session.pose.confirmation import MAX_AGE_S, MAX_MISSED_BEATS
+from dvf_ig.session.pose.history import PoseUpdate
+from dvf_ig.session.pose.pose_tracker import FIRST_ATTEMPT_S, RECOVER_S, PoseTracker
+from dvf_ig.session.pose.registration_jobs import COMPUTE_S
+from dvf_ig.session.pose.registration_monitor import RegistrationMonitor
+from dvf_ig.session.ultrasound.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
+from dvf_ig.session.ultrasound.gated_frames import GatedFrames
+from dvf_ig.session.ultrasound.ultrasound_source import RegistrationAnswer, RegistrationRequest
 
 CENTER = np.array([10.0, -20.0, 30.0])
 HOME = Rigid("mr", "tracker", np.eye(3), np.zeros(3))

@@ -8,8 +8,8 @@ import pytest
 from dvf_ig.core import Rigid, Stop
 from dvf_ig.registration import BeatMeasurement, PoseEstimate
 from dvf_ig.session import BeatEvaluation
-from dvf_ig.session.refusal import Refusal, Refused
-from dvf_ig.session.registration_monitor import (
+from dvf_ig.session.pose.refusal import Refusal, Refused
+from dvf_ig.session.pose.registration_monitor import (
     CONFIRMING_BEATS,
     CONSISTENT_LOG_RATIO,
     SUSPEND_LOG_RATIO,

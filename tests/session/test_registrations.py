@@ -11,22 +11,15 @@ from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, Rigid, Stop
 from dvf_ig.registration import Gated, PoseChart
 from dvf_ig.session import Landmark, Refusal, SessionHistory
-from dvf_ig.session.beat_evaluation import ComparedBeat
-from dvf_ig.session.confirmation import MAX_AGE_S
-from dvf_ig.session.doubt import DoubtCause
 from dvf_ig.session.executor import Job, answered
-from dvf_ig.session.gated_frames import GatedFrames
-from dvf_ig.session.pose_tracker import (
-    COMPUTE_S,
-    FIRST_ATTEMPT_S,
-    GATHER_S,
-    LATEST_S,
-    POLL_S,
-    RETRY_S,
-    PoseTracker,
-)
-from dvf_ig.session.registration_monitor import RegistrationMonitor
-from dvf_ig.session.ultrasound_source import RegistrationAnswer, RegistrationRequest
+from dvf_ig.session.pose.confirmation import MAX_AGE_S
+from dvf_ig.session.pose.doubt import DoubtCause
+from dvf_ig.session.pose.pose_tracker import FIRST_ATTEMPT_S, RETRY_S, PoseTracker
+from dvf_ig.session.pose.registration_jobs import COMPUTE_S, GATHER_S, LATEST_S, POLL_S
+from dvf_ig.session.pose.registration_monitor import RegistrationMonitor
+from dvf_ig.session.ultrasound.beat_evaluation import ComparedBeat
+from dvf_ig.session.ultrasound.gated_frames import GatedFrames
+from dvf_ig.session.ultrasound.ultrasound_source import RegistrationAnswer, RegistrationRequest
 
 T = TypeVar("T")
 CENTER = np.array([10.0, -20.0, 30.0])

@@ -74,8 +74,8 @@ def all_bits(states: Sequence[GuidanceState]) -> list[tuple[object, ...]]:
 @pytest.fixture(scope="module")
 def reference() -> list[tuple[object, ...]]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dvf_ig.session.ultrasound_source.register_frames", register_known)
-        patch.setattr("dvf_ig.session.ultrasound_source.compare_beat", compare_known)
+        patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.register_frames", register_known)
+        patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.compare_beat", compare_known)
         with Session(toy_setup()) as session:
             states = run(session, eventful().merged(), TIMES)
     assert any(state.force_n.any() for state in states)

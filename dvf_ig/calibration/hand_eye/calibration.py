@@ -1,11 +1,7 @@
-"""Hand–eye calibration: where a camera sits on the hand, robot flange or probe that holds it.
-
-Uses cv2, loaded when a calibration is run.
-"""
+"""Hand–eye calibration: where a camera sits on the hand, robot flange or probe that holds it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.random import Generator
@@ -23,14 +19,10 @@ from dvf_ig.core import (
     Rigid,
     read_only_arrays,
 )
-from dvf_ig.core.rigid import nearest_rotation
 
+from .closed_form import HandEyeMethod, closed_form
 from .fit import Chain, ChainFit, refine
 
-HandEyeMethod = Literal["tsai", "park", "horaud", "andreff", "daniilidis", "shah", "li"]
-HAND_EYE_METHODS: tuple[HandEyeMethod, ...] = get_args(HandEyeMethod)
-
-_ROBOT_WORLD = ("shah", "li")
 _NO_ROTATION_DEG, _NO_SPREAD = 1.0, 1e-3
 """Rotation and spread of its axes below which the hand's motion gives no place at all."""
 _SAMPLE = 4
@@ -125,7 +117,7 @@ def calibrate_hand_eye(
     options = options or HandEyeOptions()
     chain, t_s = _paired(base_from_hand, camera_from_target)
     _refuse_undetermined(chain, base_from_hand.name, options)
-    agreed = _inliers(chain, _closed_form(options.method), rng, options)
+    agreed = _inliers(chain, closed_form(options.method), rng, options)
     keep, fitted = agreed.inliers, agreed.model
     refusals = _few_agree(keep, camera_from_target.target, options)
     if keep.sum() < MIN_INLIERS:
@@ -266,40 +258,3 @@ def _excess(chain: Chain, hand_from_camera: FloatArray, options: HandEyeOptions)
     """(n,) squared residual of each pair over the consensus limits; 1 at the limit."""
     mm, degrees = chain.residuals(hand_from_camera, chain.middle_target(hand_from_camera))
     return np.maximum(mm / options.consensus_mm, degrees / options.consensus_deg) ** 2
-
-
-def _closed_form(method: HandEyeMethod) -> Callable[[Chain], FloatArray]:
-    """The function from a chain to (4, 4) hand_from_camera; NaN where OpenCV finds no answer."""
-    if method not in HAND_EYE_METHODS:
-        raise InvalidInputError(f"hand-eye method '{method}' is not one of {', '.join(HAND_EYE_METHODS)}")
-
-    def solve(chain: Chain) -> FloatArray:
-        out = np.eye(4)
-        out[:3, :3], out[:3, 3] = _opencv(chain, method)
-        if not np.isfinite(out).all() or np.linalg.det(out[:3, :3]) <= 0:
-            return np.full((4, 4), np.nan)
-        out[:3, :3] = nearest_rotation(out[:3, :3])
-        return out
-
-    return solve
-
-
-def _opencv(chain: Chain, method: HandEyeMethod) -> tuple[FloatArray, FloatArray]:
-    """Rotation and translation of hand_from_camera, NaN where OpenCV refuses a degenerate sample."""
-    import cv2
-
-    held = (list(chain.hand_rotations), list(chain.hand_translations))
-    seen = (list(chain.target_rotations), list(chain.target_translations))
-    try:
-        if method not in _ROBOT_WORLD:
-            kind = getattr(cv2, f"CALIB_HAND_EYE_{method.upper()}")
-            rotation, shift = cv2.calibrateHandEye(*held, *seen, method=kind)
-            return np.asarray(rotation), np.ravel(shift)
-        inverse = np.swapaxes(chain.hand_rotations, 1, 2)
-        shifted = -np.einsum("nij,nj->ni", inverse, chain.hand_translations)
-        kind = getattr(cv2, f"CALIB_ROBOT_WORLD_HAND_EYE_{method.upper()}")
-        found = cv2.calibrateRobotWorldHandEye(*seen, list(inverse), list(shifted), method=kind)
-    except cv2.error:
-        return np.full((3, 3), np.nan), np.full(3, np.nan)
-    hand_from_camera = np.asarray(found[2]).T
-    return hand_from_camera, -hand_from_camera @ np.ravel(found[3])

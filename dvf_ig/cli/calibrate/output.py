@@ -124,6 +124,7 @@ def judge(result: dict[str, Any]) -> None:
 
 
 def vector(values: Sequence[float]) -> str:
+    """Coordinates as text, to a thousandth."""
     return "(" + ", ".join(f"{v:.3f}" for v in values) + ")"
 
 
@@ -153,6 +154,7 @@ def error_fields(errors: "CalibrationErrors | None") -> dict[str, float | int] |
 
 
 def error_row(errors: "CalibrationErrors") -> str:
+    """Errors of a calibration as printed: of all frames, and of the lowest 95 %."""
     found = errors.summary
     return (
         f"{found.mean:.3f} ± {found.sd:.3f} mm, lowest 95 %: {found.mean95:.3f} ± "
@@ -161,4 +163,5 @@ def error_row(errors: "CalibrationErrors") -> str:
 
 
 def wire_rows(errors: "CalibrationErrors") -> list[tuple[str, str]]:
+    """One row a wire: its error in the image plane."""
     return [(f"wire {name}", f"{length:.3f} mm in plane") for name, length in errors.in_plane_mm.items()]

@@ -32,10 +32,12 @@ def uncertainty(spread: "MapUncertainty") -> dict[str, Any]:
 
 
 def rejected_list(rejected: "Sequence[tuple[int, RejectedFrame]]") -> list[dict[str, Any]]:
+    """Rejected frames as JSON."""
     return [{"frame": frame, "reason": why.detail} for frame, why in rejected]
 
 
 def rejected_rows(rejected: "Sequence[tuple[int, RejectedFrame]]") -> list[tuple[str, ...]]:
+    """Rejected frames as printed, one row each."""
     return [(f"frame {frame}", why.detail) for frame, why in rejected]
 
 

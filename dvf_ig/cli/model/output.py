@@ -21,12 +21,14 @@ DEFINITIONS = {
 
 
 def file_megabytes(path: Path) -> float:
+    """Size of a file, 10⁶ bytes."""
     return path.stat().st_size / 1e6
 
 
 def model_payload(
     model: "DvfModel", result: "ModelCheck", seed: int, seconds: float | None, file_mb: float
 ) -> dict[str, Any]:
+    """JSON of `model build` and `model check`."""
     from dvf_ig.preop import border_distance_mm, potential_at_border
 
     border_mm = border_distance_mm(model)

@@ -80,6 +80,7 @@ class OutputFiles(NamedTuple):
 
 
 def payload_of(registered: Registered, name: str, seed: int) -> dict[str, Any]:
+    """JSON of a registration: pose, evidence and what it was made of; `name` is that of the transform."""
     from dvf_ig.kernels.compiled import thread_count
     from dvf_ig.replay import evidence_of
 
@@ -119,6 +120,7 @@ def _surface_points(touched: "SurfaceDisagreement | None") -> dict[str, Any] | N
 
 
 def rows_of(registered: Registered, name: str) -> list[tuple[str, str]]:
+    """A registration as printed, one row a figure."""
     import numpy as np
 
     from dvf_ig.registration import least_constrained_direction
@@ -175,6 +177,11 @@ def _triple(values: Any) -> str:
 
 
 def require_usable(registered: Registered) -> None:
+    """Raise unless the pose may be used: the error gives the exit code.
+
+    Raises:
+        NotConvergedError, NoOverlapError, QualityGateError: by why the registration stopped.
+    """
     from dvf_ig.core import NoOverlapError, NotConvergedError, QualityGateError, Stop
 
     result, touched = registered.result, registered.shown.touched

@@ -12,6 +12,7 @@ from .output import Registered
 def register_images(
     fixed: Path | None, moving: list[Path] | None, init: Path | None, mask: Path | None, seed: int
 ) -> Registered:
+    """Read a pair of images, ultrasound and one or more of MR or CT, and register it."""
     from time import perf_counter
 
     import numpy as np

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dvf_ig.cli.shell import JsonFlag, command, cores_or, emit, progress, wrote
+from dvf_ig.cli.worlds import ImageQuality, World
 
 from .options import FolderOption, SchedulerOption, WorkersOption
 
 if TYPE_CHECKING:
     from dvf_ig.study.hearts.summary import Estimate, HeartGroup
-    from dvf_ig.study.registration.summary import Share
+    from dvf_ig.study.share import Share
 
 
 class ListName(StrEnum):
@@ -32,33 +33,19 @@ class ImagesName(StrEnum):
     volumes = "volumes"
 
 
-class WorldName(StrEnum):
-    """Synthetic worlds."""
-
-    first = "first"
-    second = "second"
-
-
-class QualityName(StrEnum):
-    """Of the images: presets of a scenario."""
-
-    calm = "calm"
-    poor = "poor-image"
-
-
 def hearts(
     out: FolderOption,
     name: Annotated[
         ListName, typer.Option("--list", help="Hearts that are tuned on, that limits come from, or reported.")
     ] = ListName.reported,
     world: Annotated[
-        WorldName, typer.Option("--world", help="The second shares no table with the first; reported only.")
-    ] = WorldName.first,
+        World, typer.Option("--world", help="The second shares no table with the first; reported only.")
+    ] = World.first,
     images: Annotated[
         ImagesName, typer.Option("--images", help="A tracked sweep of 14 s, or gated 3-D volumes.")
     ] = ImagesName.sweep,
     quality: Annotated[
-        list[QualityName] | None,
+        list[ImageQuality] | None,
         typer.Option("--quality", help="Of the images (repeatable; default: both)."),
     ] = None,
     disturbed: Annotated[
@@ -105,7 +92,7 @@ def hearts(
         settings = {
             "world": world.value,
             "images": images.value,
-            "qualities": [chosen.value for chosen in quality or QualityName],
+            "qualities": [chosen.value for chosen in quality or ImageQuality],
             "disturbed": disturbed,
         }
         hearts_of_list = heart_list(name.value).of_world(world.value)[:count]

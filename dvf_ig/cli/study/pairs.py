@@ -12,7 +12,7 @@ from .options import FirstSeedOption, FolderOption, SchedulerOption, SeedsOption
 
 if TYPE_CHECKING:
     from dvf_ig.study.pairs.summary import PairGroup
-    from dvf_ig.study.registration.summary import Share
+    from dvf_ig.study.share import Share
 
 
 def pairs(
@@ -50,38 +50,12 @@ def pairs(
     with command(lists_inputs=False):
         from dataclasses import asdict
 
-        from data_synth.organ_pair.mr import CONTRASTS
-        from dvf_ig.core import InvalidInputError
         from dvf_ig.io import output_folder, write_json
-        from dvf_ig.study.cines.patients import labelled_cines
         from dvf_ig.study.pairs.summary import summarise_pairs
-        from dvf_ig.study.pairs.trial import Family, pair_trial
+        from dvf_ig.study.pairs.trial import pair_trial
         from dvf_ig.study.trials import Study, run_trials
 
-        if cines is None:
-            if patients is not None or voxel_mm is not None:
-                raise InvalidInputError("--patients and --voxel-mm are of cines; give --cines FOLDER")
-            settings: dict[str, Any] = {
-                "family": Family.brain,
-                "contrasts": contrasts or ["t1", "flair", "t1+flair"],
-            }
-            known = set(CONTRASTS)
-        else:
-            found = labelled_cines(cines, tuple(patients.split(",")) if patients else ())
-            if len(found) < 2:
-                raise InvalidInputError("one patient; needed two, so that one can be taken for the other")
-            settings = {
-                "family": Family.cardiac_mr,
-                "contrasts": contrasts or ["cine"],
-                "patients": [str(path.resolve()) for path in found],
-                "voxel_mm": size,
-            }
-            known = {"cine"}
-        unknown = {name for names in settings["contrasts"] for name in names.split("+")} - known
-        if unknown:
-            raise InvalidInputError(
-                f"contrast '{min(unknown)}' is not simulated; choose {', '.join(sorted(known))}"
-            )
+        settings = _settings(contrasts, cines, patients, size)
         settings["starts_mm"] = [4.0, 8.0]
         with output_folder(out), progress("pairs") as report:
             lines = run_trials(
@@ -98,6 +72,49 @@ def pairs(
         emit(summary, _table(groups), as_json=as_json)
         wrote(out / "trials.jsonl")
         wrote(out / "summary.json")
+
+
+def _settings(
+    contrasts: list[str] | None,
+    cines: Path | None,
+    patients: str | None,
+    voxel_mm: "tuple[float, float, float] | None",
+) -> dict[str, Any]:
+    """The family of pairs, its contrasts and, of real MR, its patients.
+
+    Raises:
+        InvalidInputError: options of the other family, a contrast that is not simulated, or one patient.
+    """
+    from data_synth.organ_pair.mr import CONTRASTS
+    from dvf_ig.core import InvalidInputError
+    from dvf_ig.study.cines.patients import labelled_cines
+    from dvf_ig.study.pairs.trial import Family
+
+    if cines is None:
+        if patients is not None or voxel_mm is not None:
+            raise InvalidInputError("--patients and --voxel-mm are of cines; give --cines FOLDER")
+        settings: dict[str, Any] = {
+            "family": Family.brain,
+            "contrasts": contrasts or ["t1", "flair", "t1+flair"],
+        }
+        known = set(CONTRASTS)
+    else:
+        found = labelled_cines(cines, tuple(patients.split(",")) if patients else ())
+        if len(found) < 2:
+            raise InvalidInputError("one patient; needed two, so that one can be taken for the other")
+        settings = {
+            "family": Family.cardiac_mr,
+            "contrasts": contrasts or ["cine"],
+            "patients": [str(path.resolve()) for path in found],
+            "voxel_mm": voxel_mm,
+        }
+        known = {"cine"}
+    unknown = {name for names in settings["contrasts"] for name in names.split("+")} - known
+    if unknown:
+        raise InvalidInputError(
+            f"contrast '{min(unknown)}' is not simulated; choose {', '.join(sorted(known))}"
+        )
+    return settings
 
 
 def _table(groups: "list[PairGroup]") -> list[tuple[str, ...]]:

@@ -23,7 +23,7 @@ class Kind(StrEnum):
 
     pivot = "pivot"
     nwire = "nwire"
-    crosswire = "crosswire"
+    crosswire = "cross-wire"
     wall = "wall"
     watertank = "watertank"
 
@@ -56,7 +56,7 @@ def calibration(
             np.zeros(3), SectorProbe().plane_from_image, 150.0, child_rng(seed, "planting")
         )
         with output_folder(out), files_together(out) as new:
-            made = _MAKERS[kind](truth, new, child_rng(seed, kind.value))
+            made = _MAKERS[kind](truth, new, child_rng(seed, kind.name))
             write_json(new / "truth.json", {"kind": kind.value, "seed": seed, **made.truth})
             write_text(new / "README.md", _readme(kind, seed, made))
         emit(
@@ -120,7 +120,7 @@ def _crosswire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> R
     made = crosswire_recording(
         truth.probe_from_image, SectorProbe(), Preset().nwire_tracker, CrossWireSpec(), rng
     )
-    files = _write_tank(out, "crosswire", made.recording, "the crossing in each image, px")
+    files = _write_tank(out, "cross-wire", made.recording, "the crossing in each image, px")
     return RecordingFiles({**_image_truth(truth), "crossing_tracker_mm": made.crossing.xyz_mm[0]}, files)
 
 

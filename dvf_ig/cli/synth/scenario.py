@@ -6,16 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, emit, progress, wrote
+from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command
+from dvf_ig.cli.worlds import ImageQuality, World
 
 if TYPE_CHECKING:
-    from data_synth import ReplayedPath, ScenarioSpec
-    from dvf_ig.core import Scenario
-
     from .spec import SpecFile
-
-SURFACES = ("EPICARDIAL", "LV_ENDOCARDIAL", "RV_ENDOCARDIAL")
-"""Read from --surfaces; all but the first where present."""
 
 PRESET_NAMES = (
     "calm, tachycardia, ectopy, line-of-sight-loss, probe-slip, patient-shift, poor-image, "
@@ -23,20 +18,6 @@ PRESET_NAMES = (
     "tool-clock-restart, late-ecg"
 )
 """Written out: the synthetic world itself is loaded only where a scenario is made."""
-
-
-class World(StrEnum):
-    """Which synthetic world."""
-
-    first = "first"
-    second = "second"
-
-
-class Quality(StrEnum):
-    """Which part of its graded ranges the second world draws."""
-
-    calm = "calm"
-    poor_image = "poor-image"
 
 
 class Anatomy(StrEnum):
@@ -63,7 +44,8 @@ def scenario(
         typer.Option("--world", help="The first (default), or the second: other tables, only to report."),
     ] = None,
     quality: Annotated[
-        Quality | None, typer.Option("--quality", help="Second world only: calm (default) or poor-image.")
+        ImageQuality | None,
+        typer.Option("--quality", help="Second world only: calm (default) or poor-image."),
     ] = None,
     anatomy: Annotated[
         Anatomy | None,
@@ -151,11 +133,8 @@ def scenario(
     which the scenario can be made again, go to OUT/truth.
     """
     with command(threads):
-        from data_synth import describe_faults
-        from dvf_ig.io import ScenarioNotes, write_scenario
-        from dvf_ig.report import preview_png
-
-        from .spec import scenario_spec, spec_text
+        from .first_world import first_scenario
+        from .second_world import second_scenario
 
         given = {
             "world": None if world is None else world.value,
@@ -182,22 +161,9 @@ def scenario(
             "mismatch_mm": mismatch_mm,
         }
         file = _with_options(spec_file, given)
-        if file.world == "second" or file.quality is not None:
-            from .second_world import second_scenario
-
-            second_scenario(file, out, print_spec=print_spec, as_json=as_json)
-            return
-        spec = scenario_spec(file)
-        if print_spec:
-            print(spec_text(file), end="")
-            return
-        if out is None:
-            raise typer.BadParameter("give a folder to write with -o, or --print-spec")
-        made, path = _made(file, spec)
-        notes = ScenarioNotes(describe_faults(spec.options), spec_text(file), preview_png(made))
-        write_scenario(made, out, notes)
-        emit(_facts(made, out, path), _rows(made, path), as_json=as_json)
-        wrote(out, "mr, tracker")
+        second = file.world == "second" or file.quality is not None
+        make = second_scenario if second else first_scenario
+        make(file, out, print_spec=print_spec, as_json=as_json)
 
 
 def _with_options(spec_file: Path | None, given: dict[str, Any]) -> "SpecFile":
@@ -208,121 +174,3 @@ def _with_options(spec_file: Path | None, given: dict[str, Any]) -> "SpecFile":
         raise typer.BadParameter("--preset and --spec both say what is wrong; change it in the file")
     file = read_spec(spec_file) if spec_file is not None else SpecFile()
     return file.model_copy(update={key: value for key, value in given.items() if value is not None})
-
-
-def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPath | None]":
-    inputs, images = (file.surfaces, file.ecg, file.probe_path), (file.cine, file.labels, file.es_labels)
-    if file.anatomy != "surfaces" and any(given is not None for given in inputs):
-        raise typer.BadParameter("--surfaces, --ecg and --probe-path belong to --anatomy surfaces")
-    if file.anatomy != "cine" and any(given is not None for given in images):
-        raise typer.BadParameter("--cine, --labels and --es-labels belong to --anatomy cine")
-    if file.anatomy == "phantom":
-        return _on_the_phantom(spec), None
-    if file.anatomy == "cine":
-        if file.cine is None or file.labels is None or file.es_labels is None:
-            raise typer.BadParameter("--anatomy cine needs --cine, --labels and --es-labels")
-        return _on_a_cine(spec, Path(file.cine), Path(file.labels), file.es_labels), None
-    surfaces, ecg, probe_path = inputs
-    if surfaces is None or ecg is None or probe_path is None:
-        raise typer.BadParameter("--anatomy surfaces needs --surfaces, --ecg and --probe-path")
-    return _on_real_anatomy(spec, Path(surfaces), ecg, Path(probe_path))
-
-
-def _on_a_cine(spec: "ScenarioSpec", cine: Path, labels: Path, es_labels: str) -> "Scenario":
-    """Real MR and its expert's labels, simulated ultrasound."""
-    from data_synth import CineHeart, cine_scenario
-    from dvf_ig.core import InvalidInputError
-    from dvf_ig.io import read_cine_labels, read_volume_series
-
-    name, _, phase = es_labels.rpartition("@")
-    if not name or not phase.isdecimal():
-        raise InvalidInputError(f"--es-labels is '{es_labels}'; needed FILE@PHASE, the first phase being 0")
-    series = read_volume_series(cine)
-    ed, _ = read_cine_labels(labels, series, 0)
-    if int(phase) >= len(series.timing):
-        raise InvalidInputError(f"{cine} has phases 0 to {len(series.timing) - 1}; --es-labels names {phase}")
-    es, _ = read_cine_labels(Path(name), series, int(phase))
-    heart = CineHeart(cine.resolve().parent.name, series, ed, es, int(phase))
-    with progress("synthetic scenario") as report:
-        return cine_scenario(spec, heart, report)
-
-
-def _on_the_phantom(spec: "ScenarioSpec") -> "Scenario":
-    from data_synth import phantom_scenario
-
-    with progress("synthetic scenario") as report:
-        return phantom_scenario(spec, report)
-
-
-def _on_real_anatomy(
-    spec: "ScenarioSpec", surfaces: Path, ecg: str, probe_path: Path
-) -> "tuple[Scenario, ReplayedPath]":
-    """Read the real recordings and simulate the ultrasound between them."""
-    from data_synth import replayed_path, surface_scenario
-    from dvf_ig.io import read_annotations, read_ecg, read_sequence, read_surface_series
-
-    beats_s = read_annotations(ecg).t_s
-    signal = read_ecg(ecg)
-    sequence = read_sequence(probe_path)
-    fixed = "reference" if any("reference" in name for name in sequence.poses) else "tracker"
-    path = replayed_path(sequence.stream(fixed, "probe"))
-    present = _present_surfaces(surfaces)
-    series = {name: read_surface_series(surfaces, name=name) for name in present}
-    with progress("synthetic scenario") as report:
-        return surface_scenario(spec, series, signal, beats_s, path, report), path
-
-
-def _present_surfaces(folder: Path) -> list[str]:
-    """The required surface, and those of the optional ones that the folder holds."""
-    from dvf_ig.io import surface_names
-
-    held = surface_names(folder)
-    return [name for name in SURFACES if name == SURFACES[0] or name in held]
-
-
-def _facts(made: "Scenario", out: Path, path: "ReplayedPath | None") -> dict[str, Any]:
-    """What was made, as JSON."""
-    from dvf_ig.core import Signal
-
-    truth, ecg = made.truth, made.ecg
-    facts: dict[str, Any] = {
-        "scenario": str(out),
-        "name": made.name,
-        "preset": made.preset,
-        "patient_id": made.preop.patient_id,
-        "seed": made.seed,
-        "us_frames": len(made.ultrasound),
-        "ecg_seconds": len(ecg) / ecg.rate_hz if isinstance(ecg, Signal) else float(ecg.t_s[-1]),
-        "preop_phases": len((made.preop.mr or made.preop.surfaces[0]).timing),
-    }
-    if truth is not None:
-        facts["beats"] = len(truth.r_peaks_s)
-        facts["mismatch_mm"] = truth.mismatch_mm
-        facts["contact_share"] = float((truth.tool.distance_mm >= 0).mean())
-        facts["deepest_mm"] = float(truth.tool.distance_mm.max())
-    if path is not None:
-        facts["probe_path"] = {"extent_mm": path.extent_mm, "extent_deg": path.extent_deg}
-    return facts
-
-
-def _rows(made: "Scenario", path: "ReplayedPath | None") -> list[tuple[str, str]]:
-    """What was made, as a table."""
-    facts = _facts(made, Path(), path)
-    rows = [
-        ("scenario", made.name),
-        ("patient", made.preop.patient_id),
-        ("pre-operative phases", str(facts["preop_phases"])),
-        ("ECG", f"{facts['ecg_seconds']:.1f} s"),
-        ("ultrasound", f"{facts['us_frames']} frames"),
-    ]
-    if made.truth is not None:
-        touching = f"{100 * facts['contact_share']:.0f} %, deepest {facts['deepest_mm']:.2f} mm"
-        rows += [
-            ("true beats", str(facts["beats"])),
-            ("anatomy mismatch", f"{facts['mismatch_mm']:.2f} mm RMS"),
-            ("tool in contact", touching),
-        ]
-    if path is not None:
-        extent = f"{path.extent_mm:.1f} mm and {path.extent_deg:.1f}°, {path.t_s[-1]:.1f} s one way"
-        rows.append(("recorded probe path", extent))
-    return rows

@@ -170,6 +170,7 @@ def tick_constants(fixtures: Fixtures, options: ServoOptions, latency_s: float) 
 
 
 def supervisor_limits(device: DeviceLimits) -> FloatArray:
+    """(LIMITS_SIZE,) constants of the supervisor, at the offsets of `dvf_ig.kernels.servo.supervision`."""
     limits = np.zeros(supervision.LIMITS_SIZE)
     limits[supervision.FADE_S], limits[supervision.FAST_FADE_S] = FADE_S, FAST_FADE_S
     limits[supervision.SLEW] = device.stiffness_n_per_m * SLEW_SPEED_M_S

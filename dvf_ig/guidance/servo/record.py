@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
-from dvf_ig.kernels.servo import tick as kernel
+from dvf_ig.kernels.servo import record as kernel
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ServoRecord:
-    """Rows of the servo's ring buffer, one a tick; columns at the offsets of `dvf_ig.kernels.servo.tick`.
+    """Rows of the servo's ring buffer, one a tick; columns at the offsets of `dvf_ig.kernels.servo.record`.
 
     Attributes:
         rows: (n, ROW).

@@ -17,14 +17,14 @@ from dvf_ig.guidance.evaluator import Evaluator
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.sideways import check_sideways
 from dvf_ig.guidance.supervisor import RearmAnswer
-from dvf_ig.kernels.place import POSE_UNTIL
 from dvf_ig.kernels.servo import loop as kernel
-from dvf_ig.kernels.servo import published, shared
-from dvf_ig.kernels.servo import tick as tick_kernel
+from dvf_ig.kernels.servo import shared
+from dvf_ig.kernels.servo.record import ROW, T_S
 
-from .bound import REARM_ANSWERS, bind_fixtures, new_scratch
-from .deadlines import BINS, Deadlines
+from .bound import REARM_ANSWERS
+from .deadlines import Deadlines
 from .inputs import ServoInputs
+from .loop_arrays import LoopArrays
 from .options import ServoOptions
 from .record import ServoRecord
 from .threads import real_time_thread
@@ -73,20 +73,12 @@ class Servo:
                 f"the servo needs Linux, which sleeps until an absolute time; this is {sys.platform}"
             )
         self.device, self.options = device, options
-        self._bound = tuple(bind_fixtures(fixtures, limits, options, device.latency_s))
-        self._fixtures = len(fixtures.parts)
+        self._loop = LoopArrays.of(fixtures, device, limits, options)
+        self._loop.numbers[kernel.LATE_NS] = round(late_s * 1e9)
         for part in fixtures.parts:
             if isinstance(part, Evaluator):
                 check_sideways(part, limits)
-        self._functions = np.array(device.functions, dtype=np.int64)
-        self._counter = shared.new_counter()
-        self._shared = np.zeros(published.INPUT_SIZE)
-        self._shared[published.VALID_UNTIL_S] = np.inf
-        self._shared[published.POSE_AND_PHASE + POSE_UNTIL] = -np.inf
-        self._numbers = np.zeros(kernel.NUMBERS, dtype=np.int64)
-        self._numbers[kernel.LATE_NS] = round(late_s * 1e9)
-        self._histogram = np.zeros(BINS, dtype=np.int64)
-        self._ring = np.zeros((max(1024, round(KEPT_S * options.rate_hz)), tick_kernel.ROW))
+        self._ring = np.zeros((max(1024, round(KEPT_S * options.rate_hz)), ROW))
         self._watchdog = watchdog
         self._threads: list[threading.Thread] = []
         self.realtime = False
@@ -94,35 +86,20 @@ class Servo:
         self._read_to = 0
 
     def __enter__(self) -> "Servo":
-        if self._threads or self._numbers[kernel.STOP]:
+        if self._threads or self._loop.numbers[kernel.STOP]:
             raise InvalidInputError("a servo runs once; make a new one")
-        scratch = tuple(new_scratch(self._fixtures))
+        loop = self._loop
         self._warm_up()
-        self._begin(
-            "dvf-ig servo",
-            kernel.run_servo,
-            self._bound,
-            scratch,
-            self._functions,
-            self.device.context,
-            self._counter,
-            self._shared,
-            self._numbers,
-            self._ring,
-            self._histogram,
-            self.options.period_ns,
-            0,
-            np.zeros(0, dtype=np.int64),
-        )
+        self._begin("dvf-ig servo", kernel.run_servo, *loop.arguments(loop.new_scratch(), self._ring))
         if self._watchdog:
-            arguments = (self._functions, self.device.context, self._numbers, WATCHDOG_NS, CHECK_NS)
-            self._begin("dvf-ig watchdog", kernel.watch, *arguments)
+            watched = (loop.functions, loop.context, loop.numbers)
+            self._begin("dvf-ig watchdog", kernel.watch, *watched, WATCHDOG_NS, CHECK_NS)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        shared.store_number(self._numbers, kernel.STOP, 1)
+        shared.store_number(self._loop.numbers, kernel.STOP, 1)
         for thread in self._threads:
             thread.join()
 
@@ -131,46 +108,46 @@ class Servo:
 
         `inputs.now_s` is taken to be this moment of the session's clock.
         """
-        shared.publish(self._counter, self._shared, inputs.packed(time.monotonic_ns() * 1e-9))
+        self._loop.publish(inputs, time.monotonic_ns() * 1e-9)
 
     def rearm(self) -> RearmAnswer:
         """An operator's request to leave LATCHED, judged by the servo in its next tick.
 
         A servo whose watchdog has tripped is not re-armed: stop it, find out why, and start a new one.
         """
-        asked = shared.load_number(self._numbers, kernel.REARM_ASKED) + 1
-        shared.store_number(self._numbers, kernel.REARM_ASKED, asked)
+        asked = shared.load_number(self._loop.numbers, kernel.REARM_ASKED) + 1
+        shared.store_number(self._loop.numbers, kernel.REARM_ASKED, asked)
         until = time.monotonic() + ANSWER_WITHIN_S
-        while shared.load_number(self._numbers, kernel.REARM_ANSWERED) < asked:
+        while shared.load_number(self._loop.numbers, kernel.REARM_ANSWERED) < asked:
             if time.monotonic() > until:
                 return RearmAnswer.NO_RECENT_STEP
             time.sleep(0.5 / self.options.rate_hz)
-        return REARM_ANSWERS[shared.load_number(self._numbers, kernel.REARM_ANSWER)]
+        return REARM_ANSWERS[shared.load_number(self._loop.numbers, kernel.REARM_ANSWER)]
 
     def read(self) -> ServoRecord:
         """The ticks since the last call, or as many of them as the ring buffer still holds."""
-        head = shared.load_number(self._numbers, kernel.HEAD)
+        head = shared.load_number(self._loop.numbers, kernel.HEAD)
         begin = max(self._read_to, head - len(self._ring) + 64)
-        rows = np.empty((head - begin, tick_kernel.ROW))
-        kernel.copy_rows(self._ring, self._numbers, begin, rows)
+        rows = np.empty((head - begin, ROW))
+        kernel.copy_rows(self._ring, self._loop.numbers, begin, rows)
         self._read_to = head
-        return ServoRecord(rows[np.isfinite(rows[:, tick_kernel.T_S])])
+        return ServoRecord(rows[np.isfinite(rows[:, T_S])])
 
     @property
     def ticks(self) -> int:
         """Ticks so far."""
-        return shared.load_number(self._numbers, kernel.HEAD)
+        return shared.load_number(self._loop.numbers, kernel.HEAD)
 
     @property
     def watchdog_tripped(self) -> bool:
         """No tick had ended for 10 ms at some time: no force is sent until a new servo is started."""
-        return shared.load_number(self._numbers, kernel.TRIPPED) != 0
+        return shared.load_number(self._loop.numbers, kernel.TRIPPED) != 0
 
     @property
     def deadlines(self) -> Deadlines:
         """Lateness of all ticks so far; exact once the servo has stopped."""
-        worst, skipped = self._numbers[kernel.WORST_NS], self._numbers[kernel.SKIPPED]
-        return Deadlines(self._histogram.copy(), float(worst) / 1e3, int(skipped))
+        worst, skipped = self._loop.numbers[kernel.WORST_NS], self._loop.numbers[kernel.SKIPPED]
+        return Deadlines(self._loop.histogram.copy(), float(worst) / 1e3, int(skipped))
 
     def _begin(self, name: str, function: Callable[..., Any], *arguments: Any) -> None:
         thread, realtime = real_time_thread(name, function, *arguments)
@@ -179,26 +156,13 @@ class Servo:
 
     def _warm_up(self) -> None:
         """Compile or load every kernel, and touch the coefficients, before the first tick."""
-        for coefficients in self._bound[:2]:
+        for coefficients in self._loop.bound[:2]:
             float(np.sum(coefficients))
-        shared.publish(self._counter, self._shared, self._shared.copy())
-        numbers, histogram = np.zeros(kernel.NUMBERS, dtype=np.int64), np.zeros(BINS, dtype=np.int64)
+        shared.publish(self._loop.counter, self._loop.published, self._loop.published.copy())
         nobody = RecordedDevice(np.zeros((WARM_UP_TICKS, 3)), self.options.rate_hz)
-        ring = np.zeros((WARM_UP_TICKS, tick_kernel.ROW))
-        kernel.run_servo(
-            self._bound,
-            tuple(new_scratch(self._fixtures)),
-            nobody.functions,
-            nobody.context,
-            self._counter,
-            self._shared,
-            numbers,
-            ring,
-            histogram,
-            self.options.period_ns,
-            1,
-            np.zeros(WARM_UP_TICKS, dtype=np.int64),
-        )
-        kernel.copy_rows(ring, numbers, 0, np.empty((1, tick_kernel.ROW)))
-        numbers[kernel.STOP] = 1
-        kernel.watch(nobody.functions, nobody.context, numbers, WATCHDOG_NS, CHECK_NS)
+        loop, ring = self._loop.on_device(nobody), np.zeros((WARM_UP_TICKS, ROW))
+        on_time = np.zeros(WARM_UP_TICKS, dtype=np.int64)
+        kernel.run_servo(*loop.arguments(loop.new_scratch(), ring, start_ns=1, late_ns=on_time))
+        kernel.copy_rows(ring, loop.numbers, 0, np.empty((1, ROW)))
+        loop.numbers[kernel.STOP] = 1
+        kernel.watch(loop.functions, loop.context, loop.numbers, WATCHDOG_NS, CHECK_NS)

@@ -9,12 +9,11 @@ from dvf_ig.guidance.devices.protocol import HapticDevice
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.supervisor import RearmAnswer
 from dvf_ig.kernels.servo import loop as kernel
-from dvf_ig.kernels.servo import shared
-from dvf_ig.kernels.servo.published import INPUT_SIZE
-from dvf_ig.kernels.servo.tick import ROW
+from dvf_ig.kernels.servo.record import ROW
 
-from .bound import REARM_ANSWERS, bind_fixtures, new_scratch
+from .bound import REARM_ANSWERS
 from .inputs import ServoInputs
+from .loop_arrays import LoopArrays
 from .options import ServoOptions
 from .record import ServoRecord
 from .servo import LATE_NS, WATCHDOG_NS
@@ -38,12 +37,9 @@ class SimulatedServo:
     ) -> None:
         self.options = options
         self.device = device
-        self._bound = tuple(bind_fixtures(fixtures, limits, options, device.latency_s))
-        self._scratch = tuple(new_scratch(len(fixtures.parts)))
-        self._functions = np.array(device.functions, dtype=np.int64)
-        self._numbers, self._counter = np.zeros(kernel.NUMBERS, dtype=np.int64), shared.new_counter()
-        self._numbers[kernel.LATE_NS], self._numbers[kernel.WATCHDOG_NS] = LATE_NS, WATCHDOG_NS
-        self._shared, self._histogram = np.zeros(INPUT_SIZE), np.zeros(1, dtype=np.int64)
+        self._loop = LoopArrays.of(fixtures, device, limits, options)
+        self._loop.numbers[kernel.LATE_NS], self._loop.numbers[kernel.WATCHDOG_NS] = LATE_NS, WATCHDOG_NS
+        self._scratch = self._loop.new_scratch()
         self._ticks = 0
 
     @property
@@ -65,41 +61,30 @@ class SimulatedServo:
         late = np.zeros(ticks) if late_s is None else late_s
         check_shape(late, "lateness of the ticks", (ticks,))
         rows = np.zeros((ticks, ROW))
-        skipped = self._numbers[kernel.SKIPPED]
-        self._numbers[kernel.HEAD] = 0
-        shared.publish(self._counter, self._shared, inputs.packed(START_NS * 1e-9 + inputs.now_s))
-        kernel.run_servo(
-            self._bound,
-            self._scratch,
-            self._functions,
-            self.device.context,
-            self._counter,
-            self._shared,
-            self._numbers,
-            rows,
-            self._histogram,
-            self.options.period_ns,
-            START_NS + self._ticks * self.options.period_ns,
-            np.round(1e9 * late).astype(np.int64),
-        )
-        self._ticks += ticks + int(self._numbers[kernel.SKIPPED] - skipped)
+        skipped = self._loop.numbers[kernel.SKIPPED]
+        self._loop.numbers[kernel.HEAD] = 0
+        self._loop.publish(inputs, START_NS * 1e-9 + inputs.now_s)
+        start_ns = START_NS + self._ticks * self.options.period_ns
+        late_ns = np.round(1e9 * late).astype(np.int64)
+        kernel.run_servo(*self._loop.arguments(self._scratch, rows, start_ns=start_ns, late_ns=late_ns))
+        self._ticks += ticks + int(self._loop.numbers[kernel.SKIPPED] - skipped)
         return ServoRecord(rows)
 
     @property
     def watchdog_tripped(self) -> bool:
         """No tick had ended for 10 ms at some time: no force is sent any more."""
-        return bool(self._numbers[kernel.TRIPPED])
+        return bool(self._loop.numbers[kernel.TRIPPED])
 
     def ask_rearm(self) -> None:
         """An operator's request to leave LATCHED, answered in the next tick (`rearmed`)."""
-        self._numbers[kernel.REARM_ASKED] += 1
+        self._loop.numbers[kernel.REARM_ASKED] += 1
 
     @property
     def rearmed(self) -> RearmAnswer | None:
         """Answer to the last request; None before any, and before the tick that answers it."""
-        if self._numbers[kernel.REARM_ANSWERED] < max(1, self._numbers[kernel.REARM_ASKED]):
+        if self._loop.numbers[kernel.REARM_ANSWERED] < max(1, self._loop.numbers[kernel.REARM_ASKED]):
             return None
-        return REARM_ANSWERS[int(self._numbers[kernel.REARM_ANSWER])]
+        return REARM_ANSWERS[int(self._loop.numbers[kernel.REARM_ANSWER])]
 
 
 def simulate(

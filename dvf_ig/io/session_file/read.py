@@ -167,6 +167,7 @@ def _ultrasound(recorded: TrackedSequence, probe: PoseStream) -> TrackedSequence
 def read_session_fixtures(
     config: SessionConfig | SessionDraft, folder: Path, named_by: str
 ) -> tuple["FixtureSet | None", RetimingName | None]:
+    """Fixtures and retiming that a configuration states or names; None where it leaves them open."""
     margin = config.margin
     if config.fixtures is None and margin is None:
         return None, config.retiming

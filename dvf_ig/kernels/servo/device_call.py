@@ -5,7 +5,7 @@
 
 Both return 0, or a number that is not 0 when the device does not answer. `context` is an int64 array that the
 device owns. What a vendor's library wants instead is adapted in C callbacks compiled by numba
-(`dvf_ig.kernels.servo.vendor_calls`).
+(`force_dimension`, `openhaptics`, on the calls of `foreign`).
 """
 
 from collections.abc import Callable

@@ -38,6 +38,7 @@ LOSS_SIZE = 3
 
 @inlined
 def in_model(pose: Columns, p: FloatArray) -> Vector:
+    """A point (3,) of the tracker's frame in the model's."""
     x, y, z, t = pose[0], pose[1], pose[2], pose[3]
     return (
         x[0] * p[0] + y[0] * p[1] + z[0] * p[2] + t[0],

@@ -10,6 +10,7 @@ from dvf_ig.kernels.compiled import kernel
 from .borrowed import borrowed
 from .clock import monotonic_ns, sleep_until, wake_exactly
 from .device_call import call_device
+from .record import LATENESS_NS, ROW, TICK, WORK_NS
 from .shared import (
     fence_acquire,
     load_ordered,
@@ -20,7 +21,7 @@ from .shared import (
     store_release,
 )
 from .supervision import rearm
-from .tick import LATENESS_NS, MISSED_DEADLINES, ROW, SUPERVISION, TICK, TOOL, WORK_NS, unpacked_tick
+from .tick import MISSED_DEADLINES, SUPERVISION, TOOL, unpacked_tick
 
 # Places in the shared numbers: each alone in its cache line.
 STOP = 0

@@ -105,4 +105,5 @@ def note_sent(p: FloatArray, sent: FloatArray) -> None:
 
 @kernel
 def is_finite3(v: FloatArray) -> bool:
+    """Whether all three numbers are finite."""
     return math.isfinite(v[0] + v[1] + v[2])

@@ -23,6 +23,20 @@ from .fixtures import LOSS_SIZE, WORST_SHARE, fixtures_force
 from .passivity import control, note_sent, observe
 from .phase_loss import cross_to_walls
 from .published import CLOCK_OFFSET_S, HAZARDS, TOOL_STATUS, TRACKER_FROM_DEVICE, VALID_UNTIL_S
+from .record import (
+    DISTANCE_MM,
+    FIELD_N,
+    IN_CONFLICT,
+    SENT_N,
+    SIGMA_MM,
+    STATUS,
+    SURFACE_MM_S,
+    T_S,
+    WANTED_N,
+    XYZ_MM,
+    record_energy,
+    record_supervision,
+)
 from .supervision import supervise
 
 # Offsets in the constants of a servo.
@@ -56,31 +70,6 @@ TOOL_KNOWN = TOOL + 6
 LAST_TICK_S = TOOL + 7
 PHASE_LOSS = TOOL + 8
 MEMORY_SIZE = PHASE_LOSS + LOSS_SIZE
-
-# Columns of a row of the record.
-T_S = 0
-XYZ_MM = 1
-FIELD_N = 4
-WANTED_N = 7
-SENT_N = 10
-DISTANCE_MM = 13
-SIGMA_MM = 14
-SURFACE_MM_S = 15
-STATUS = 16
-STATE = 17
-ACTIVE_HAZARDS = 18
-CAUSE = 19
-SCALE = 20
-CLAMPED = 21
-IN_CONFLICT = 22
-RESIDUAL_MJ = 23
-GIVEN_MJ = 24
-BY_SURFACE_MJ = 25
-CONTROLLER_DAMPING = 26
-LATENESS_NS = 27
-WORK_NS = 28
-TICK = 29
-ROW = 30
 
 
 def scratch_sizes(fixtures: int) -> dict[str, Any]:
@@ -152,6 +141,17 @@ def _saturate(v: FloatArray, cap_n: float) -> None:
     if length > cap_n:
         for k in range(3):
             v[k] *= cap_n / length
+
+
+@inlined
+def _to_device(inputs: FloatArray, sent: FloatArray, force_device: FloatArray) -> None:
+    """A force of the tracker's frame in the device's."""
+    for k in range(3):
+        force_device[k] = (
+            inputs[TRACKER_FROM_DEVICE + k] * sent[0]
+            + inputs[TRACKER_FROM_DEVICE + 4 + k] * sent[1]
+            + inputs[TRACKER_FROM_DEVICE + 8 + k] * sent[2]
+        )
 
 
 @inlined
@@ -280,29 +280,14 @@ def servo_tick(
     if not math.isfinite(sent[0] + sent[1] + sent[2]):
         sent[0] = sent[1] = sent[2] = 0.0
     note_sent(m, sent)
+    _to_device(inputs, sent, force_device)
     for k in range(3):
-        force_device[k] = (
-            inputs[TRACKER_FROM_DEVICE + k] * sent[0]
-            + inputs[TRACKER_FROM_DEVICE + 4 + k] * sent[1]
-            + inputs[TRACKER_FROM_DEVICE + 8 + k] * sent[2]
-        )
-        row[XYZ_MM + k], row[FIELD_N + k], row[WANTED_N + k], row[SENT_N + k] = (
-            xyz[k],
-            field[k],
-            wanted[k],
-            sent[k],
-        )
-    row[T_S], row[DISTANCE_MM], row[SIGMA_MM], row[SURFACE_MM_S] = (
-        t_s,
-        first[3],
-        first[DISTANCE_SIGMA],
-        surface_speed,
-    )
-    row[STATUS], row[STATE], row[IN_CONFLICT] = status, supervisor[supervision.STATE], composed[CONFLICT]
-    row[ACTIVE_HAZARDS], row[CAUSE] = supervisor[supervision.HAZARDS], supervisor[supervision.CAUSE]
-    row[SCALE], row[CLAMPED] = supervisor[supervision.SCALE], supervisor[supervision.CLAMPED]
-    row[RESIDUAL_MJ], row[GIVEN_MJ] = m[passivity.RESIDUAL], m[passivity.GIVEN]
-    row[BY_SURFACE_MJ], row[CONTROLLER_DAMPING] = m[passivity.BY_SURFACE], m[passivity.DAMPING]
+        row[XYZ_MM + k], row[FIELD_N + k], row[WANTED_N + k] = xyz[k], field[k], wanted[k]
+        row[SENT_N + k] = sent[k]
+    row[T_S], row[STATUS], row[IN_CONFLICT] = t_s, status, composed[CONFLICT]
+    row[DISTANCE_MM], row[SIGMA_MM], row[SURFACE_MM_S] = first[3], first[DISTANCE_SIGMA], surface_speed
+    record_supervision(row, supervisor)
+    record_energy(row, m)
 
 
 unpacked_tick: Any = servo_tick

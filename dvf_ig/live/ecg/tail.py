@@ -7,6 +7,7 @@ appear later, and begins anew where it becomes shorter; what stands in it at fir
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -23,28 +24,38 @@ _TIMES = ("t", "t_s", "time", "time_s", "timestamp", "seconds")
 _EDF_HEADER, _EDF_SIGNAL = 256, 256
 
 
-class CsvTail:
-    """New lines of a growing CSV; every column that is a number in each is a lead, but for one named time.
+@dataclass(slots=True)
+class _GrowingFile:
+    """A file that another program is still writing, and the clock of its samples.
 
     Args:
         path: of the file; need not be there yet.
         rate_hz: samples a second.
-        clock: this machine's monotonic clock.
         tell: is told what cannot be used.
+        clock: this machine's monotonic clock.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        rate_hz: float,
-        tell: Callable[[str], None],
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._path, self._clock, self._tell = path, clock, tell
-        self._times = BatchClock(rate_hz)
-        self._at: int | None = None
-        self._rest = b""
-        self._columns: list[int] | None = None
+    path: Path
+    rate_hz: float
+    tell: Callable[[str], None]
+    clock: Callable[[], float] = time.monotonic
+    _times: BatchClock = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._times = BatchClock(self.rate_hz)
+
+    def _just_read(self, values: FloatArray) -> list[EcgSamples]:
+        """(n, leads) samples, the last of which was taken before now."""
+        return [EcgSamples(self._times.first_s(len(values), self.clock()), values)]
+
+
+@dataclass(slots=True)
+class CsvTail(_GrowingFile):
+    """New lines of a growing CSV; every column that is a number in each is a lead, but for one named time."""
+
+    _at: int | None = field(default=None, init=False)
+    _rest: bytes = field(default=b"", init=False)
+    _columns: list[int] | None = field(default=None, init=False)
 
     def read(self) -> list[EcgSamples]:
         """Samples of the lines that were completed since the last call."""
@@ -54,16 +65,14 @@ class CsvTail:
             return []
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > LONGEST_LINE:
-            self._tell(f"{self._path} has a line of more than {LONGEST_LINE} characters; it is passed over")
+            self.tell(f"{self.path} has a line of more than {LONGEST_LINE} characters; it is passed over")
             self._rest = b""
         values = self._values(lines)
-        if values is None:
-            return []
-        return [EcgSamples(self._times.first_s(len(values), self._clock()), values)]
+        return [] if values is None else self._just_read(values)
 
     def _new_bytes(self) -> bytes:
-        size = self._path.stat().st_size
-        with self._path.open("rb") as file:
+        size = self.path.stat().st_size
+        with self.path.open("rb") as file:
             if self._at is None:
                 self._columns = _columns(file.readline(LONGEST_LINE))
                 self._at = size
@@ -87,32 +96,20 @@ class CsvTail:
         return values
 
 
-class EdfTail:
-    """New records of a growing EDF whose signals all have one rate; arguments as of `CsvTail`.
+@dataclass(slots=True)
+class EdfTail(_GrowingFile):
+    """New records of a growing EDF whose signals all have one rate; of another file it tells why not."""
 
-    Raises:
-        InvalidInputError: on reading, of a file that is no such EDF.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        rate_hz: float,
-        tell: Callable[[str], None],
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._path, self._clock, self._tell = path, clock, tell
-        self._times, self._rate_hz = BatchClock(rate_hz), rate_hz
-        self._layout: _EdfLayout | None = None
-        self._at = 0
+    _layout: "_EdfLayout | None" = field(default=None, init=False)
+    _at: int = field(default=0, init=False)
 
     def read(self) -> list[EcgSamples]:
         """Samples of the records that were completed since the last call."""
         try:
-            size = self._path.stat().st_size
-            with self._path.open("rb") as file:
+            size = self.path.stat().st_size
+            with self.path.open("rb") as file:
                 if self._layout is None:
-                    self._layout = _edf_layout(file.read(_EDF_HEADER + 64 * _EDF_SIGNAL), self._rate_hz)
+                    self._layout = _edf_layout(file.read(_EDF_HEADER + 64 * _EDF_SIGNAL), self.rate_hz)
                     self._at = self._layout.begin + (size - self._layout.begin) // self._layout.bytes * (
                         self._layout.bytes
                     )
@@ -121,14 +118,13 @@ class EdfTail:
         except OSError:
             return []
         except InvalidInputError as error:
-            self._tell(f"{self._path}: {error}")
+            self.tell(f"{self.path}: {error}")
             return []
         whole = len(data) - len(data) % self._layout.bytes
         self._at += whole
         if not whole:
             return []
-        values = self._layout.values(data[:whole])
-        return [EcgSamples(self._times.first_s(len(values), self._clock()), values)]
+        return self._just_read(self._layout.values(data[:whole]))
 
 
 class _EdfLayout:

@@ -25,7 +25,7 @@ from dvf_ig.report.viewer import (
 from dvf_ig.report.viewer.frames import SENT_COLUMNS
 from dvf_ig.report.viewer.scene import image_payload
 from dvf_ig.session import EcgSamples, Event, GuidanceState, SessionHistory, SessionSetup, TrackedFrame
-from dvf_ig.session.confirmation import MAX_AGE_S
+from dvf_ig.session.pose.confirmation import MAX_AGE_S
 
 FRAMES_HZ = 10.0
 ECG_HZ = 250.0

@@ -3,7 +3,7 @@
 import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Mesh
-from dvf_ig.kernels.winding import winding_numbers
+from dvf_ig.kernels.mesh.winding import winding_numbers
 from dvf_ig.preop.banded import BandedRows
 
 from .triangle_tree import TriangleTree, build_triangle_tree

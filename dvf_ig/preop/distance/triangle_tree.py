@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
-from dvf_ig.kernels.closest import DEPTH, FRAME_ROWS, LEAF_SIZE, closest_batch, fill_leaf_frames
-from dvf_ig.kernels.median_tree import fill_boxes, split_at_medians
+from dvf_ig.kernels.mesh.closest import DEPTH, FRAME_ROWS, LEAF_SIZE, closest_batch, fill_leaf_frames
+from dvf_ig.kernels.mesh.median_tree import fill_boxes, split_at_medians
 
 
 @read_only_arrays

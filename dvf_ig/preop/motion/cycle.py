@@ -31,21 +31,14 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.frames import require_same_frame
 
-from .consistency import LIMIT_MM, Stiffened, inverse_index, made_consistent, parts_of
+from .consistency import LIMIT_MM, Stiffened, inverse_index, made_consistent
 from .demons import DemonsOptions, DisplacementField, match_images_by_demons
 from .free_form import FreeForm, Lattice
 from .image_match import FreeFormOptions, match_images
 from .outliers import AnyDeformation, ReplacedPhase, replace_outliers
-from .slice_stack import axis_of_lost_spacing, observable_axes
+from .region import Compared, compared_region, cropped_grid
 
 Method = Literal["bspline", "demons"]
-
-PADDING_MM = 8.0
-"""Image kept beyond the voxels that are compared, for tissue that moves in from outside."""
-
-THIN_WALL_MM = 5.0
-"""Width of the rim beside blood without a labelled wall. Chosen on ACDC 002 and 003, with knots every 6 mm:
-without, the thin right ventricle of 002 is matched with the fat beside it (Dice 0.57 against 0.82)."""
 
 
 class Deformation(Protocol):
@@ -150,30 +143,16 @@ def track_cycle(
         raise InvalidInputError(f"end-diastole is phase {ed_phase}; the image has phases 0 to {phases - 1}")
     if not organ.any():
         raise InvalidInputError("the organ has no voxels at end-diastole; check the label values")
-    box, mask = _region(organ, image.grid, options.rim_mm)
-    if blood is not None:
-        mask &= ~_beyond_thin_wall(organ[box], blood[box], image.grid.spacing_mm)
-    grid = _cropped_grid(image.grid, box)
-    grey = image.values[(slice(None), *box)]
-    lost = axis_of_lost_spacing(grey[ed_phase], grid.spacing_mm)
-    observable = observable_axes(grid.spacing_mm) & (np.arange(3) != (-1 if lost is None else lost))
-    identity = _identity(grid, observable, options)
+    box, compared, lost = compared_region(image, organ, blood, ed_phase, options.rim_mm)
     counter = _Counter(phases, progress)
-
-    parts = parts_of(organ[box], None if blood is None else blood[box])
+    identity = _identity(cropped_grid(image.grid, box), compared.observable, options)
 
     def chain(order: Sequence[int]) -> list[tuple[AnyDeformation, float]]:
-        found: list[tuple[AnyDeformation, float]] = []
-        before = identity
+        found = [(identity, 0.0)]
         for phase in order:
-            before = _match(grey[ed_phase], grey[phase], mask, before, observable, options)
-            if isinstance(before, FreeForm):
-                pair = (grey[ed_phase], grey[phase])
-                found.append(made_consistent(before, pair, mask, parts, observable, options.free_form))
-            else:
-                found.append((before, 0.0))
+            found.append(_matched(compared, phase, found[-1][0], options))
             counter.step()
-        return found
+        return found[1:]
 
     half = phases // 2
     forwards = [(ed_phase + k) % phases for k in range(1, half + 1)]
@@ -182,9 +161,8 @@ def track_cycle(
         ahead, behind = pool.map(chain, (forwards, backwards))
     by_phase = {**dict(zip(backwards, behind, strict=True)), **dict(zip(forwards, ahead, strict=True))}
     by_phase[ed_phase] = (identity, 0.0)
-    start = (int(box[0].start), int(box[1].start), int(box[2].start))
     estimates = [by_phase[i][0] for i in range(phases)]
-    ordered, replaced = replace_outliers(estimates, grey, mask, ed_phase)
+    ordered, replaced = replace_outliers(estimates, compared.grey, compared.mask, ed_phase)
     rejected = {r.phase for r in replaced}
     stiffened = tuple(
         Stiffened(i, by_phase[i][1]) for i in range(phases) if by_phase[i][1] > LIMIT_MM and i not in rejected
@@ -194,10 +172,10 @@ def track_cycle(
         ordered,
         forwards[-1],
         behind[-1][0],
-        start,
-        mask,
-        observable,
-        lost is not None,
+        (int(box[0].start), int(box[1].start), int(box[2].start)),
+        compared.mask,
+        compared.observable,
+        lost,
         replaced,
         stiffened,
     )
@@ -236,17 +214,17 @@ def propagate_labels(motion: CycleMotion, image: VolumeSeries, labels: Volume, p
     return out
 
 
-def _match(
-    fixed: AnyArray,
-    moving: AnyArray,
-    mask: BoolArray,
-    before: AnyDeformation,
-    observable: BoolArray,
-    options: MotionOptions,
-) -> AnyDeformation:
-    if isinstance(before, FreeForm):
-        return match_images(fixed, moving, mask, before, options.free_form, observable=observable)
-    return match_images_by_demons(fixed, moving, mask, before, options.demons, observable=observable)
+def _matched(
+    compared: Compared, phase: int, before: AnyDeformation, options: MotionOptions
+) -> tuple[AnyDeformation, float]:
+    """Deformation from end-diastole to a phase, begun at its neighbour's; the error of the way back, mm."""
+    pair = (compared.grey[compared.ed_phase], compared.grey[phase])
+    mask, observable = compared.mask, compared.observable
+    if not isinstance(before, FreeForm):
+        by_demons = match_images_by_demons(*pair, mask, before, options.demons, observable=observable)
+        return by_demons, 0.0
+    found = match_images(*pair, mask, before, options.free_form, observable=observable)
+    return made_consistent(found, pair, mask, compared.parts, observable, options.free_form)
 
 
 def _identity(grid: Grid, observable: BoolArray, options: MotionOptions) -> AnyDeformation:
@@ -255,31 +233,6 @@ def _identity(grid: Grid, observable: BoolArray, options: MotionOptions) -> AnyD
         return DisplacementField.identity(grid)
     pitch_mm = np.where(observable, options.free_form.pitch_mm, grid.spacing_mm)
     return FreeForm.identity(Lattice.over(grid, pitch_mm))
-
-
-def _region(organ: BoolArray, grid: Grid, rim_mm: float) -> tuple[tuple[slice, slice, slice], BoolArray]:
-    """The box of the image that is used, and in it the mask of voxels within `rim_mm` of the organ."""
-    margin = np.ceil((rim_mm + PADDING_MM) / grid.spacing_mm).astype(int)
-    found = ndimage.find_objects(organ.view(np.int8))[0]
-    x, y, z = (
-        slice(max(part.start - int(r), 0), min(part.stop + int(r), n))
-        for part, r, n in zip(found, margin, grid.shape, strict=True)
-    )
-    from_organ_mm = ndimage.distance_transform_edt(~organ[x, y, z], sampling=grid.spacing_mm)
-    return (x, y, z), np.asarray(from_organ_mm <= rim_mm)
-
-
-def _beyond_thin_wall(organ: BoolArray, blood: BoolArray, spacing_mm: FloatArray) -> BoolArray:
-    """Voxels further than THIN_WALL_MM from the organ, the nearest of which is labelled as blood."""
-    within = np.where(observable_axes(spacing_mm), spacing_mm, 10.0 * THIN_WALL_MM)
-    from_mm, nearest = ndimage.distance_transform_edt(~organ, sampling=within, return_indices=True)
-    return np.asarray((from_mm > THIN_WALL_MM) & blood[tuple(nearest)])
-
-
-def _cropped_grid(grid: Grid, box: tuple[slice, slice, slice]) -> Grid:
-    start = np.array([part.start for part in box], dtype=np.float64)
-    shape = (box[0].stop - box[0].start, box[1].stop - box[1].start, box[2].stop - box[2].start)
-    return Grid(grid.frame, shape, grid.to_mm(start), grid.spacing_mm, grid.direction)
 
 
 class _Counter:

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.linalg import cholesky_banded
 
 from dvf_ig.core import FloatArray, IntArray, InvalidInputError, read_only_arrays
-from dvf_ig.kernels.scattered import AxisRows, add_from_nodes, values_at_nodes
-from dvf_ig.kernels.separable import solve_axis
+from dvf_ig.kernels.grid.scattered import AxisRows, add_from_nodes, values_at_nodes
+from dvf_ig.kernels.grid.separable import solve_axis
 from dvf_ig.preop.banded import BandedRows, by_axis
 from dvf_ig.preop.conjugate_gradients import conjugate_gradients
 

@@ -55,6 +55,7 @@ def chambers_from_labels(
 
 
 def label_name(value: int, names: dict[int, str]) -> str:
+    """Name of a label value, or its number in words."""
     return names.get(value, f"label {value}")
 
 

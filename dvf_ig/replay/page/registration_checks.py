@@ -9,7 +9,7 @@ from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
 from dvf_ig.registration.evidence.checks import WRONG_MM
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
 from dvf_ig.report.registration import Check, Outcome
-from dvf_ig.session.registration_monitor import LANDMARKS_MM
+from dvf_ig.session.pose.registration_monitor import LANDMARKS_MM
 
 BOUNDARY_UNSEEN = "no boundary seen"
 

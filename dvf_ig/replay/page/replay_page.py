@@ -9,8 +9,8 @@ from dvf_ig.core import FloatArray, PhaseState, Signal
 from dvf_ig.guidance import Hazard, SupervisorState
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay.engine import Replay
-from dvf_ig.replay.pose_summary import suspensions
-from dvf_ig.replay.result import true_contact, true_phases
+from dvf_ig.replay.result.pose_summary import suspensions
+from dvf_ig.replay.result.truth_at_ticks import true_contact, true_phases
 from dvf_ig.replay.table import table
 from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.replay import (
@@ -23,8 +23,8 @@ from dvf_ig.report.replay import (
     replay_html,
 )
 from dvf_ig.report.style import ESTIMATE, FAINT, GUIDE, START, WRONG
-from dvf_ig.session.confirmation import MAX_AGE_S
-from dvf_ig.session.registration_monitor import SUSPEND_LOG_RATIO
+from dvf_ig.session.pose.confirmation import MAX_AGE_S
+from dvf_ig.session.pose.registration_monitor import SUSPEND_LOG_RATIO
 
 from .planes import anatomy_of_heart, frame_overlays
 

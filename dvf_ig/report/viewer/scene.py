@@ -201,6 +201,7 @@ def distance_payload(model: DvfModel) -> dict[str, Any]:
 
 
 def image_payload(shape: ImageShape) -> dict[str, Any]:
+    """The frames' size and sector, as `scene.json` has them."""
     return {
         "columns": shape.columns,
         "rows": shape.rows,

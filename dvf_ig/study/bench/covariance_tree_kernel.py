@@ -8,8 +8,8 @@ order.
 import math
 
 from dvf_ig.core import FloatArray
-from dvf_ig.kernels.closest import DEPTH, triangle_squared_distance
 from dvf_ig.kernels.compiled import inlined, kernel
+from dvf_ig.kernels.mesh.closest import DEPTH, triangle_squared_distance
 
 NODE = 15
 """Numbers a node: centre 3, three unit axes 9, half lengths along them 3."""

@@ -15,7 +15,8 @@ from dvf_ig.guidance.servo import ServoInputs, ServoOptions
 from dvf_ig.guidance.servo.bound import bind_fixtures, new_scratch
 from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.servo.borrowed import borrowed
-from dvf_ig.kernels.servo.tick import ROW, unpacked_tick
+from dvf_ig.kernels.servo.record import ROW
+from dvf_ig.kernels.servo.tick import unpacked_tick
 
 from .cpp_floor import compiled_floor
 from .heart import CYCLE_S, RATE_HZ, hand_path, random_points

@@ -17,13 +17,15 @@ from typing import Any
 import dvf_ig.registration as registration
 
 SESSION_MODULES = (
-    "beat_evaluation",
-    "confirmation",
-    "frame_registration",
-    "gated_frames",
+    "ultrasound.beat_evaluation",
+    "pose.beat_jobs",
+    "pose.confirmation",
+    "ultrasound.frame_registration",
+    "ultrasound.gated_frames",
     "heart",
-    "pose_tracker",
-    "registration_monitor",
+    "pose.pose_tracker",
+    "pose.registration_jobs",
+    "pose.registration_monitor",
 )
 """Modules of the session that decide on registrations."""
 _NAMED_HEARTS = re.compile(r"\b(?:seeds?|patients?|hearts?)\b.*\d{3}")

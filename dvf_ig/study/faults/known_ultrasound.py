@@ -22,11 +22,11 @@ from dvf_ig.registration import (
     RegistrationResult,
 )
 from dvf_ig.session import BeatEvaluation, GatedFrames
-from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
 from dvf_ig.session.executor import Job, answered
-from dvf_ig.session.frame_buffer import FrameBuffer
-from dvf_ig.session.gated_frames import MIN_FRAMES
-from dvf_ig.session.ultrasound_source import RegistrationAnswer, RegistrationRequest
+from dvf_ig.session.ultrasound.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
+from dvf_ig.session.ultrasound.frame_buffer import FrameBuffer
+from dvf_ig.session.ultrasound.gated_frames import MIN_FRAMES
+from dvf_ig.session.ultrasound.ultrasound_source import RegistrationAnswer, RegistrationRequest
 
 from .patient import CENTER, LAG_S, pose_at
 
@@ -42,6 +42,7 @@ Coordinates = Callable[[float], FloatArray]
 
 
 def at_rest(t_s: float) -> FloatArray:
+    """The patient does not move."""
     return np.zeros(6)
 
 

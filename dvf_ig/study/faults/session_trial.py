@@ -8,7 +8,7 @@ from data_synth.seeds import child_rng
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.session import GuidanceState, Rearm, Session, SessionHistory
 
-from .injection import Fault, When
+from .injection.fault import Fault, When
 from .known_ultrasound import Coordinates, KnownUltrasound, at_rest
 from .patient import CENTER, HOME, wall_setup
 from .streams import (

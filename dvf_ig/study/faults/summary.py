@@ -8,7 +8,7 @@ from typing import Any
 from dvf_ig.study.trials import Line
 
 from .catalogue import ROWS
-from .row import Severity
+from .rows.row import Severity
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from math import isfinite
 from dvf_ig.study.trials import Line, Settings
 
 from .catalogue import ROWS, SEVERITIES
-from .row import Row, Severity
+from .rows.row import Row, Severity
 from .servo_trial import ServoFault, run_servo_fault
 from .session_trial import SessionFault, run_session_fault
 from .start_trial import StartFault, refused

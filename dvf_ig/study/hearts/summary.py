@@ -15,7 +15,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from dvf_ig.core import FloatArray
-from dvf_ig.study.registration.summary import FAILURE_MM, SUCCESS_MM, Share, auc_of, share_of
+from dvf_ig.study.registration.line import FAILURE_MM, SUCCESS_MM
+from dvf_ig.study.registration.summary import auc_of
+from dvf_ig.study.share import Share, share_of
 from dvf_ig.study.trials import Line
 
 COVERAGE = 0.95

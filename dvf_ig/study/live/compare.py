@@ -8,7 +8,7 @@ import numpy as np
 from dvf_ig.core import BoolArray, FloatArray, IntArray, ScenarioTruth, read_only_arrays
 from dvf_ig.guidance import Status, SupervisorState
 from dvf_ig.replay import Replay
-from dvf_ig.replay.score import pose_errors_mm
+from dvf_ig.replay.result.score import pose_errors_mm
 from dvf_ig.session import Attempt
 
 from .asked import asked_at

@@ -157,10 +157,12 @@ def dissection_law() -> Sigmoid:
 
 
 def pellet_mm(site: Site) -> FloatArray:
+    """(3,) place of a pellet above its site."""
     return np.asarray(site.point_mm + HEIGHT_MM * site.normal)
 
 
 def hover_mm(site: Site) -> FloatArray:
+    """(3,) place above a pellet from which the tool is lowered to it."""
     return np.asarray(site.point_mm + (HEIGHT_MM + HOVER_MM) * site.normal)
 
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.study.registration.summary import FAILURE_MM, SUCCESS_MM, Share, share_of
+from dvf_ig.study.registration.line import FAILURE_MM, SUCCESS_MM
+from dvf_ig.study.share import Share, share_of
 from dvf_ig.study.trials import Line
 
 from .trial import OWN

@@ -17,21 +17,16 @@ from dvf_ig.report.study.registration import (
     capture_html,
 )
 from dvf_ig.report.study.registration.values import OURS, Limits
+from dvf_ig.study.share import share_of
 from dvf_ig.study.trials import Line
 
+from .capture import CAPTURE_PERCENT, capture_of
 from .experiments import BIN_MM
+from .line import FAILURE_MM, STRICT_MM, SUCCESS_MM, error_of, number
 from .summary import (
-    CAPTURE_PERCENT,
-    FAILURE_MM,
-    STRICT_MM,
-    SUCCESS_MM,
     Group,
     auc_of,
-    capture_of,
-    error_of,
     group_key,
-    number,
-    share_of,
     summarise_trials,
 )
 

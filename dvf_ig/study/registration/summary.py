@@ -1,39 +1,18 @@
-"""What registration trials say together: accuracy, capture range, and whether a failure was known as one.
-
-A line of `trials.jsonl` has `seed pair motion quality arm method condition start_mm tre_mm rotation_deg
-translation_mm stop usable success_probability seconds`; a refused one only what was known of it. `arm` is
-the letter of the experiment, `tre_mm` the mean target registration error of one run, `start_mm` that of its
-start.
-"""
+"""What registration trials say together: accuracy, capture range, and whether a failure was known as one."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm, rankdata
+from scipy.stats import rankdata
 
 from dvf_ig.io import plain
+from dvf_ig.study.share import Share, share_of
 from dvf_ig.study.trials import Line
 
-from .experiments import BIN_MM
-
-STRICT_MM, SUCCESS_MM, FAILURE_MM = 1.0, 2.0, 3.0
-"""A run below the second is a success, below the first a strict one, above the third a failure."""
-
-CAPTURE_PERCENT = 95
-"""The capture range reaches as far as at least so many of the runs succeed."""
-
-
-@dataclass(frozen=True, slots=True)
-class Share:
-    """`count` of `of`, with its Wilson 95 % interval; share and interval are None of nothing."""
-
-    count: int
-    of: int
-    share: float | None
-    low: float | None
-    high: float | None
+from .capture import Capture, capture_of
+from .line import FAILURE_MM, STRICT_MM, SUCCESS_MM, error_of, number
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,36 +23,6 @@ class Spread:
     median: float | None
     p95: float | None
     max: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Bin:
-    """Successes of the starts above `low_mm` (from it, if 0) up to `high_mm`."""
-
-    low_mm: float
-    high_mm: float
-    success: Share
-
-
-@dataclass(frozen=True, slots=True)
-class Capture:
-    """Capture range.
-
-    Attributes:
-        range_mm: lower edge of the first bin with less than 95 % success. If none has less, the upper edge
-            of the last bin before a gap; None without starts.
-        at_least: no bin had less; the range may be longer.
-        bins: those with starts, by start.
-    """
-
-    range_mm: float | None
-    at_least: bool
-    bins: tuple[Bin, ...]
-
-    def __str__(self) -> str:
-        if self.range_mm is None:
-            return "–"
-        return f"{'≥ ' if self.at_least else ''}{self.range_mm:.0f} mm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +91,7 @@ def summarise_trials(lines: Iterable[Line], *, up_to_mm: float | None = None) ->
     Args:
         lines: of trials.
         up_to_mm: only runs that start so near; a refused line without a start counts at every bound.
-    Source: Wilson 1927 (intervals); the area under the ROC is Mann and Whitney's U, ties count half.
+    Source: the area under the ROC is Mann and Whitney's U, ties count half.
     """
     groups: dict[tuple[str, ...], list[Line]] = {}
     for line in sorted(lines, key=lambda line: line["seed"]):
@@ -162,20 +111,6 @@ def group_key(line: Line) -> tuple[str, ...]:
     """Experiment, motion, quality, method and condition; empty where the line does not say."""
     names = ("arm", "motion", "quality", "method", "condition")
     return tuple("" if line.get(name) is None else str(line[name]) for name in names)
-
-
-def number(line: Line, name: str) -> float:
-    """The line's value as a number; NaN where it has none."""
-    value = line.get(name)
-    return math.nan if value is None else float(value)
-
-
-def error_of(line: Line) -> float:
-    """Target registration error, mm: infinite where a run ended without a finite one, NaN where refused."""
-    if "refused" in line:
-        return math.nan
-    error = number(line, "tre_mm")
-    return error if math.isfinite(error) else math.inf
 
 
 def _group(key: tuple[str, ...], lines: Sequence[Line]) -> Group:
@@ -212,43 +147,6 @@ def _group(key: tuple[str, ...], lines: Sequence[Line]) -> Group:
 def _usable(lines: Sequence[Line]) -> Share | None:
     judged = [line["usable"] for line in lines if line.get("usable") is not None]
     return share_of(sum(judged), len(lines)) if judged else None
-
-
-def share_of(count: int, of: int, independent: int | None = None) -> Share:
-    """A share and its Wilson 95 % interval.
-
-    Args:
-        independent: number of trials that varied independently; all without.
-    """
-    if of == 0:
-        return Share(0, 0, None, None, None)
-    n, share, z2 = independent or of, count / of, float(norm.ppf(0.975)) ** 2
-    middle = (share + z2 / (2 * n)) / (1 + z2 / n)
-    half = math.sqrt(z2 * (share * (1 - share) / n + z2 / (4 * n**2))) / (1 + z2 / n)
-    return Share(count, of, share, max(0.0, middle - half), min(1.0, middle + half))
-
-
-def capture_of(lines: Iterable[Line]) -> Capture:
-    """Success by start error, and how far it reaches. Refused runs are no successes."""
-    counts: dict[int, list[bool]] = {}
-    for line in lines:
-        start = number(line, "start_mm")
-        if math.isfinite(start):
-            # starts are scaled to their error, which may miss a bin's edge by a rounding
-            place = max(0, math.ceil(round(start, 6) / BIN_MM) - 1)
-            counts.setdefault(place, []).append(error_of(line) < SUCCESS_MM)
-    bins = tuple(
-        Bin(BIN_MM * place, BIN_MM * (place + 1), share_of(sum(counts[place]), len(counts[place])))
-        for place in sorted(counts)
-    )
-    reached = None
-    for entry in bins:
-        if reached is not None and entry.low_mm > reached:
-            break
-        if 100 * entry.success.count < CAPTURE_PERCENT * entry.success.of:
-            return Capture(entry.low_mm, at_least=False, bins=bins)
-        reached = entry.high_mm
-    return Capture(reached, at_least=reached is not None, bins=bins)
 
 
 def _self_check(lines: Sequence[Line]) -> SelfCheck:

@@ -23,7 +23,7 @@ from dvf_ig.session import (
     beat_source_of,
     build_heart,
 )
-from dvf_ig.session.beat_evaluation import ComparableBeat, ComparedBeat
+from dvf_ig.session.ultrasound.beat_evaluation import ComparableBeat, ComparedBeat
 
 T = TypeVar("T")
 STATE_EVERY_S = 0.1

@@ -8,7 +8,7 @@ from data_synth import ScenarioSpec, child_rng, phantom_scenario
 from dvf_ig.core import FloatArray, mean_displacement_mm
 from dvf_ig.registration import ShiftDetector
 from dvf_ig.session import RegistrationMonitor
-from dvf_ig.session.beat_evaluation import evaluation_of
+from dvf_ig.session.ultrasound.beat_evaluation import evaluation_of
 from dvf_ig.study.hearts.registered import MOTION, VARIED
 from dvf_ig.study.trials import Line, Settings
 

@@ -52,7 +52,7 @@ def test_the_lag_is_found_from_the_images_as_from_the_lines(tmp_path: Path) -> N
         assert found["lag_s"] == pytest.approx(truth["lag_s"], abs=0.003)
 
 
-@pytest.mark.parametrize("kind", ["crosswire", "wall"])
+@pytest.mark.parametrize("kind", ["cross-wire", "wall"])
 def test_points_belong_to_images(tmp_path: Path, kind: str) -> None:
     truth = made(kind, tmp_path)
     sequence = read_sequence(tmp_path / f"{kind}.igs.mha")

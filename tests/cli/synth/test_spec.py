@@ -7,6 +7,7 @@ import yaml
 from typer.testing import CliRunner
 
 import dvf_ig
+import dvf_ig.cli.synth.first_world as first_world
 import dvf_ig.cli.synth.scenario as scenario_command
 from data_synth import PRESETS, HeartSpec, ScenarioSpec, describe_faults
 from dvf_ig.cli.synth.commands import app
@@ -127,7 +128,7 @@ def test_what_a_cine_needs_belongs_to_it(tmp_path: Path, options: list[str]) -> 
 
 def test_end_systolic_labels_come_with_their_phase(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="FILE@PHASE"):
-        scenario_command._on_a_cine(ScenarioSpec(), tmp_path / "c.nii", tmp_path / "l.nii", "e.nii")
+        first_world._on_a_cine(ScenarioSpec(), tmp_path / "c.nii", tmp_path / "l.nii", "e.nii")
 
 
 def test_without_a_folder_or_with_two_presets_it_is_a_usage_error(tmp_path: Path) -> None:
@@ -141,7 +142,7 @@ def test_without_a_folder_or_with_two_presets_it_is_a_usage_error(tmp_path: Path
 def test_the_folder_tells_what_is_in_it_but_no_true_value(
     tmp_path: Path, scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scenario_command, "_on_the_phantom", lambda spec: scenario)
+    monkeypatch.setattr(first_world, "_on_the_phantom", lambda spec: scenario)
     out = tmp_path / "made"
     for _ in range(2):  # a folder of ours is replaced
         done = CliRunner().invoke(app, ["scenario", "--preset", "probe slip", "-o", str(out)])

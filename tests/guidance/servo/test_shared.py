@@ -6,8 +6,8 @@ import numpy as np
 
 from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.servo import loop
+from dvf_ig.kernels.servo.record import ROW
 from dvf_ig.kernels.servo.shared import load_ordered, new_counter, publish, read_shared, store_number
-from dvf_ig.kernels.servo.tick import ROW
 
 READS = 300
 

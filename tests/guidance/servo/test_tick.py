@@ -23,7 +23,7 @@ from dvf_ig.guidance import (
 from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, ServoRecord, SimulatedServo
 from dvf_ig.guidance.servo.twin import ReadableTick
-from dvf_ig.kernels.servo.tick import CLAMPED
+from dvf_ig.kernels.servo.record import CLAMPED
 
 from .conftest import RATE_HZ, THREE, TRACKER_FROM_DEVICE, beat
 

@@ -37,7 +37,7 @@ def test_a_varied_option_is_the_default_of_new_values() -> None:
 
 
 def test_limits_that_another_module_uses_follow() -> None:
-    registering = sys.modules["dvf_ig.session.frame_registration"]
+    registering = sys.modules["dvf_ig.session.ultrasound.frame_registration"]
     with varied(CONSTANTS["evidence.checks.SLICE_LIMITS.z_score"], 1.3) as value:
         assert registering.SLICE_LIMITS.z_score == checks.SLICE_LIMITS.z_score == value
     assert registering.SLICE_LIMITS is checks.SLICE_LIMITS

@@ -9,7 +9,9 @@ import pytest
 from trial_lines import TEN, line
 
 from dvf_ig.io import plain
-from dvf_ig.study.registration.summary import Group, auc_of, capture_of, share_of, summarise_trials
+from dvf_ig.study.registration.capture import capture_of
+from dvf_ig.study.registration.summary import Group, auc_of, summarise_trials
+from dvf_ig.study.share import share_of
 
 
 def only(groups: list[Group]) -> Group:

@@ -3,7 +3,7 @@
 import { COLORS } from "./colors.js";
 import { forceAt } from "./field.js";
 import { cut, letters } from "./heart.js";
-import { bytesOf } from "./payload.js";
+import { litRows } from "./pictures.js";
 
 const CASING = "rgba(0, 0, 0, 0.75)";
 const FIELD_STEP_MM = 6;
@@ -11,47 +11,6 @@ const LEAST_SHARE = 0.03;
 const TIP_NEAR_MM = 20;
 const SCALE_MM = 20;
 const SQUARE_MM = 14;
-
-const LIT = 8;
-
-/** First and last column of each row in which a picture is not black; what lies between was insonified. */
-export function litRows({ data, width, height }) {
-  return Array.from({ length: height }, (_, r) => {
-    let [first, last] = [width, -1];
-    for (let c = 0; c < width; c++) {
-      if (data[4 * (r * width + c)] < LIT) continue;
-      first = Math.min(first, c);
-      last = c;
-    }
-    return [first, last];
-  });
-}
-
-/** Frames decoded when they are needed; the last ones are kept. */
-export class Pictures {
-  constructor(frames) {
-    this.frames = frames;
-    this.kept = new Map();
-  }
-
-  /** The bitmap of frame i, if it is there already. */
-  ready(i) {
-    return this.kept.get(this.frames.event_s[i])?.bitmap ?? null;
-  }
-
-  async get(i) {
-    const key = this.frames.event_s[i];
-    let entry = this.kept.get(key);
-    if (!entry) {
-      entry = {};
-      const blob = new Blob([bytesOf(this.frames.images[i])], { type: this.frames.mime });
-      entry.promise = createImageBitmap(blob).then((bitmap) => (entry.bitmap = bitmap));
-      this.kept.set(key, entry);
-      if (this.kept.size > 64) this.kept.delete(this.kept.keys().next().value);
-    }
-    return entry.promise;
-  }
-}
 
 export class ImagePanel {
   constructor(canvas, scene, heart) {

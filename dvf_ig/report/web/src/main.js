@@ -6,11 +6,15 @@ import { forceAt } from "./field.js";
 import { Heart, planeOf } from "./heart.js";
 import { seriesOf } from "./series.js";
 import { Space } from "./space.js";
-import { ImagePanel, Pictures } from "./image.js";
+import { ImagePanel } from "./image.js";
+import { Pictures } from "./pictures.js";
 import { anatomyPictures, mixControls, outcomeRows, planesAsSeries } from "./registration.js";
-import { Overview, Strips } from "./strips.js";
-import { layOut, legendRows, numberRows, SPEEDS, VIEWS } from "./layout.js";
+import { Strips } from "./strips.js";
+import { Overview } from "./overview.js";
+import { connectControls, connectKeys, legend } from "./controls.js";
+import { layOut, numberRows, SPEEDS } from "./layout.js";
 import { listen } from "./live.js";
+import { localTheme, rememberTheme } from "./theme.js";
 
 class Viewer {
   constructor(scene, heart, series) {
@@ -24,9 +28,9 @@ class Viewer {
     this.overview = new Overview(this.$("overview"), series, scene.fixtures_cap_n);
     this.registration = scene.kind === "registration";
     if (this.registration) this.asRegistration();
-    this.legend();
-    this.controls();
-    this.keyboard();
+    legend(this);
+    connectControls(this);
+    connectKeys(this);
     addEventListener("resize", () => this.resize());
     const watch = new ResizeObserver(() => this.resize());
     for (const one of [this.$("space"), this.image?.canvas, this.strips.canvas]) if (one) watch.observe(one);
@@ -195,64 +199,6 @@ class Viewer {
     $("newton").style.top = `${Math.min(clientHeight - 60, Math.max(46, y - 12))}px`;
   }
 
-  legend() {
-    const box = this.$("legend");
-    for (const [role, color, text] of legendRows(this.scene, this.series)) {
-      const button = document.createElement("button");
-      button.innerHTML = `<i style="background:${color}"></i>`;
-      button.append(text);
-      this.space.shown[role] ??= true;
-      const on = () => this.space.shown[role];
-      button.setAttribute("aria-pressed", on());
-      button.onclick = () => {
-        this.space.shown[role] = !on();
-        if (this.image) this.image.shown[role] = on();
-        button.setAttribute("aria-pressed", on());
-        this.changed = true;
-      };
-      box.append(button);
-    }
-  }
-
-  controls() {
-    const { $ } = this;
-    $("play").onclick = () => this.play(!this.playing);
-    $("beat-back").onclick = () => this.beat(-1);
-    $("beat-on").onclick = () => this.beat(1);
-    $("speed").onchange = () => (this.speed = Number($("speed").value));
-    $("span").onchange = () => {
-      this.strips.span = Number($("span").value);
-      this.changed = true;
-    };
-    $("theme").onclick = () => this.applyTheme(this.theme === "dark" ? "light" : "dark", true);
-    $("help").onclick = () => $("keys").showModal();
-    for (const button of $("views").children) button.onclick = () => this.view(button.dataset.view);
-    $("cut").onclick = () => this.cut(!this.space.open);
-    $("cut").hidden = !this.scene.image;
-    this.cut(Boolean(this.scene.image));
-    this.drag($("overview"), (x) => this.overview.timeAt(x));
-    this.drag(this.strips.canvas, (x, from) => this.strips.timeAt(x, from));
-    if (this.series.live) document.body.classList.add("live");
-  }
-
-  /** A drag seeks; strips keep the window in which it began. */
-  drag(canvas, timeAt) {
-    const move = (event) => {
-      if (this.series.live) return;
-      const [first, last] = this.strips.window(this.t);
-      this.seek(timeAt(event.clientX - canvas.getBoundingClientRect().left, this.t, first, last));
-    };
-    canvas.onpointerdown = (event) => {
-      this.play(false);
-      canvas.setPointerCapture(event.pointerId);
-      const from = this.t;
-      const place = (one) => this.seek(timeAt(one.clientX - canvas.getBoundingClientRect().left, from));
-      if (!this.series.live) place(event);
-      canvas.onpointermove = canvas === this.strips.canvas ? (one) => !this.series.live && place(one) : move;
-    };
-    canvas.onpointerup = canvas.onpointercancel = () => (canvas.onpointermove = null);
-  }
-
   view(name) {
     if (name === "tool") this.cut(false);
     if (name === "plane" && this.scene.image) this.cut(true);
@@ -288,41 +234,11 @@ class Viewer {
     if (next !== undefined) this.seek(next + 1e-6);
   }
 
-  keyboard() {
-    const { series } = this;
-    const step = (event) => (event.shiftKey || this.registration ? 1 : 0.1);
-    const actions = {
-      " ": () => !this.registration && this.play(!this.playing),
-      ArrowLeft: (event) => this.seek(this.t - step(event)),
-      ArrowRight: (event) => this.seek(this.t + step(event)),
-      ArrowUp: () => this.beat(-1),
-      ArrowDown: () => this.beat(1),
-      ",": () => this.frameStep(-1),
-      ".": () => this.frameStep(1),
-      Home: () => this.seek(series.begin),
-      End: () => this.seek(series.end),
-      "-": () => this.faster(-1),
-      "+": () => this.faster(1),
-      c: () => this.cut(!this.space.open),
-      t: () => this.$("theme").click(),
-      h: () => this.$("keys").showModal(),
-      "?": () => this.$("keys").showModal(),
-    };
-    VIEWS.forEach(([name], i) => (actions[i + 1] = () => this.view(name)));
-    addEventListener("keydown", (event) => {
-      if (event.target.matches("select, input") || event.ctrlKey || event.metaKey || event.altKey) return;
-      const action = actions[event.key] ?? actions[event.key.toLowerCase()];
-      if (!action || this.$("keys").open) return;
-      event.preventDefault();
-      action(event);
-    });
-  }
-
   applyTheme(theme, chosen = false) {
     this.theme = theme;
     document.documentElement.dataset.theme = theme;
     this.$("theme").textContent = theme === "dark" ? "Light" : "Dark";
-    if (chosen) remember(theme);
+    if (chosen) rememberTheme(theme);
     if (!this.space) return;
     this.space.retheme();
     this.overview.back = null;
@@ -335,24 +251,6 @@ class Viewer {
     this.strips.resize();
     this.overview.resize();
     this.changed = true;
-  }
-}
-
-function localTheme() {
-  try {
-    const kept = localStorage.getItem("dvf-theme");
-    if (kept) return kept;
-  } catch {
-    // a page from disk may have no storage
-  }
-  return matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
-}
-
-function remember(theme) {
-  try {
-    localStorage.setItem("dvf-theme", theme);
-  } catch {
-    // as above
   }
 }
 

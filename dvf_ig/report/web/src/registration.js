@@ -1,7 +1,7 @@
 // One registration: its planes as "frames" that are stepped through, and ultrasound beside the anatomy.
 
 import { COLUMNS } from "./series.js";
-import { Pictures } from "./image.js";
+import { Pictures } from "./pictures.js";
 
 /** Turns the planes into a series of one tick a plane. */
 export function planesAsSeries(scene, series) {

@@ -1,0 +1,108 @@
+"""The arrays that a servo's loop shares with Python: fixtures, device, published inputs, flags and counts."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import FloatArray
+from dvf_ig.guidance.device import DeviceLimits
+from dvf_ig.guidance.devices.protocol import HapticDevice
+from dvf_ig.guidance.fixtures import Fixtures
+from dvf_ig.kernels.place import POSE_UNTIL
+from dvf_ig.kernels.servo import loop as kernel
+from dvf_ig.kernels.servo import published, shared
+
+from .bound import bind_fixtures, new_scratch
+from .deadlines import BINS
+from .inputs import ServoInputs
+from .options import ServoOptions
+
+
+@dataclass(slots=True, eq=False)
+class LoopArrays:
+    """What `dvf_ig.kernels.servo.loop.run_servo` reads and writes from its first tick to its last.
+
+    Attributes:
+        bound: fixtures, constants and limits (`bind_fixtures`).
+        functions: (2,) int64 addresses of the device's read and write; `context`: the device's own.
+        counter, published: what the session published, under a sequence lock.
+        numbers: (NUMBERS,) int64 flags and counts; `histogram`: (BINS,) int64 of lateness.
+        period_ns: of a tick.
+    """
+
+    bound: tuple[Any, ...]
+    functions: Any
+    context: Any
+    counter: Any
+    published: FloatArray
+    numbers: Any
+    histogram: Any
+    period_ns: int
+
+    @classmethod
+    def of(
+        cls, fixtures: Fixtures, device: HapticDevice, limits: DeviceLimits, options: ServoOptions
+    ) -> "LoopArrays":
+        """Arrays of a loop in which nothing has been published: no pose is known.
+
+        Raises:
+            InvalidInputError: as `bind_fixtures`.
+        """
+        inputs = np.zeros(published.INPUT_SIZE)
+        inputs[published.VALID_UNTIL_S] = np.inf
+        inputs[published.POSE_AND_PHASE + POSE_UNTIL] = -np.inf
+        return cls(
+            tuple(bind_fixtures(fixtures, limits, options, device.latency_s)),
+            np.array(device.functions, dtype=np.int64),
+            device.context,
+            shared.new_counter(),
+            inputs,
+            np.zeros(kernel.NUMBERS, dtype=np.int64),
+            np.zeros(BINS, dtype=np.int64),
+            options.period_ns,
+        )
+
+    def on_device(self, device: HapticDevice) -> "LoopArrays":
+        """The same fixtures and inputs on another device, with flags and counts of their own."""
+        return replace(
+            self,
+            functions=np.array(device.functions, dtype=np.int64),
+            context=device.context,
+            numbers=np.zeros_like(self.numbers),
+            histogram=np.zeros_like(self.histogram),
+        )
+
+    def new_scratch(self) -> tuple[Any, ...]:
+        """Memory before the first tick, and scratch arrays."""
+        return tuple(new_scratch(len(self.bound[2])))
+
+    def publish(self, inputs: ServoInputs, clock_s: float) -> None:
+        """Tell the loop what the session knows at `clock_s` of the loop's clock; never waits."""
+        shared.publish(self.counter, self.published, inputs.packed(clock_s))
+
+    def arguments(
+        self, scratch: tuple[Any, ...], rows: FloatArray, start_ns: int = 0, late_ns: Any = None
+    ) -> tuple[Any, ...]:
+        """Arguments of `run_servo`.
+
+        Args:
+            scratch: of `new_scratch`.
+            rows: (n, ROW) ring buffer of the record.
+            start_ns, late_ns: in simulated time, deadline of the first tick and (m,) int64 lateness of each.
+        """
+        simulated_late_ns = np.zeros(0, dtype=np.int64) if late_ns is None else late_ns
+        return (
+            self.bound,
+            scratch,
+            self.functions,
+            self.context,
+            self.counter,
+            self.published,
+            self.numbers,
+            rows,
+            self.histogram,
+            self.period_ns,
+            start_ns,
+            simulated_late_ns,
+        )

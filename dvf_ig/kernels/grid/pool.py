@@ -1,0 +1,85 @@
+"""Averages of blocks of voxels, of what a table says of their grey levels."""
+
+import math
+from math import ceil, floor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.kernels.compiled import inlined, kernel
+
+Corner = tuple[int, int, int]
+"""First voxel of a block."""
+
+
+@inlined
+def _block_sum(
+    grey: NDArray[np.uint8], mask: NDArray[np.uint8], table: NDArray[np.float32], low: Corner, step: int
+) -> np.float32:
+    """Σ `table[grey]` over one block; NaN from the first voxel outside the mask on."""
+    total = np.float32(0.0)
+    for a in range(low[0], low[0] + step):
+        for b in range(low[1], low[1] + step):
+            for c in range(low[2], low[2] + step):
+                if mask[a, b, c] == 0:
+                    return np.float32(math.nan)
+                total += table[grey[a, b, c]]
+    return total
+
+
+@kernel
+def pool_blocks(
+    grey: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    table: NDArray[np.float32],
+    step: int,
+    out: NDArray[np.float32],
+) -> None:
+    """Mean of `table[grey]` over each block of step³ voxels; NaN where one of them lies outside the mask.
+
+    Args:
+        grey, mask: (nx, ny, nz).
+        table: (256,).
+        out: (nx // step, ny // step, nz // step).
+    """
+    count = np.float32(step * step * step)
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            for k in range(out.shape[2]):
+                out[i, j, k] = _block_sum(grey, mask, table, (i * step, j * step, k * step), step) / count
+
+
+@kernel
+def pool_cubes(
+    grey: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    table: NDArray[np.float32],
+    edge: NDArray[np.float64],
+    out: NDArray[np.float32],
+) -> None:
+    """Mean of `table[grey]` over boxes of any size, each voxel weighted by its share inside; NaN as above.
+
+    Args:
+        grey, mask: (nx, ny, nz).
+        table: (256,).
+        edge: (3,) of a box in voxels along each axis; a multiple of one voxel may be off by rounding.
+        out: (mx, my, mz), with m·edge at most n along each axis. Box i lies between i·edge and (i + 1)·edge,
+            voxel j between j and j + 1.
+    """
+    least = 1e-6  # of a voxel: less of it is rounding
+    for i in range(out.shape[0]):
+        x0, x1 = i * edge[0], (i + 1) * edge[0]
+        for j in range(out.shape[1]):
+            y0, y1 = j * edge[1], (j + 1) * edge[1]
+            for k in range(out.shape[2]):
+                z0, z1 = k * edge[2], (k + 1) * edge[2]
+                total = 0.0
+                whole = True
+                for a in range(floor(x0 + least), ceil(x1 - least)):
+                    wx = min(x1, a + 1.0) - max(x0, float(a))
+                    for b in range(floor(y0 + least), ceil(y1 - least)):
+                        wy = wx * (min(y1, b + 1.0) - max(y0, float(b)))
+                        for c in range(floor(z0 + least), ceil(z1 - least)):
+                            whole = whole and mask[a, b, c] != 0
+                            total += wy * (min(z1, c + 1.0) - max(z0, float(c))) * table[grey[a, b, c]]
+                out[i, j, k] = total / (edge[0] * edge[1] * edge[2]) if whole else np.nan

@@ -1,0 +1,117 @@
+"""What `result.json` says against the ground truth: errors of poses, phase and force, and the margin's."""
+
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import ScenarioTruth, summarise_errors
+from dvf_ig.guidance import Confinement, Gaussian
+from dvf_ig.registration import target_errors_mm
+from dvf_ig.replay.engine import Replay
+from dvf_ig.replay.preconditions import RATE_HZ
+from dvf_ig.replay.ticks import Ticks
+
+from .score import (
+    CONTACT_MM,
+    NEAR_WALL_MM,
+    far_corner_error_mm,
+    pose_errors_mm,
+    score_force,
+    score_hazard,
+    score_phase,
+    score_violation,
+)
+from .truth_at_ticks import true_contact, true_phases
+
+ERROR_FIELDS = (
+    "tre_mm",
+    "start_tre_mm",
+    "phase_error_percent_rr",
+    "model_phase_error_mm",
+    "force_error_n",
+    "contact",
+    "lag_error_s",
+    "probe_error_mm",
+    "tip_error_mm",
+    "hazard_s",
+    "hazard_longest_s",
+)
+"""None where there is no truth, or no tick that the error is of."""
+
+
+def error_fields(replay: Replay) -> dict[str, Any]:
+    """Those of ERROR_FIELDS that are known; none without a truth."""
+    truth = replay.scenario.truth
+    if truth is None:
+        return {}
+    ticks, track, valid = replay.ticks, replay.ticks.phase, replay.ticks.valid
+    start_errors = target_errors_mm(replay.start, truth.mr_from_tracker_at(0.0), truth.targets.points)
+    out: dict[str, Any] = {
+        "start_tre_mm": summarise_errors(start_errors).tre_fields(),
+        "lag_error_s": replay.setup.calibrations.lag_s - truth.lag_s,
+        "tip_error_mm": float(np.linalg.norm(replay.setup.calibrations.tip.xyz_mm[0] - truth.tip.xyz_mm[0])),
+    }
+    images = replay.scenario.ultrasound.images
+    if images is not None:
+        out["probe_error_mm"] = far_corner_error_mm(
+            replay.setup.calibrations.probe_from_image, truth.probe_from_image, *images.shape[1:]
+        )
+    errors_mm = pose_errors_mm(ticks.mr_from_tracker, ticks.t_s, truth)
+    if valid.any():
+        out["tre_mm"] = summarise_errors(errors_mm[valid].ravel()).tre_fields()
+    out |= _hazard(ticks, truth)
+    phi, model_phase = true_phases(replay)
+    locked = track.valid
+    if locked.any():
+        score = score_phase(
+            track.phi[locked], ticks.model_phase[locked], phi[locked], model_phase[locked], truth.surface
+        )
+        out["phase_error_percent_rr"] = {"mean": score.percent_mean, "p95": score.percent_p95}
+        out["model_phase_error_mm"] = {"mean": score.surface_mm_mean, "p95": score.surface_mm_p95}
+    distance, true_force = true_contact(replay)
+    contact = distance >= CONTACT_MM
+    given = ticks.guided & ticks.force_n.any(axis=1)
+    out["contact"] = {
+        "ticks": int(contact.sum()),
+        "share": float(contact.mean()),
+        "served_share": float(given[contact].mean()) if contact.any() else 0.0,
+    }
+    if true_force is not None:
+        force = score_force(ticks.force_n, valid & ticks.guided, true_force, contact)
+        if force is not None:
+            out["force_error_n"] = {"median": force.error_n_median, "p95": force.error_n_p95}
+    return out
+
+
+def _hazard(ticks: Ticks, truth: ScenarioTruth) -> dict[str, float]:
+    """Seconds of force on a pose that is far off; a fading force is one on the last pose."""
+    posed = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
+    last = np.maximum.accumulate(np.where(posed, np.arange(len(ticks)), -1))
+    poses = np.where((last >= 0)[:, None, None], ticks.mr_from_tracker[last], np.nan)
+    error_mm = pose_errors_mm(poses, ticks.t_s, truth).mean(axis=1)
+    score = score_hazard(ticks.force_n, error_mm, 1.0 / RATE_HZ)
+    return {"hazard_s": score.total_s, "hazard_longest_s": score.longest_s}
+
+
+def margin_fields(replay: Replay) -> dict[str, Any]:
+    """Width of the primary fixture's margin over valid ticks, and how deep its wall stands in the organ.
+
+    The violation depth is that by which a forbidden region, widened, stands inside the true one at the tool
+    (`score_violation`); None without a truth, or of guidance.
+    """
+    ticks, fixtures = replay.ticks, replay.setup.fixtures
+    width = ticks.margin_mm[ticks.valid]
+    out: dict[str, Any] = {
+        "mode": fixtures.margin.mode,
+        "median_mm": float(np.median(width)) if len(width) else None,
+        "p95_mm": float(np.percentile(width, 95)) if len(width) else None,
+        "violation_mm": None,
+    }
+    law = fixtures.fixtures[0].law
+    if replay.scenario.truth is not None and not isinstance(law, Gaussian):
+        outward = -1.0 if isinstance(law, Confinement) else 1.0
+        true_mm = outward * true_contact(replay)[0]
+        seen = ticks.valid & (np.abs(true_mm - law.depth_mm) <= NEAR_WALL_MM)
+        believed_mm = outward * ticks.distance_mm[seen] + ticks.margin_mm[seen]
+        out["violation_mm"] = score_violation(true_mm[seen], believed_mm)
+    return out

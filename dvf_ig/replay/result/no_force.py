@@ -1,0 +1,59 @@
+"""Why a replay gave no force at all, and how to mend it."""
+
+from collections.abc import Mapping
+from enum import Enum
+
+import numpy as np
+
+from dvf_ig.guidance import Status
+from dvf_ig.replay.engine import Replay
+
+
+class NoForce(Enum):
+    """Each value is the sentence that a user reads; `{share}` is of the ticks from the first pose on."""
+
+    STALE_TOOL = (
+        "the tool's pose was not known in {share:.0%} of the ticks: check that its recording covers the time "
+        "of the ultrasound and the ECG, on the same clock, with poses that are OK and change (dvf-ig inspect)"
+    )
+    NO_PHASE = (
+        "the cardiac phase was not locked in {share:.0%} of the ticks: check the ECG's lead, rate and clock "
+        "(dvf-ig gate)"
+    )
+    NO_POSE = (
+        "no registration was in use in {share:.0%} of the ticks: give a better start or a longer sweep, or "
+        "check calibrations and clocks; the last registration: {reason}"
+    )
+    OUT_OF_VOLUME = (
+        "the tool stayed outside the box of the model in {share:.0%} of the ticks: check that its poses and "
+        "tip are in mm, relative to what the probe's are, and of this intervention"
+    )
+    FAULT = (
+        "numbers were not finite in {share:.0%} of the ticks: check poses, tip and model for damaged values"
+    )
+
+
+def no_force_of(replay: Replay) -> str | None:
+    """The sentence of the status that most ticks had once there was a pose; None where a tick was valid."""
+    found, count = np.unique(replay.ticks.status, return_counts=True)
+    counts = {Status(code): n for code, n in zip(found.tolist(), count.tolist(), strict=True)}
+    reason = replay.attempts[-1].reason if replay.attempts else None
+    return no_force(counts, posed=bool(replay.poses), reason=reason)
+
+
+def no_force(counts: Mapping[Status, int], *, posed: bool, reason: str | None) -> str | None:
+    """The same of how often there was each status.
+
+    Args:
+        posed: whether a pose was ever in use.
+        reason: how the last registration ended; None without one.
+    """
+    if counts.get(Status.OK, 0) or not sum(counts.values()):
+        return None
+    found: dict[Status, int] = {status: n for status, n in counts.items() if n}
+    if posed and set(found) != {Status.NO_POSE}:
+        found.pop(Status.NO_POSE, None)
+    most = max(sorted(found), key=found.__getitem__)
+    share = found[most] / sum(found.values())
+    told = reason or "none, the recording is too short"
+    return NoForce[most.name].value.format(share=share, reason=told)

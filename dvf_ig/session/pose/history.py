@@ -1,0 +1,86 @@
+"""What happened in a session: R peaks, registrations, evaluated beats, and the pose in use after each."""
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+from dvf_ig.cardiac import RPeak
+from dvf_ig.core import Rigid
+from dvf_ig.registration import RegistrationResult
+from dvf_ig.session.ultrasound.beat_evaluation import BeatEvaluation
+from dvf_ig.session.ultrasound.gated_frames import GatedFrames
+
+from .doubt import Doubt
+from .refusal import Refused
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attempt:
+    """One registration.
+
+    Attributes:
+        asked_s: when it was started; `ready_s` from when its result could be used.
+        frames: the ultrasound it was given; None where none had arrived.
+        result: None where too few frames passed the gate, or it failed.
+        failure: why it failed, as a user reads it.
+        refused: why it is not used though its own evidence would allow it; None where it is.
+    """
+
+    asked_s: float
+    ready_s: float
+    frames: GatedFrames | None
+    result: RegistrationResult | None
+    failure: str | None = None
+    refused: Refused | None = None
+
+    @property
+    def usable(self) -> bool:
+        return self.result is not None and self.result.stop.usable and self.refused is None
+
+    @property
+    def reason(self) -> str:
+        """How it ended, as a user reads it."""
+        if self.refused is not None:
+            return self.refused.sentence
+        if self.result is not None:
+            return self.result.sentence
+        if self.failure is not None or self.frames is None:
+            return self.failure or "no ultrasound"
+        return self.frames.shortage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseUpdate:
+    """A change of the pose in use.
+
+    Attributes:
+        from_s: when it took effect.
+        pose: mr_from_tracker from then on; None where the pose in use was suspended.
+        doubt: why it was suspended; None where it was not.
+    """
+
+    from_s: float
+    pose: Rigid | None
+    doubt: Doubt | None = None
+
+
+class SessionHistory:
+    """In time order; a bounded one forgets the oldest.
+
+    Attributes:
+        peaks: R peaks.
+        attempts: registrations.
+        beats: beats that were compared with a pose.
+        updates: the pose to use from each time on.
+    """
+
+    def __init__(self, longest: int | None = None) -> None:
+        self.peaks: deque[RPeak] = deque(maxlen=longest)
+        self.attempts: deque[Attempt] = deque(maxlen=longest)
+        self.beats: deque[BeatEvaluation] = deque(maxlen=longest)
+        self.updates: deque[PoseUpdate] = deque(maxlen=longest)
+
+    def set_refused(self, asked_s: float, refused: Refused | None) -> None:
+        """Change why the registration that was asked for at `asked_s` is not used."""
+        for i, attempt in enumerate(self.attempts):
+            if attempt.asked_s == asked_s:
+                self.attempts[i] = replace(attempt, refused=refused)

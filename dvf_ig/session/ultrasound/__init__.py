@@ -1,0 +1,1 @@
+"""Tracked frames as they arrive, gated, and made into registrations and compared beats."""

@@ -1,0 +1,1 @@
+"""Rows of the table of hazards, by what is disturbed."""
