@@ -265,24 +265,28 @@ def test_full_disk_ends_the_record_and_is_told_but_the_session_goes_on() -> None
 def test_disk_that_is_too_slow_loses_messages_that_are_counted_and_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Nothing is written before all has been handed over."""
     monkeypatch.setattr("dvf_ig.live.record.record.MOST_WAITING_BYTES", 50_000)
-    monkeypatch.setattr("dvf_ig.live.record.record.WAKE_S", 0.5)
     told: list[str] = []
-    with session_record(tmp_path, attach, told.append) as record, Session(toy_setup()) as session:
-        time.sleep(0.1)
+    with (tmp_path / LOG).open("wb") as stream, Session(toy_setup()) as session:
+        log = LogWriter(stream)
+        attach(log)
+        log.end_attachments()
+        record = SessionRecord(log, stream, tmp_path / LOG, told.append)
+        frame, state = toy_streams(0.1).frames[0], session.state(1.0)
+        record.event(ToolPose(0.0, np.eye(4)), 0.0)
+        record.state(state)
         for n in range(100):
             record.event(ToolPose(n * 0.01, np.eye(4)), n * 0.01)
-            record.event(toy_streams(0.1).frames[0], n * 0.01)
-        time.sleep(1.0)
-        record.state(session.state(1.0))
+            record.event(frame, n * 0.01)
         lost = record.lost
-        assert record.problem is not None
-        assert f"{lost} messages" in record.problem
+        record.start()
+        assert record.finish()
     assert lost > 100
-    assert len(told) == 1
+    assert told == [record.problem]
+    assert f"{lost} messages" in told[0]
     live = read(tmp_path / LOG).live
     assert live is not None
-    assert live.states[-1, -1] == lost
     assert [f"lacks {lost} messages" in one.sentence for one in live.findings] == [True]
 
 
