@@ -1,12 +1,14 @@
 """Registration of gated 3-D ultrasound: planes of every volume, with place and phase."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid, TrackedVolume, read_only_arrays
+from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.kernels.grid.pool import pool_blocks, pool_cubes
 from dvf_ig.registration.boundary.points import boundary_points
 from dvf_ig.registration.boundary.problem import Boundary
@@ -85,21 +87,29 @@ def register_volumes(
         InvalidInputError: no volume, or nothing insonified.
     """
     began = clock()
-    coarse, fine = (
-        Level(
-            prepare_volumes(volumes, pitch_mm=pitch, planes=planes, brightness=target.brightness),
-            target.channels,
-            pitch,
+    with ThreadPoolExecutor(thread_count()) as pool:
+        seen = pool.submit(_boundary, volumes, target)
+        coarse, fine = pool.map(
+            lambda sizes: _level(volumes, target, *sizes),
+            ((COARSE_PITCH_MM, COARSE_PLANES), (FINE_PITCH_MM, FINE_PLANES)),
         )
-        for pitch, planes in ((COARSE_PITCH_MM, COARSE_PLANES), (FINE_PITCH_MM, FINE_PLANES))
-    )
-    boundary = None
-    if target.surface is not None:
-        slices = prepare_volumes(volumes, pitch_mm=BOUNDARY_PITCH_MM, planes=BOUNDARY_PLANES)
-        boundary = Boundary(boundary_points(slices), target.surface)
+        boundary = seen.result()
     data = RegistrationData(coarse, fine, target.center_mm, boundary, prior)
     result = register_rigid(data, start, rng=rng, clock=clock, options=SEARCH, progress=progress)
     return replace(result, seconds=clock() - began)
+
+
+def _level(volumes: Sequence[TrackedVolume], target: VolumeTarget, pitch_mm: float, planes: int) -> Level:
+    slices = prepare_volumes(volumes, pitch_mm=pitch_mm, planes=planes, brightness=target.brightness)
+    return Level(slices, target.channels, pitch_mm)
+
+
+def _boundary(volumes: Sequence[TrackedVolume], target: VolumeTarget) -> Boundary | None:
+    """What the volumes show of the model's surface, where that is known."""
+    if target.surface is None:
+        return None
+    slices = prepare_volumes(volumes, pitch_mm=BOUNDARY_PITCH_MM, planes=BOUNDARY_PLANES)
+    return Boundary(boundary_points(slices), target.surface)
 
 
 def prepare_volumes(
