@@ -107,8 +107,8 @@ def told() -> list[str]:
 def run(tmp_path_factory: pytest.TempPathFactory, told: list[str]) -> tuple[Path, list[GuidanceState]]:
     folder = tmp_path_factory.mktemp("record")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dvf_ig.session.ultrasound_source.register_frames", register_known)
-        patch.setattr("dvf_ig.session.ultrasound_source.compare_beat", compare_known)
+        patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.register_frames", register_known)
+        patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.compare_beat", compare_known)
         return folder, recorded(folder, told, UNTIL_S)
 
 

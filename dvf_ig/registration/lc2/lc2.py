@@ -177,7 +177,7 @@ class Lc2:
     def cost_gradient(self, target_from_source: Rigid, center_mm: FloatArray) -> CostGradient:
         """Cost of each slice and its gradient in the coordinates of `PoseChart`."""
         sums, motion = self._step_sums(target_from_source, center_mm, matrix=False)
-        return CostGradient(sums[:, STEP_WEIGHT] - sums[:, STEP_SCORE], -2.0 * motion.gradient(sums))
+        return _cost_gradient(sums, motion)
 
     def cut(self, owner: IntArray, part: IntArray) -> SliceParts:
         """The slices in parts; see `slice_parts`."""
@@ -195,7 +195,7 @@ class Lc2:
         found, counts = [], np.diff(parts.first_part)
         for own, (_, mm_from_pixel) in zip(sums, placed, strict=True):
             motion = self._motion(mm_from_pixel, center_mm).repeated(counts)
-            found.append(CostGradient(own[:, STEP_WEIGHT] - own[:, STEP_SCORE], -2.0 * motion.gradient(own)))
+            found.append(_cost_gradient(own, motion))
         return tuple(found)
 
     def shifted_part_gradient(
@@ -210,8 +210,7 @@ class Lc2:
         model = placed._replace(phases=placed.phases[owner], index_from_pixel=index_from_pixel)
         sums = np.empty((len(owner), STEP_SUMS))
         self._run(lc2_step_slices, (parts.cut, model, self._scratch, False, sums), len(owner))
-        motion = self._motion(mm_from_pixel, center_mm)
-        return CostGradient(sums[:, STEP_WEIGHT] - sums[:, STEP_SCORE], -2.0 * motion.gradient(sums))
+        return _cost_gradient(sums, self._motion(mm_from_pixel, center_mm))
 
     @property
     def information(self) -> float:
@@ -278,3 +277,7 @@ def _similarity(scores: FloatArray) -> float:
 def _slope(sums: FloatArray, motion: SliceMotion) -> Slope:
     weight = max(float(sums[:, STEP_WEIGHT].sum()), 1e-300)
     return Slope(motion.gradient(sums).sum(axis=0), float(sums[:, STEP_SCORE].sum()) / weight, weight)
+
+
+def _cost_gradient(sums: FloatArray, motion: SliceMotion) -> CostGradient:
+    return CostGradient(sums[:, STEP_WEIGHT] - sums[:, STEP_SCORE], -2.0 * motion.gradient(sums))
