@@ -145,7 +145,7 @@ def edge_rows(
 
 
 AHEAD = 6
-"""Pixels along a row between asking for a cell and reading it; half as far or 16 is slower."""
+"""Pixels along a row between asking for a cell and reading it; 16 is slower."""
 
 
 @inlined
