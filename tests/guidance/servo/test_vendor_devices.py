@@ -5,6 +5,7 @@ import gc
 import shutil
 import subprocess
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,13 @@ def dhd(tmp_path):
 @pytest.fixture
 def hd(tmp_path):
     return compiled("fake_hd", tmp_path)
+
+
+@pytest.fixture
+def touch(hd):
+    """Closed in the end even where the test fails: until then its scheduler writes to the device's memory."""
+    with closing(OpenHapticsDevice(path=hd, lost_after_s=0.5)) as device:
+        yield device
 
 
 def number(library, name, kind=ctypes.c_int):
@@ -153,20 +161,19 @@ def test_a_force_dimension_device_that_breaks_latches(dhd, ball, steady_ball):
     device.close()
 
 
-def test_an_openhaptics_device_is_driven_inside_its_frames(hd, ball, steady_ball):
-    device = OpenHapticsDevice(path=hd, lost_after_s=0.5)
+def test_an_openhaptics_device_is_driven_inside_its_frames(hd, touch, ball, steady_ball):
     run_servo(
         ball,
         steady_ball,
-        device,
+        touch,
         [10.0, -20.0, 30.0],
         lambda speak, place: felt(speak, place, vector(hd, "fake_force")),
     )
     within(lambda: not any(vector(hd, "fake_force")))
     assert number(hd, "fake_misuse").value == 0
     assert number(hd, "fake_forces_on").value == 1
-    device.close()
-    device.close()
+    touch.close()
+    touch.close()
     assert number(hd, "fake_forces_on").value == 0
 
 
@@ -178,27 +185,24 @@ def test_an_openhaptics_device_that_is_dropped_stops_the_drivers_thread(hd):
     assert number(hd, "fake_forces_on").value == 0
 
 
-def test_a_servo_that_falls_silent_leaves_no_force_on_an_openhaptics_device(hd):
-    device = OpenHapticsDevice(path=hd, lost_after_s=0.5)
+def test_a_servo_that_falls_silent_leaves_no_force_on_an_openhaptics_device(hd, touch):
     write = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int64, ctypes.POINTER(ctypes.c_double))(
-        int(device.functions[1])
+        int(touch.functions[1])
     )
-    write(device.context.ctypes.data, 0, (ctypes.c_double * 3)(0.1, 0.2, 0.3))
+    write(touch.context.ctypes.data, 0, (ctypes.c_double * 3)(0.1, 0.2, 0.3))
     force = vector(hd, "fake_force")
     within(lambda: list(force) == [0.1, 0.2, 0.3])
     within(lambda: not any(force))
-    device.close()
+    touch.close()
 
 
 @pytest.mark.parametrize(("name", "value"), [("fake_stalled", 1), ("fake_error", 0x0303)])
-def test_a_scheduler_that_stops_or_fails_is_a_lost_device(hd, ball, steady_ball, name, value):
-    device = OpenHapticsDevice(path=hd, lost_after_s=0.5)
-
+def test_a_scheduler_that_stops_or_fails_is_a_lost_device(hd, touch, ball, steady_ball, name, value):
     def look(speak, place):
         felt(speak, place, vector(hd, "fake_force"))
         number(hd, name).value = value
         within(lambda: SupervisorState.LATCHED in speak().state)
 
-    run_servo(ball, steady_ball, device, [10.0, -20.0, 30.0], look)
-    assert device.error_code == (value if name == "fake_error" else 0)
-    device.close()
+    run_servo(ball, steady_ball, touch, [10.0, -20.0, 30.0], look)
+    assert touch.error_code == (value if name == "fake_error" else 0)
+    touch.close()

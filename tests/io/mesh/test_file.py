@@ -6,7 +6,6 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-import open3d
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -41,6 +40,8 @@ def test_stl_keeps_shape_and_single_precision(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ending", ["obj", "stl", "ply"])
 def test_known_corner_read_by_open3d(tmp_path: Path, ending: str) -> None:
+    import open3d
+
     write_mesh(Mesh("mr", CORNERS, FACES), tmp_path / f"m.{ending}")
     other = open3d.io.read_triangle_mesh(str(tmp_path / f"m.{ending}"))
     corners = np.asarray(other.vertices)[np.asarray(other.triangles)]
@@ -51,6 +52,8 @@ def test_known_corner_read_by_open3d(tmp_path: Path, ending: str) -> None:
     ("ending", "ascii_form"), [("obj", True), ("stl", False), ("ply", True), ("ply", False)]
 )
 def test_files_of_open3d(tmp_path: Path, ending: str, ascii_form: bool) -> None:
+    import open3d
+
     mesh = open3d.geometry.TriangleMesh(
         open3d.utility.Vector3dVector(CORNERS), open3d.utility.Vector3iVector(FACES)
     )
