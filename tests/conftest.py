@@ -3,6 +3,7 @@
 The package is imported in the fixtures: the process that hands the tests out to others needs none of it.
 """
 
+import gc
 import os
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -23,17 +24,22 @@ settings.register_profile("dvf_ig", deadline=None, derandomize=True)
 settings.load_profile("dvf_ig")
 
 REPO = Path(__file__).resolve().parent.parent
-ONE_INTERVENTION = {"scenario", "replay", "written"}
-"""Fixtures that take long to make: the tests that share them run in one process."""
+SHARED = {"imaged": "one intervention", "anatomy": "one phantom"}
+"""Fixtures that take long to make, of which others are made: the tests that share one run in one process."""
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests of one file, and all that share the intervention, stay in one process where several work."""
+    """Tests of one file, and all that share a heart, stay in one process where several work."""
     for item in items:
-        together = ONE_INTERVENTION & set(getattr(item, "fixturenames", ()))
-        group = "one intervention" if together else item.nodeid.split("::", maxsplit=1)[0]
-        item.add_marker(pytest.mark.xdist_group(group))
+        names = getattr(item, "fixturenames", ())
+        shared = [group for fixture, group in SHARED.items() if fixture in names]
+        item.add_marker(pytest.mark.xdist_group((shared or [item.nodeid.split("::", maxsplit=1)[0]])[0]))
+
+
+def pytest_collection_finish() -> None:
+    """Tests and modules stay to the end: the garbage collector leaves them out from here on."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -55,11 +61,20 @@ def data_dir() -> Path:
 
 @pytest.fixture(scope="session")
 def imaged() -> "ImagedHeart":
-    """The heart of `scenario` and its pre-operative images, for other recordings of it."""
-    from data_synth import ScenarioSpec
-    from data_synth.scenario.recording import imaged_heart
+    """The heart of `scenario` and its pre-operative images, for other recordings of it.
 
-    return imaged_heart(ScenarioSpec(motion="paper5mm", seed=77))
+    The MR has half of a study's phases and larger voxels: all that reads it is quicker.
+    """
+    import numpy as np
+
+    from data_synth import ScenarioSpec
+    from data_synth.mr.cine import MrProtocol, cine_preop
+    from data_synth.scenario.recording import ImagedHeart, scenario_heart
+
+    spec = ScenarioSpec(motion="paper5mm", seed=77)
+    anatomy = scenario_heart(spec)
+    protocol = MrProtocol(phases=10, spacing_mm=2.4)
+    return ImagedHeart(spec, anatomy, cine_preop(anatomy, np.random.default_rng(77), protocol))
 
 
 @pytest.fixture(scope="session")

@@ -100,6 +100,7 @@ def replay(
                     retiming=mode,
                     seed=seed,
                     progress=report,
+                    live=recordings.live,
                 )
             result = result_of(done)
             with files_together(out, ("result.json", "report.html", VIEW, *NAMES)) as new:

@@ -93,6 +93,25 @@ def load_row(typing: Any, c: Any, p: Any, i: Any, j: Any, k: Any) -> Float64x4:
 
 
 @intrinsic
+def prefetch_row(typing: Any, c: Any, p: Any, i: Any, j: Any, k: Any) -> Any:
+    """Ask for what `load_row` will read soon; changes no value."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, args[0])
+        place = cgutils.get_item_pointer(
+            context, builder, signature.args[0], array, args[1:], wraparound=False
+        )
+        address, number = ir.IntType(8).as_pointer(), ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [address, number, number, number])
+        fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
+        read, soon, data = (ir.Constant(number, value) for value in (0, 3, 1))
+        builder.call(fetch, [builder.bitcast(place, address), read, soon, data])
+        return context.get_dummy_value()
+
+    return types.none(c, *[types.uintp] * 4), build
+
+
+@intrinsic
 def scale(typing: Any, w: float, row: Float64x4) -> Float64x4:
     """w · row."""
 

@@ -25,6 +25,7 @@ from .lanes import (
     multiply,
     pack,
     pair_sums,
+    prefetch_row,
     scale,
     store4,
     subtract,
@@ -143,6 +144,21 @@ def edge_rows(
     )
 
 
+AHEAD = 6
+"""Pixels along a row between asking for a cell and reading it; 16 is slower."""
+
+
+@inlined
+def fetch_ahead(channels: NDArray[np.float32], phase: int, matrix: Floats, row: int, column: int) -> None:
+    """Ask for the cell of a pixel that is sampled soon: a volume is larger than the near caches."""
+    cell, _, _ = volume_cell(channels.shape[1:], matrix, row, column)
+    p, i, j, k = np.uintp(phase), np.uintp(cell[0]), np.uintp(cell[1]), np.uintp(2 * cell[2])
+    prefetch_row(channels, p, i, j, k)
+    prefetch_row(channels, p, i, j + np.uintp(1), k)
+    prefetch_row(channels, p, i + np.uintp(1), j, k)
+    prefetch_row(channels, p, i + np.uintp(1), j + np.uintp(1), k)
+
+
 @kernel
 def sample_channels(
     channels: NDArray[np.float32],
@@ -165,9 +181,10 @@ def sample_channels(
     shape, first = channels.shape[1:], runs[0, PIXEL]
     inside = 0
     for run in range(len(runs)):
-        row, begin = runs[run, ROW], runs[run, FIRST]
+        row, begin, last = runs[run, ROW], runs[run, FIRST], runs[run, LAST]
         pixel = runs[run, PIXEL] - first
-        for column in range(begin, runs[run, LAST]):
+        for column in range(begin, last):
+            fetch_ahead(channels, phase, matrix, row, min(column + AHEAD, last - 1))
             cell, (fx, fy, fz), (in_x, in_y, in_z) = volume_cell(shape, matrix, row, column)
             inside += in_x and in_y and in_z
             e00, e01, e10, e11 = edge_rows(channels, phase, cell)
@@ -212,7 +229,7 @@ def _fit_patch(slices: PatchedSlices, p: int, columns: Floats, fits: Floats, at:
     """Fit a patch whose rows the columns hold.
 
     Args:
-        fits: row `at` is filled with c·α², c·αβ, c·β², c·α, c·β, c·αγ, c·βγ, c = w/(n·Var u).
+        fits: row `at` is filled with c·α², c·αβ, c·β², c·α, c·β, c·αγ, c·βγ, w·S; c = w/(n·Var u).
     Returns:
         w·S and w.
     """
@@ -234,8 +251,9 @@ def _fit_patch(slices: PatchedSlices, p: int, columns: Floats, fits: Floats, at:
     c = w * inverse * per_variance
     ca, cb = c * alpha, c * beta
     store4(fits, np.uintp(at), np.uintp(0), pack(ca * alpha, ca * beta, cb * beta, ca))
-    store4(fits, np.uintp(at), np.uintp(4), pack(cb, ca * gamma, cb * gamma, 0.0))
-    return w * min(max((alpha * ua + beta * ub) * per_variance, 0.0), 1.0), w
+    explained = w * min(max((alpha * ua + beta * ub) * per_variance, 0.0), 1.0)
+    store4(fits, np.uintp(at), np.uintp(4), pack(cb, ca * gamma, cb * gamma, explained))
+    return explained, w
 
 
 @kernel

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from .compiled import inlined, kernel
 from .lanes import add, fma, load4, multiply, pack, pair_sums, scale, store4, subtract, unpack
 from .lc2 import (
+    AHEAD,
     FIRST,
     LAST,
     PATCH_COLUMN,
@@ -27,6 +28,7 @@ from .lc2 import (
     PlacedModel,
     Scratch,
     edge_rows,
+    fetch_ahead,
     fit_patches,
     volume_cell,
 )
@@ -52,9 +54,10 @@ def sample_gradients(
     """
     shape, first = channels.shape[1:], runs[0, PIXEL]
     for run in range(len(runs)):
-        row, begin = runs[run, ROW], runs[run, FIRST]
+        row, begin, last = runs[run, ROW], runs[run, FIRST], runs[run, LAST]
         pixel = runs[run, PIXEL] - first
-        for column in range(begin, runs[run, LAST]):
+        for column in range(begin, last):
+            fetch_ahead(channels, phase, matrix, row, min(column + AHEAD, last - 1))
             cell, (fx, fy, fz), (in_x, in_y, in_z) = volume_cell(shape, matrix, row, column)
             e00, e01, e10, e11 = edge_rows(channels, phase, cell)
             s0, s1 = subtract(e01, e00), subtract(e11, e10)

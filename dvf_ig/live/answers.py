@@ -60,16 +60,23 @@ def force_message(force_n: FloatArray, stamp_s: float) -> Message:
 
 
 def state_messages(
-    state: GuidanceState, servo: SupervisorState, hazards: Hazard, stamp_s: float
+    state: GuidanceState,
+    servo: SupervisorState,
+    hazards: Hazard,
+    stamp_s: float,
+    record_problem: str | None = None,
 ) -> tuple[Message, ...]:
     """STATUS and STRING.
 
     Args:
         servo, hazards: state of the servo's supervisor, which has the last word on the force, and what it
             found.
+        record_problem: what is wrong with the session's record.
     """
     worst = max(servo, state.supervisor)
     numbers = state_numbers(state, servo, hazards)
+    if record_problem is not None:
+        numbers["reasons"] = [*numbers["reasons"], record_problem]
     text = json.dumps(numbers, allow_nan=False)
     status = Status(_CODES[worst], int(worst), worst.name, "; ".join(numbers["reasons"])[:1000])
     return Message(STATUS_NAME, stamp_s, status), Message(STATE_NAME, stamp_s, Text(text))

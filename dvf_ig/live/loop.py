@@ -25,6 +25,7 @@ from .answers import force_message, pose_message, state_messages
 from .events import EventSource
 from .link import Inbox, Link
 from .priority import SESSION, schedule_first
+from .record import NO_RECORD, Record
 from .timed import LiveEvent
 
 ANSWERS_HZ = 60.0
@@ -71,6 +72,7 @@ class LiveLoop:
         more_events: events from elsewhere than the peers, since the last call.
         observe: is told every answer; `watch` every event that was pushed.
         tell: is told a sentence about what cannot be used.
+        record: is told everything in order.
     """
 
     session: Session
@@ -84,6 +86,7 @@ class LiveLoop:
     tell: Callable[[str], None]
     watch: Callable[[Event], None] = lambda _: None
     landmarks: tuple[Landmark, ...] = ()
+    record: Record = NO_RECORD
     clock: Callable[[], float] = time.monotonic
     began: bool = False
     _state_s: float = float("-inf")
@@ -131,7 +134,9 @@ class LiveLoop:
         if tool and not self.began:
             self.began = True
             for landmark in self.landmarks:
+                self.record.event(landmark, None)
                 self.session.push(landmark)
+        self.record.event(event.event, event.arrived_s)
         try:
             self.session.push(event.event, event.arrived_s)
         except DvfIgError as error:
@@ -146,6 +151,7 @@ class LiveLoop:
         """A state, and what the servo is told of it."""
         now_s = self._state_s = self.clock()
         state = self._state = self.session.state(now_s)
+        self.record.state(state)
         if not state.tool.hazard:
             self.device.publish(state.tool.tip_tracker_mm, state.tool.velocity_mm_s, now_s)
         self.servo.publish(
@@ -179,15 +185,18 @@ class LiveLoop:
         messages = [*pose_message(state, stamp_s), force_message(force_n, max(0.0, t_s + offset_s))]
         if state.now_s - self._states_sent_s >= STATES_SENT_EVERY_S:
             self._states_sent_s = state.now_s
-            messages += state_messages(state, servo, hazards, stamp_s)
+            messages += state_messages(state, servo, hazards, stamp_s, self.record.problem)
         self.link.send(messages)
         sent_s = self._answer_s = self.clock()
         latency_s, self._tool_arrived_s = sent_s - self._tool_arrived_s, float("nan")
+        self.record.answer(state, t_s, force_n)
         self.observe(Answer(state, t_s, force_n, servo, hazards, latency_s, offset_s))
 
     def _rearm(self) -> None:
         self._rearm_asked = False
-        self.session.push(Rearm(self.clock()))
+        event = Rearm(self.clock())
+        self.record.event(event, None)
+        self.session.push(event)
         self._advance()
         self.servo.rearm()
 

@@ -21,6 +21,7 @@ from .link import Inbox, Link, connect, listen
 from .link.link import LOOPBACK, is_loopback
 from .loop import Answer, LiveLoop, no_more
 from .priority import answering_soon
+from .record import NO_RECORD, CountedWork, Record
 from .timed import LiveEvent
 
 LATE_S = 0.02
@@ -42,6 +43,7 @@ class LiveOptions:
         ecg: events of an ECG that no peer sends (`dvf_ig.live.ecg`).
         observe: is told every answer, `watch` every event; `tell` a sentence about what cannot be used.
         history: of registrations and beats; None keeps the last ones.
+        record: is told everything in order.
     """
 
     config: LiveConfig
@@ -51,6 +53,7 @@ class LiveOptions:
     watch: Callable[[Event], None] = _nothing
     tell: Callable[[str], None] = _nothing
     history: SessionHistory | None = None
+    record: Record = NO_RECORD
     clock: Callable[[], float] = field(default=time.monotonic)
 
 
@@ -65,7 +68,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
     fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
     device = TrackedTool()
     with ExitStack() as stack:
-        executor = stack.enter_context(Beside(waits=False))
+        executor = CountedWork(stack.enter_context(Beside(waits=False)), options.record)
         session = stack.enter_context(
             Session(setup, executor=executor, clock=time.perf_counter, history=options.history)
         )
@@ -86,6 +89,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
             tell=options.tell,
             watch=options.watch,
             landmarks=_touched(options),
+            record=options.record,
             clock=options.clock,
         )
 

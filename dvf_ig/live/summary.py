@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import IntArray
-from dvf_ig.guidance import SupervisorState
+from dvf_ig.guidance import Status, SupervisorState
 
 from .loop import Answer, LiveLoop
 
@@ -44,6 +44,7 @@ class LiveSummary:
     latency: LatencyCount = field(default_factory=LatencyCount)
     answers: int = 0
     by_state: dict[str, int] = field(default_factory=lambda: dict.fromkeys(SupervisorState.__members__, 0))
+    by_status: dict[Status, int] = field(default_factory=lambda: dict.fromkeys(Status, 0))
     largest_n: float = 0.0
 
     def add(self, answer: Answer) -> None:
@@ -51,6 +52,7 @@ class LiveSummary:
         self.answers += 1
         self.latency.add(answer.latency_s)
         self.by_state[answer.servo.name] += 1
+        self.by_status[answer.state.status] += 1
         self.largest_n = max(self.largest_n, float(np.linalg.norm(answer.force_n)))
 
     def result(self, loop: LiveLoop) -> dict[str, Any]:

@@ -6,16 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
-from dvf_ig.kernels.boundary import UNKNOWNS
-from dvf_ig.registration.boundary.blocks import boundary_blocks
+from dvf_ig.registration.boundary.blocks import BlockedBoundary
 from dvf_ig.registration.boundary.fit import BoundaryFit, fit_boundary
-from dvf_ig.registration.deformation.blocks import (
-    BLOCK_MM,
-    OFFSET_SIGMA_MM,
-    Blocks,
-    blocks_at,
-)
-from dvf_ig.registration.deformation.joint_fit import POSE, joint_fit
+from dvf_ig.registration.deformation.blocks import BLOCK_MM, BlockedMatch
+from dvf_ig.registration.deformation.descent import pose_and_shape
 from dvf_ig.registration.evidence.covariance import covariance_mm2, placement_covariance_mm2
 from dvf_ig.registration.lc2.blocks import BlockedLc2
 from dvf_ig.registration.lc2.lc2 import Lc2
@@ -65,7 +59,7 @@ def fuse(
         boundary = fit_boundary(data.visible_boundary, chart.base, data.center_mm)
     agreed = None
     if covered.masks.any():
-        agreed = _agreed(data, _blocks(data, refined, boundary, options, chart), chart)
+        agreed = _agreed(data, _match(data, refined, boundary, options, chart), chart)
     if agreed is None:
         unknown = np.full((6, 6), np.nan)
         return Fused(chart.base, unknown, unknown, boundary, covered, metric_of)
@@ -90,35 +84,27 @@ class _Agreed:
     curvature: FloatArray
 
 
-def _agreed(data: RegistrationData, blocks: Blocks, chart: PoseChart) -> _Agreed | None:
+def _agreed(data: RegistrationData, match: BlockedMatch, chart: PoseChart) -> _Agreed | None:
     """None where LC2 and landmarks are at no minimum."""
-    landmarks, slope = _landmarks(data, chart)
-    curvature = blocks.curvature + landmarks
+    curvature = match.curvature + _landmarks(data, chart)[0]
     if not _definite(curvature):
         return None
-    known, known_slope = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
-    known[POSE, POSE], known_slope[POSE] = landmarks, slope
-    known[6, 6] = 1.0 / OFFSET_SIGMA_MM**2
-    fit = joint_fit(blocks.costs, known, known_slope, data.center_mm)
-    return _Agreed(chart.pose(fit.step_mm), covariance_mm2(blocks, fit), curvature)
+    found = pose_and_shape(match, chart, lambda here: _landmarks(data, here))
+    return _Agreed(found.pose, covariance_mm2(found.first, found.influences), curvature)
 
 
-def _blocks(
+def _match(
     data: RegistrationData,
     refined: Refined,
     boundary: BoundaryFit | None,
     options: RegistrationOptions,
     chart: PoseChart,
-) -> Blocks:
-    seen = data.visible_boundary
-    return blocks_at(
-        BlockedLc2(refined.inside, block_mm=BLOCK_MM),
-        refined.inside.information / options.times_seen,
-        None
-        if seen is None or boundary is None
-        else boundary_blocks(seen, boundary, chart.base, data.center_mm, block_mm=BLOCK_MM),
-        chart,
-    )
+) -> BlockedMatch:
+    seen, points = data.visible_boundary, None
+    if seen is not None and boundary is not None:
+        points = BlockedBoundary(seen, boundary.offset_mm, data.center_mm, block_mm=BLOCK_MM)
+    information = refined.inside.information / options.times_seen
+    return BlockedMatch(BlockedLc2(refined.inside, block_mm=BLOCK_MM), information, points, chart)
 
 
 def _landmarks(data: RegistrationData, chart: PoseChart) -> tuple[FloatArray, FloatArray]:

@@ -1,12 +1,14 @@
 """Registration of gated 3-D ultrasound: planes of every volume, with place and phase."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid, TrackedVolume, read_only_arrays
+from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.kernels.grid.pool import pool_blocks, pool_cubes
 from dvf_ig.registration.boundary.points import boundary_points
 from dvf_ig.registration.boundary.problem import Boundary
@@ -85,21 +87,29 @@ def register_volumes(
         InvalidInputError: no volume, or nothing insonified.
     """
     began = clock()
-    coarse, fine = (
-        Level(
-            prepare_volumes(volumes, pitch_mm=pitch, planes=planes, brightness=target.brightness),
-            target.channels,
-            pitch,
+    with ThreadPoolExecutor(thread_count()) as pool:
+        seen = pool.submit(_boundary, volumes, target)
+        coarse, fine = pool.map(
+            lambda sizes: _level(volumes, target, *sizes),
+            ((COARSE_PITCH_MM, COARSE_PLANES), (FINE_PITCH_MM, FINE_PLANES)),
         )
-        for pitch, planes in ((COARSE_PITCH_MM, COARSE_PLANES), (FINE_PITCH_MM, FINE_PLANES))
-    )
-    boundary = None
-    if target.surface is not None:
-        slices = prepare_volumes(volumes, pitch_mm=BOUNDARY_PITCH_MM, planes=BOUNDARY_PLANES)
-        boundary = Boundary(boundary_points(slices), target.surface)
+        boundary = seen.result()
     data = RegistrationData(coarse, fine, target.center_mm, boundary, prior)
     result = register_rigid(data, start, rng=rng, clock=clock, options=SEARCH, progress=progress)
     return replace(result, seconds=clock() - began)
+
+
+def _level(volumes: Sequence[TrackedVolume], target: VolumeTarget, pitch_mm: float, planes: int) -> Level:
+    slices = prepare_volumes(volumes, pitch_mm=pitch_mm, planes=planes, brightness=target.brightness)
+    return Level(slices, target.channels, pitch_mm)
+
+
+def _boundary(volumes: Sequence[TrackedVolume], target: VolumeTarget) -> Boundary | None:
+    """What the volumes show of the model's surface, where that is known."""
+    if target.surface is None:
+        return None
+    slices = prepare_volumes(volumes, pitch_mm=BOUNDARY_PITCH_MM, planes=BOUNDARY_PLANES)
+    return Boundary(boundary_points(slices), target.surface)
 
 
 def prepare_volumes(
@@ -123,36 +133,46 @@ def prepare_volumes(
     table = brightness(np.arange(256, dtype=np.uint8))
     edges = np.array([volume.image.grid.spacing_mm for volume in volumes])
     if np.ptp(edges) > CUBE_TOLERANCE * edges.max():
-        return joined([_planes(volume, _cubes(volume, table, pitch_mm), planes) for volume in volumes])
-    return joined([_planes(volume, _blocks(volume, table, pitch_mm), planes) for volume in volumes])
+        return joined([_planes(volume, _cubes(volume, table, pitch_mm, planes)) for volume in volumes])
+    return joined([_planes(volume, _blocks(volume, table, pitch_mm, planes)) for volume in volumes])
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Averaged:
-    """Brightness averaged over blocks of `edge` voxels, NaN where one of them was not insonified."""
+    """Brightness averaged over blocks of `edge` voxels, NaN where one of them was not insonified.
+
+    Filled in on every `every`-th plane along each axis (`kernels.pool.on_a_plane`).
+    """
 
     values: NDArray[np.float32]
     edge: FloatArray
+    every: int
 
 
-def _blocks(volume: TrackedVolume, table: NDArray[np.float32], pitch_mm: float) -> _Averaged:
+def _blocks(volume: TrackedVolume, table: NDArray[np.float32], pitch_mm: float, planes: int) -> _Averaged:
     """Over the nearest whole number of voxels, which are cubes."""
     grid = volume.image.grid
     step = max(1, round(pitch_mm / float(grid.spacing_mm[0])))
     small: NDArray[np.float32] = np.empty([n // step for n in grid.shape], dtype=np.float32)
-    pool_blocks(volume.image.values, _insonified(volume), table, step, small)
-    return _Averaged(small, np.full(3, float(step)))
+    every = _every(small, planes)
+    pool_blocks(volume.image.values, _insonified(volume), table, step, every, small)
+    return _Averaged(small, np.full(3, float(step)), every)
 
 
-def _cubes(volume: TrackedVolume, table: NDArray[np.float32], pitch_mm: float) -> _Averaged:
+def _cubes(volume: TrackedVolume, table: NDArray[np.float32], pitch_mm: float, planes: int) -> _Averaged:
     """Over cubes of exactly `pitch_mm`."""
     grid = volume.image.grid
     edge = pitch_mm / grid.spacing_mm
     counts = [int(n / e + 1e-9) for n, e in zip(grid.shape, edge, strict=True)]  # 6 · 0.1 is 0.6
     small: NDArray[np.float32] = np.empty(counts, dtype=np.float32)
-    pool_cubes(volume.image.values, _insonified(volume), table, edge, small)
-    return _Averaged(small, edge)
+    every = _every(small, planes)
+    pool_cubes(volume.image.values, _insonified(volume), table, edge, every, small)
+    return _Averaged(small, edge, every)
+
+
+def _every(small: NDArray[np.float32], planes: int) -> int:
+    return max(1, int(max(small.shape)) // planes)
 
 
 def _insonified(volume: TrackedVolume) -> NDArray[np.uint8]:
@@ -161,13 +181,13 @@ def _insonified(volume: TrackedVolume) -> NDArray[np.uint8]:
     return values.view(np.uint8) if values.dtype.itemsize == 1 else np.asarray(values != 0, dtype=np.uint8)
 
 
-def _planes(volume: TrackedVolume, averaged: _Averaged, planes: int) -> SliceSet:
+def _planes(volume: TrackedVolume, averaged: _Averaged) -> SliceSet:
     grid, pose = volume.image.grid, volume.tracker_from_image
     return slices_of_volume(
         averaged.values,
         pose.rotation @ (grid.axes_mm * averaged.edge),
         pose.apply_array(grid.to_mm((averaged.edge - 1.0) / 2)),
-        every=max(1, max(averaged.values.shape) // planes),
+        every=averaged.every,
         frame=pose.target,
         model_phase=volume.model_phase,
         t_s=volume.t_s,

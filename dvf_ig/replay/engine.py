@@ -14,13 +14,15 @@ from time import perf_counter
 import numpy as np
 
 from dvf_ig.cardiac import RetimeMode
-from dvf_ig.core import DvfModel, Progress, Rigid, Scenario, untold
+from dvf_ig.core import DvfModel, FloatArray, Progress, Rigid, Scenario, untold
 from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
 from dvf_ig.io import SessionRecordings
 from dvf_ig.io.session_file.agreement.finding import Finding
 from dvf_ig.io.session_file.fit import fit_of, parts_of
+from dvf_ig.io.session_file.live_record import LiveRecord
 from dvf_ig.session import (
     Attempt,
+    GuidanceState,
     Heart,
     Session,
     SessionHistory,
@@ -30,14 +32,11 @@ from dvf_ig.session import (
 )
 
 from .calibrations import Calibrations, calibrate, calibrated
-from .events import ECG_CHUNK, events_of
+from .events import events_of
 from .operator import SimulatedOperator
 from .preconditions import require_heart_beats, require_tracked_poses, tick_times
-from .start import (
-    landmarks_start,
-    require_start,
-    start_pose,
-)
+from .repetition import AsRecorded, repeat
+from .start import landmarks_start, require_start, start_pose
 from .ticks import TickRecorder, Ticks
 
 Clock = Callable[[], float]
@@ -93,7 +92,7 @@ def run_replay(
     seed: int = 0,
     progress: Progress | None = None,
     clock: Clock = perf_counter,
-    ecg_chunk: int = ECG_CHUNK,
+    live: LiveRecord | None = None,
 ) -> Replay:
     """Replay a scenario from raw streams to force.
 
@@ -103,7 +102,8 @@ def run_replay(
         retiming: how the beat is mapped to the model's cycle.
         seed: of the random choices in calibration and registration.
         clock: times the computing; no estimate depends on it.
-        ecg_chunk: ECG samples that are pushed at once; no estimate depends on it.
+        live: of the record of a live session, which is repeated as it was: in the order in which things came,
+            with the states and re-armings that there were, and with its own seed.
     Raises:
         InvalidInputError: a recording cannot be used (no heart beats, no tracked pose, …).
         QualityGateError: a calibration refused its recording.
@@ -111,17 +111,19 @@ def run_replay(
     report_progress = progress or untold
     began = clock()
     require_start(scenario)
-    require_tracked_poses(scenario)
-    t_s = tick_times(scenario)
+    if live is None:
+        require_tracked_poses(scenario)
+    else:
+        seed = live.seed
+    t_s = tick_times(scenario) if live is None else live.last_states[:, 0]
     calibrations = calibrate(scenario, seed)
-    in_use = calibrations.in_use
     report_progress(0.05)
     heart = build_heart(scenario.preop, model, progress=lambda f: report_progress(0.05 + 0.35 * f))
     start = start_pose(scenario, heart, seed)
     findings = _findings(calibrated(scenario, calibrations), heart.model)
     setup = SessionSetup(
         heart,
-        in_use,
+        calibrations.in_use,
         beat_source_of(scenario.ecg),
         start=None if landmarks_start(scenario) else start,
         fan=scenario.fan,
@@ -129,25 +131,44 @@ def run_replay(
         retiming=retiming,
         seed=seed,
     )
-    history, recorder, operator = SessionHistory(), TickRecorder(t_s), SimulatedOperator()
-    events = events_of(scenario, ecg_chunk=ecg_chunk)
-    upcoming, session_began = next(events), clock()
-    with Session(setup, clock=clock, history=history) as session:
-        for i, now_s in enumerate(t_s.tolist()):
-            while upcoming[0] <= now_s:
-                session.push(upcoming[1])
-                upcoming = next(events, (np.inf, upcoming[1]))
-            state = session.state(now_s)
-            recorder.add(i, state)
-            action = operator.action(state)
-            if action is not None:
-                session.push(action)
-            if i % REPORT_EVERY == 0:
-                report_progress(0.4 + 0.6 * i / len(t_s))
-    require_heart_beats(history.peaks, scenario)
+    history, recorder = SessionHistory(), TickRecorder(t_s)
+    session_began = clock()
+
+    def observe(i: int, state: GuidanceState) -> None:
+        recorder.add(i, state)
+        if i % REPORT_EVERY == 0:
+            report_progress(0.4 + 0.6 * i / len(t_s))
+
+    executor = None if live is None else AsRecorded(live.refused)
+    with Session(setup, executor=executor, clock=clock, history=history) as session:
+        if live is None:
+            _run(session, scenario, t_s, observe)
+        else:
+            repeat(session, live, observe)
+    if live is None:
+        require_heart_beats(history.peaks, scenario)
+    else:
+        findings = (*live.findings, *findings)
     ticks, ended = recorder.finish(), clock()
     whole_s, session_s = ended - began, ended - session_began
     return Replay(scenario, setup, calibrations, start, history, ticks, findings, whole_s, session_s)
+
+
+def _run(
+    session: Session, scenario: Scenario, t_s: FloatArray, observe: Callable[[int, GuidanceState], None]
+) -> None:
+    """Every event at its stamp, a state at every tick, and an operator who re-arms."""
+    events, operator = events_of(scenario), SimulatedOperator()
+    upcoming = next(events)
+    for i, now_s in enumerate(t_s.tolist()):
+        while upcoming[0] <= now_s:
+            session.push(upcoming[1])
+            upcoming = next(events, (np.inf, upcoming[1]))
+        state = session.state(now_s)
+        observe(i, state)
+        action = operator.action(state)
+        if action is not None:
+            session.push(action)
 
 
 def _findings(scenario: Scenario, model: DvfModel) -> tuple[Finding, ...]:

@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-from .preconditions import RATE_HZ
-
 
 def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     """The short table: quantity, estimate, and its error where the truth is known (else empty)."""
@@ -35,7 +33,9 @@ def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 def _time(result: dict[str, Any]) -> str:
     session_s = result["session_seconds"]
-    factor = result["ticks"] / RATE_HZ / max(session_s, 1e-3)
+    supervised = result["supervisor"]
+    recorded_s = sum(supervised[name] for name in ("ok_s", "degraded_s", "fade_s", "latched_s"))
+    factor = recorded_s / max(session_s, 1e-3)
     return f"{result['seconds']:.1f} s, of which the session {session_s:.1f} s: {factor:.1f} × real time"
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import DvfModel, Landmarks, Points, Rigid, SurfaceSeries
+from dvf_ig.core import DvfModel, Landmarks, Points, Rigid, SurfaceSeries, Volume, VolumeSeries
 from dvf_ig.io import (
     read_ecg,
     read_model,
@@ -22,6 +22,7 @@ from dvf_ig.io import (
     write_surface_series,
     write_transform,
 )
+from dvf_ig.preop import CineModel, model_from_cine
 
 
 def run(*arguments: object) -> Result:
@@ -146,6 +147,26 @@ def cine(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture
+def built_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first model is that of all later ones, which are to be given the same: building it takes long."""
+    before: list[tuple[tuple[Any, ...], CineModel]] = []
+
+    def build(image: VolumeSeries, labels: Volume, **given: Any) -> CineModel:
+        options = given["options"]
+        chosen = (options.organ_labels, options.cavity_labels, options.motion, options.model)
+        now = (image.values, labels.values, labels.grid.to_mm(np.eye(3)), *chosen)
+        if not before:
+            before.append((now, model_from_cine(image, labels, **given)))
+        first, model = before[0]
+        for one, other in zip(now, first, strict=True):
+            np.testing.assert_array_equal(one, other)
+        return model
+
+    monkeypatch.setattr("dvf_ig.preop.model_from_cine", build)
+
+
+@pytest.mark.usefixtures("built_once")
 def test_real_labels_of_end_diastole_in_every_form_give_one_model(cine: Path, tmp_path: Path) -> None:
     labels = SimpleITK.ReadImage(str(cine / "ed.nii.gz"))
     names = dict(enumerate(("RV", "myocardium", "LV"), start=1))

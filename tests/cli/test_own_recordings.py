@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ from edf_files import write_ecg_edf
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import Scenario, Signal
+from dvf_ig.core import DvfModel, Preop, Scenario, Signal
 from dvf_ig.io import add_ecg_field
+from dvf_ig.io.model_cache import model_key
+from dvf_ig.preop import ModelOptions
 from dvf_ig.replay import Replay, register_scenario
 
 BLOOD = "2,4,6,7,8"
@@ -66,6 +69,21 @@ def lab(scenario: Scenario, written: Path, tmp_path_factory: pytest.TempPathFact
     return folder
 
 
+@pytest.fixture
+def model_of_the_same_data(scenario: Scenario, replay: Replay, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The replay's model where labels, grid and times are its own, by any names: building it takes long."""
+    own = scenario.preop
+
+    def found(preop: Preop, *, options: ModelOptions, **_: object) -> DvfModel:
+        assert (preop.blood_labels, preop.lv_label) == (own.blood_labels, own.lv_label)
+        same = replace(preop, patient_id=own.patient_id, label_names=own.label_names, cavity_labels=())
+        assert model_key(same, options) == model_key(own, ModelOptions())
+        return replace(replay.heart.model, patient_id=preop.patient_id)
+
+    monkeypatch.setattr("dvf_ig.preop.model_from_preop", found)
+
+
+@pytest.mark.usefixtures("model_of_the_same_data")
 def test_register_with_the_ecg_inside_the_sweep(
     scenario: Scenario, replay: Replay, lab: Path, tmp_path: Path
 ) -> None:
@@ -79,6 +97,7 @@ def test_register_with_the_ecg_inside_the_sweep(
     np.testing.assert_allclose(found["mr_from_tracker"], own, rtol=0, atol=1e-6)
 
 
+@pytest.mark.usefixtures("model_of_the_same_data")
 def test_replay_with_the_ecg_as_edf(replay: Replay, lab: Path, tmp_path: Path) -> None:
     """Poses and force of the scenario's own replay, from one YAML."""
     (lab / "SESSION.yaml").write_text(SESSION)

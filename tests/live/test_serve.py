@@ -3,19 +3,24 @@
 import json
 import threading
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from toy_session import toy_setup
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import Scenario, UnreadableFileError
-from dvf_ig.io import read_live_patient
+from dvf_ig.cli.serve.setup import LiveSetup
+from dvf_ig.core import DvfIgError, Points, Preop, Rigid, Scenario, UnreadableFileError
+from dvf_ig.io import LivePatient, read_live_patient
+from dvf_ig.io.session_file.fit import require_live_fit
 from dvf_ig.io.session_file.live import EcgFieldConfig, EcgTailConfig, LiveConfig
+from dvf_ig.live.igtl import Image, Message, Transform
 from dvf_ig.live.link import Inbox, connect, listen
 from dvf_ig.live.player import ECG, IMAGE, PROBE, TOOL, messages_of, play
+from dvf_ig.replay.calibrations import calibrate
+from dvf_ig.replay.view_file import read_view_file
 
 RUNNER = CliRunner()
 
@@ -58,13 +63,37 @@ def test_recording_comes_over_loopback(scenario: Scenario) -> None:
     assert server.dropped == 0
 
 
+def ready(live: LiveConfig) -> LiveSetup:
+    setup = toy_setup()
+    held = setup.calibrations
+    patient = LivePatient(
+        preop=Preop("ball"),
+        model=setup.heart.model,
+        probe=held.probe_from_image,
+        latency=held.lag_s,
+        tip=held.tip,
+        fan=None,
+        start=setup.start,
+        landmarks_mr=None,
+        landmarks_tracker=None,
+        touched=None,
+        touched_phase=None,
+        fixtures=None,
+        retiming=None,
+        live=live,
+        folder=Path(),
+    )
+    start = setup.start or Rigid.identity("mr", "tracker")
+    return LiveSetup(patient, setup, None, calibrate(patient, 0), start, (), "toy")
+
+
 @pytest.fixture
 def toy_patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a configuration names is the toy's patient."""
     live = LiveConfig(ecg=EcgFieldConfig(rate_hz=250.0))
-    patient = SimpleNamespace(fixtures=None, retiming=None, live=live, folder=Path())
+    patient = ready(live).patient
     monkeypatch.setattr("dvf_ig.cli.serve.command.read_patient", lambda _: patient)
-    monkeypatch.setattr("dvf_ig.cli.serve.command.live_setup", lambda *_: (toy_setup(), None, "toy"))
+    monkeypatch.setattr("dvf_ig.cli.serve.command.live_setup", lambda *_: ready(live))
     monkeypatch.setattr("dvf_ig.live.page.feed.scene_payload", lambda _: {})
 
 
@@ -78,6 +107,70 @@ def test_serve_ends_after_its_time_and_says_what_it_did() -> None:
     assert result["answers"] == 0
     assert result["latency_ms"]["median"] is None
     assert result["connections"] == 0
+
+
+@pytest.mark.usefixtures("toy_patient")
+def test_serve_leaves_what_view_shows_and_refuses_a_folder_with_a_record(tmp_path: Path) -> None:
+    """Poses of the tool alone are sent: there are states, and no force."""
+    pytest.importorskip("mcap", reason="session logs need mcap")
+    pytest.importorskip("rosbags", reason="session logs need rosbags")
+    out = tmp_path / "run"
+    with listen("127.0.0.1", 0, None) as server:
+        stop = threading.Event()
+
+        def send() -> None:
+            n = 0
+            while not stop.wait(0.01):
+                n += 1
+                pose, image = np.eye(4), np.full((1, 24, 24), 100, dtype=np.uint8)
+                pose[0, 3] = 0.01 * n
+                stamp_s = 1000.0 + 0.01 * n
+                server.send([Message(name, stamp_s, Transform(pose)) for name in (TOOL, PROBE)])
+                server.send([Message(IMAGE, stamp_s, Image(image, np.eye(4)))])
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        done = run("serve", "--config", "x", "--port", server.port, "--seconds", 2.5, "-o", out, "--json")
+        stop.set()
+        sender.join()
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["record"] == {"folder": str(out), "lost": 0, "failure": None}
+    assert "no force was given: no registration was in use in 100% of the ticks" in done.stderr
+    names = {"session.mcap", "result.json", "report.html", "view.json", "ticks.csv"}
+    assert {file.name for file in out.iterdir()} == names
+    result = json.loads((out / "result.json").read_text())
+    assert result["ticks"] > 50
+    assert "no registration was in use" in result["no_force"]
+    assert read_view_file(out).recording == out / "session.mcap"
+    again = run("serve", "--config", "x", "--seconds", 0.1, "-o", out)
+    assert again.exit_code == 4
+    assert "never replaced" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"tip": Points("tool", np.array([[0.0, 0.0, 5000.0]]))}, "calibration.tip: the tip lies"),
+        ({"lag_s": 40.0}, "calibration.latency"),
+    ],
+)
+def test_files_that_disagree_are_refused_as_a_replay_refuses_them(
+    changes: dict[str, Any], expected: str
+) -> None:
+    of, setup = ready(LiveConfig(ecg=EcgFieldConfig(rate_hz=250.0))).patient, toy_setup()
+    held = setup.calibrations
+    given = {"image": held.probe_from_image, "lag_s": held.lag_s, "tip": held.tip}
+    assert require_live_fit(of, setup.heart.model, **given) == ()
+    with pytest.raises(DvfIgError, match=expected):
+        require_live_fit(of, setup.heart.model, **{**given, **changes})
+
+
+def test_what_is_doubtful_is_warned_of_as_a_replay_warns() -> None:
+    of, setup = ready(LiveConfig(ecg=EcgFieldConfig(rate_hz=250.0))).patient, toy_setup()
+    held, near = setup.calibrations, Points("tool", np.array([[0.0, 0.0, 0.15]]))
+    (found,) = require_live_fit(of, setup.heart.model, held.probe_from_image, held.lag_s, near)
+    assert found.key == "calibration.tip"
+    assert "not calibrated in m" in found.sentence
 
 
 @pytest.mark.usefixtures("toy_patient")

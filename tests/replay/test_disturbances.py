@@ -1,10 +1,14 @@
 """What a replay must catch: a patient who moves, a probe whose marker slips, a wrong probe calibration."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from data_synth.mr.cine import cine_preop
 from data_synth.scenario.presets import ScenarioSpec
 from data_synth.scenario.recording import ImagedHeart, phantom_scenario
+from data_synth.seeds import child_rng
 from dvf_ig.core import BoolArray, DvfModel, Scenario, ScenarioTruth
 from dvf_ig.guidance import Status
 from dvf_ig.guidance.supervisor import FADE_S
@@ -18,15 +22,22 @@ RECOVERED_TRE_MM = 1.85
 """1.3 times the 1.41 mm that this seed has after the patient moved."""
 
 
-def disturbed(imaged: ImagedHeart, preset: str, seconds: float) -> Scenario:
+@pytest.fixture(scope="module")
+def studied(imaged: ImagedHeart) -> ImagedHeart:
+    """The shared heart with the MR of a study: how soon a pose is doubted depends on its resolution."""
+    noise = child_rng(imaged.spec.seeds.anatomy, "preop")
+    return replace(imaged, preop=cine_preop(imaged.anatomy, noise))
+
+
+def disturbed(studied: ImagedHeart, preset: str, seconds: float) -> Scenario:
     spec = ScenarioSpec(preset=preset, motion="paper5mm", seconds=seconds, seed=77)
-    return phantom_scenario(spec, imaged=imaged)
+    return phantom_scenario(spec, imaged=studied)
 
 
 @pytest.fixture(scope="module")
-def coarse_model(imaged: ImagedHeart, shared_hearts: None) -> DvfModel:
+def coarse_model(studied: ImagedHeart, shared_hearts: None) -> DvfModel:
     """The patient's fixture with wide knots, quick to build: forces here are there or not, never judged."""
-    return model_from_labels(imaged.preop, options=ModelOptions(knot_spacing_mm=8.0))
+    return model_from_labels(studied.preop, options=ModelOptions(knot_spacing_mm=8.0))
 
 
 def truth_of(replay: Replay) -> ScenarioTruth:
@@ -50,9 +61,9 @@ def median_tre_mm(replay: Replay, ticks: BoolArray) -> float:
 
 
 def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_again(
-    imaged: ImagedHeart, coarse_model: DvfModel
+    studied: ImagedHeart, coarse_model: DvfModel
 ) -> None:
-    replay = run_replay(disturbed(imaged, "patient-shift", 27.0), model=coarse_model, seed=0)
+    replay = run_replay(disturbed(studied, "patient-shift", 27.0), model=coarse_model, seed=0)
     end_s = float(replay.ticks.t_s[-1])
     moved_s = truth_of(replay).mr_from_tracker[1][0]
     ((stopped_s, resumed_s),) = suspensions(tuple(replay.history.updates), end_s)
@@ -68,9 +79,9 @@ def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_a
 
 
 def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(
-    imaged: ImagedHeart, coarse_model: DvfModel
+    studied: ImagedHeart, coarse_model: DvfModel
 ) -> None:
-    replay = run_replay(disturbed(imaged, "probe-slip", 24.0), model=coarse_model, seed=0)
+    replay = run_replay(disturbed(studied, "probe-slip", 24.0), model=coarse_model, seed=0)
     end_s = float(replay.ticks.t_s[-1])
     slipped_s = truth_of(replay).later_probe_from_image[0][0]
     assert replay.ticks.valid[between(replay, 0.0, slipped_s)].any()
@@ -85,9 +96,9 @@ def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(
 
 
 def test_a_wrong_probe_calibration_is_refused_by_touched_landmarks(
-    imaged: ImagedHeart, coarse_model: DvfModel
+    studied: ImagedHeart, coarse_model: DvfModel
 ) -> None:
-    replay = run_replay(disturbed(imaged, "wrong-calibration", 12.5), model=coarse_model, seed=0)
+    replay = run_replay(disturbed(studied, "wrong-calibration", 12.5), model=coarse_model, seed=0)
     assert replay.attempts
     for attempt in replay.attempts:
         assert attempt.refused is not None

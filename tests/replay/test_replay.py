@@ -1,6 +1,7 @@
 """From raw streams to force: within its errors, blind to truth and future, silent without state."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from dvf_ig.guidance import Status
 from dvf_ig.guidance.device import COMMON_DEVICE
 from dvf_ig.guidance.supervisor import FADE_S, SLEW_SPEED_M_S
 from dvf_ig.replay import Replay, result_of, run_replay, table, validate
+from dvf_ig.replay.events import events_of
 from dvf_ig.replay.page.replay_page import report_html
 
 
@@ -69,10 +71,11 @@ def test_estimates_do_not_read_the_truth(scenario: Scenario, replay: Replay) -> 
 
 @pytest.mark.parametrize(("ecg_chunk", "further_s"), [(1, 3.0), (1000, 1.5)])
 def test_neither_the_future_nor_how_the_streams_are_cut_changes_anything(
-    scenario: Scenario, replay: Replay, ecg_chunk: int, further_s: float
+    scenario: Scenario, replay: Replay, ecg_chunk: int, further_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("dvf_ig.replay.engine.events_of", partial(events_of, ecg_chunk=ecg_chunk))
     until = float(replay.poses[0][0]) + further_s
-    cut = run_replay(_cut(scenario, until), model=replay.heart.model, seed=0, ecg_chunk=ecg_chunk)
+    cut = run_replay(_cut(scenario, until), model=replay.heart.model, seed=0)
     _same_until(replay, cut, until - 0.01)
 
 

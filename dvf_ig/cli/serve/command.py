@@ -31,13 +31,16 @@ from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit,
 from .setup import live_setup, read_patient
 
 if TYPE_CHECKING:
-    from dvf_ig.core import Landmarks
     from dvf_ig.io.session_file.live import LiveConfig
     from dvf_ig.live.loop import Answer, LiveLoop
-    from dvf_ig.session import SessionSetup
+    from dvf_ig.live.record import Record
+    from dvf_ig.live.summary import LiveSummary
+    from dvf_ig.session import SessionHistory
+
+    from .setup import LiveSetup
 
 REMEMBERED = 200
-"""Registrations and beats that are kept: a session may last for hours."""
+"""Registrations and beats that are kept where there is no record: a session may last for hours."""
 
 
 def serve(
@@ -74,6 +77,14 @@ def serve(
     allow: Annotated[
         list[str] | None,
         typer.Option("--allow", help="Address of another machine that poses may come from; may be repeated."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--out",
+            help="Folder for the session's record, which `dvf-ig replay` repeats and `dvf-ig view` shows.",
+        ),
     ] = None,
     seconds: Annotated[
         float | None, typer.Option("--seconds", min=0.1, help="End after so long (default: Ctrl-C).")
@@ -120,49 +131,87 @@ def serve(
         changes["allow"] = None if not allow else (*patient.live.allow, *allow)
         live = patient.live.model_copy(update={key: v for key, v in changes.items() if v is not None})
         require_allowed(live)
-        setup, landmarks, origin = live_setup(patient, model, with_margin(options, margin), mode, seed)
-        typer.echo(origin, err=True)
+        ready = live_setup(patient, model, with_margin(options, margin), mode, seed)
+        typer.echo(ready.origin, err=True)
+        for found in ready.findings:
+            warn(f"{found.key}: {found.sentence}")
+        _serve(ready, live, page, seconds, out, as_json=as_json)
 
-        result, rows = _served(setup, live, landmarks, patient.folder, page, seconds)
-        emit(result, rows, as_json=as_json)
 
-
-def _served(
-    setup: "SessionSetup",
+def _serve(
+    ready: "LiveSetup",
     live: "LiveConfig",
-    landmarks: "tuple[Landmarks, Landmarks] | None",
-    folder: Path,
     page: int | None,
     seconds: float | None,
-) -> tuple[dict[str, Any], list[tuple[str, ...]]]:
-    """Run the session; what it did, as JSON and for people."""
+    out: Path | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Run the session, and print and write what it did."""
+    from dvf_ig.core import OutputError
+    from dvf_ig.live.record import NO_RECORD
+    from dvf_ig.live.summary import LiveSummary
+    from dvf_ig.replay.result.no_force import no_force
+    from dvf_ig.session import SessionHistory
+
+    from .record import recorded_session, write_run
+
+    summary, history = LiveSummary(), SessionHistory(REMEMBERED if out is None else None)
+    if out is None:
+        result = _run_session(ready, live, page, seconds, summary, history, NO_RECORD)
+        failure = None
+    else:
+        with recorded_session(out, ready) as record:
+            result = _run_session(ready, live, page, seconds, summary, history, record)
+        failure = record.failure
+        result["record"] = {"folder": str(out), "lost": record.lost, "failure": failure}
+    reason = history.attempts[-1].reason if history.attempts else None
+    silent = no_force(summary.by_status, posed=bool(history.updates), reason=reason)
+    emit(result, summary.table(result), as_json=as_json)
+    if silent is not None:
+        warn(f"no force was given: {silent}")
+    if out is not None and failure is None:
+        if summary.answers:
+            write_run(out, ready, history)
+        else:
+            warn("no pose of the tool came, so that there is nothing to replay or to view")
+    if failure is not None:
+        raise OutputError(failure)
+
+
+def _run_session(
+    ready: "LiveSetup",
+    live: "LiveConfig",
+    page: int | None,
+    seconds: float | None,
+    summary: "LiveSummary",
+    history: "SessionHistory",
+    record: "Record",
+) -> dict[str, Any]:
+    """Until it ends; what it did, as JSON values."""
     from dvf_ig.live.ecg.source import ecg_events
     from dvf_ig.live.page import PageFeed, PageServer
     from dvf_ig.live.serve import LiveOptions, live_session
-    from dvf_ig.live.summary import LiveSummary
-    from dvf_ig.session import SessionHistory
 
-    summary, history = LiveSummary(), SessionHistory(REMEMBERED)
-    feed = None if page is None else PageFeed(setup, live.ecg.rate_hz, history)
+    feed = None if page is None else PageFeed(ready.setup, live.ecg.rate_hz, history)
 
     def observe(answer: "Answer") -> None:
         summary.add(answer)
         if feed is not None:
             feed.observe(answer)
 
-    options = LiveOptions(live, landmarks=landmarks, observe=observe, tell=warn, history=history)
+    options = LiveOptions(live, ready.landmarks, observe=observe, tell=warn, history=history, record=record)
     if feed is not None:
         options = replace(options, watch=feed.event)
     with ExitStack() as stack:
-        options = replace(options, ecg=stack.enter_context(ecg_events(live, folder, warn)))
+        options = replace(options, ecg=stack.enter_context(ecg_events(live, ready.patient.folder, warn)))
         if feed is not None and page is not None:
             server = stack.enter_context(PageServer(feed, page))
             typer.echo(f"the session is shown at http://127.0.0.1:{server.port}", err=True)
-        loop = stack.enter_context(live_session(setup, options))
+        loop = stack.enter_context(live_session(ready.setup, options))
         _tell_where(live, loop)
         _run(loop, seconds)
-        result = summary.result(loop)
-    return result, summary.table(result)
+        return summary.result(loop)
 
 
 def _tell_where(live: "LiveConfig", loop: "LiveLoop") -> None:

@@ -1,5 +1,6 @@
 """A live session's setup from what its configuration names: calibrate, build the heart, find the start."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,9 +8,11 @@ from dvf_ig.cli.patient_model import patient_model
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import RetimeMode
-    from dvf_ig.core import Landmarks
+    from dvf_ig.core import Landmarks, Rigid
     from dvf_ig.guidance import FixtureSet
     from dvf_ig.io import LivePatient
+    from dvf_ig.io.session_file.agreement.finding import Finding
+    from dvf_ig.replay.calibrations import Calibrations
     from dvf_ig.session import SessionSetup
 
 
@@ -22,22 +25,49 @@ def read_patient(config: Path) -> "LivePatient":
     return read_live_patient(config)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveSetup:
+    """What a live session is begun with.
+
+    Attributes:
+        landmarks: touched before; None where a start pose takes their place.
+        calibrations: in use, with their evidence.
+        start: coarse mr_from_tracker that registration starts from.
+        findings: in what the files disagree, though they can be used.
+        origin: a line that says where the model is from.
+    """
+
+    patient: "LivePatient"
+    setup: "SessionSetup"
+    landmarks: "tuple[Landmarks, Landmarks] | None"
+    calibrations: "Calibrations"
+    start: "Rigid"
+    findings: "tuple[Finding, ...]"
+    origin: str
+
+
 def live_setup(
     patient: "LivePatient",
     model: Path | None,
     fixtures: "FixtureSet",
     retiming: "RetimeMode",
     seed: int,
-) -> "tuple[SessionSetup, tuple[Landmarks, Landmarks] | None, str]":
-    """The setup, landmarks that were touched before (None where a start pose takes their place), and a line
-    that says where the model is from."""
+) -> LiveSetup:
+    """The setup of a session whose files agree.
+
+    Raises:
+        DvfIgError: the first reason why they cannot be used, or not together.
+    """
+    from dvf_ig.io.session_file.fit import require_live_fit
     from dvf_ig.replay.calibrations import calibrate
     from dvf_ig.replay.start import landmarks_start, require_start, start_pose
     from dvf_ig.session import EcgSource, SessionSetup, build_heart
 
     require_start(patient)
-    used = calibrate(patient, seed).in_use
+    calibrations = calibrate(patient, seed)
+    used = calibrations.in_use
     built, origin = patient_model(patient.preop, patient.model or model)
+    findings = require_live_fit(patient, built, used.probe_from_image, used.lag_s, used.tip)
     heart = build_heart(patient.preop, built)
     start = start_pose(patient, heart, seed)
     by_landmarks = landmarks_start(patient)
@@ -54,4 +84,4 @@ def live_setup(
     landmarks = None
     if by_landmarks and patient.landmarks_mr is not None and patient.landmarks_tracker is not None:
         landmarks = (patient.landmarks_mr, patient.landmarks_tracker)
-    return setup, landmarks, origin
+    return LiveSetup(patient, setup, landmarks, calibrations, start, findings, origin)

@@ -61,10 +61,14 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
     for name, what in (("force_session", "session's force"), ("force_servo", "servo's force")):
         force = result[name]
         if force["answers"]:
-            line = (
-                "apart by median {median_n:.4f} N, p95 {p95_n:.4f}, max {max_n:.3f}, after {shift_ms:.1f} ms"
-            )
-            rows.append((what, line.format(**force)))
+            line = "apart by median {median_n:.4f} N, p95 {p95_n:.4f}, max {max_n:.3f}".format(**force)
+            after = "after {shift_ms:.1f} ms".format(**force) if "shift_ms" in force else ""
+            rows.append((what, line, after))
+    for key, what in (("pose_in_time", "tool's pose in time"), ("pose_late", "tool's pose late")):
+        force = result["force_session"].get(key, {"answers": 0})
+        if force["answers"]:
+            line = "{answers} answers, p95 {p95_n:.4f} N, max {max_n:.3f}".format(**force)
+            rows.append((f"session's force, {what}", line))
     if "tre_mm" in result:
         tre = result["tre_mm"]
         means = f"live {tre['live']['mean']:.3f} mm, replay {tre['replay']['mean']:.3f} mm"

@@ -5,11 +5,13 @@ itself is not needed.
 """
 
 import ctypes
+import weakref
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
+from dvf_ig.core import IntArray
 from dvf_ig.kernels.servo import openhaptics as kernel
 
 from .vendor_library import VendorLibraryError, address_of, load_vendor_library
@@ -77,7 +79,6 @@ class OpenHapticsDevice:
         self.latency_s = latency_s
         library = load_vendor_library(VENDOR, [LIBRARY], FUNCTIONS, ADVICE, path)
         _declare(library)
-        self._library = library
         handle = library.hdInitDevice(configured.encode() if configured is not None else None)
         code = library.hdGetError().error_code
         if handle == HD_INVALID_HANDLE or code != 0:
@@ -85,7 +86,6 @@ class OpenHapticsDevice:
                 f"{self.name} does not open (HD error 0x{code:04X}); connect it, and set it up with the "
                 "driver's Touch_Setup and Touch_Diagnostic"
             )
-        self._handle: int | None = handle
         self.context = np.zeros(kernel.CONTEXT_SIZE, dtype=np.int64)
         self.functions = np.array([kernel.read_openhaptics.address, kernel.write_openhaptics.address])
         self.context[kernel.HANDLE] = handle
@@ -100,9 +100,11 @@ class OpenHapticsDevice:
         ):
             self.context[at] = address_of(library, name)
         library.hdEnable(HD_FORCE_OUTPUT)
-        self._scheduled = library.hdScheduleAsynchronous(
+        scheduled = library.hdScheduleAsynchronous(
             kernel.exchange.address, self.context.ctypes.data, HD_MAX_SCHEDULER_PRIORITY
         )
+        # the driver's thread writes into the context: a device that is dropped stops it first
+        self._let_go = weakref.finalize(self, _let_go, library, handle, scheduled, self.context)
         library.hdStartScheduler()
 
     @property
@@ -112,12 +114,15 @@ class OpenHapticsDevice:
 
     def close(self) -> None:
         """Switch forces off and let go of the device; a second time does nothing."""
-        if self._handle is not None:
-            self._library.hdStopScheduler()
-            self._library.hdUnschedule(self._scheduled)
-            self._library.hdDisable(HD_FORCE_OUTPUT)
-            self._library.hdDisableDevice(self._handle)
-            self._handle = None
+        self._let_go()
+
+
+def _let_go(library: ctypes.CDLL, handle: int, scheduled: int, context: IntArray) -> None:
+    """Stop the scheduler, whose callback wrote to `context` until now."""
+    library.hdStopScheduler()
+    library.hdUnschedule(scheduled)
+    library.hdDisable(HD_FORCE_OUTPUT)
+    library.hdDisableDevice(handle)
 
 
 def _declare(library: ctypes.CDLL) -> None:

@@ -1,9 +1,10 @@
 """MCAP files with ROS 2 messages and attachments: `ros2 bag`, Foxglove and PlotJuggler open them."""
 
 import hashlib
+import os
 import struct
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -20,17 +21,23 @@ DIGESTS, COUNTS = "sha256", "messages"
 """Metadata of a log: of each attached file; how many messages each topic has. mcap's reader checks the CRC of
 chunks, but not of attachments nor of the index, by which it finds the messages of a topic."""
 
+UNFINISHED = "unfinished.mcap"
+"""Ending of the name of a log that is being written, or was when its program was killed."""
 _DAMAGE = (struct.error, MemoryError, RuntimeError, LookupError, AttributeError, ArithmeticError)
 """What mcap and rosbags raise on damaged files, besides ValueError."""
 
 
 class LogWriter:
-    """Appends messages and attachments to an open MCAP file (see `written_log`)."""
+    """Appends messages and attachments to an open MCAP file (see `written_log`).
 
-    def __init__(self, stream: IO[bytes]) -> None:
+    Args:
+        chunk_bytes: messages are written when they have come to so much.
+    """
+
+    def __init__(self, stream: IO[bytes], chunk_bytes: int = 1024 * 1024) -> None:
         from mcap.writer import Writer
 
-        self._writer = Writer(stream)
+        self._writer = Writer(stream, chunk_size=chunk_bytes)
         self._writer.start(profile="ros2", library="dvf_ig")
         self._types: dict[str, int] = {}
         self._channels: dict[str, int] = {}
@@ -51,9 +58,19 @@ class LogWriter:
         self._writer.add_attachment(0, 0, name, media_type, data)
         self._digests[name] = hashlib.sha256(data).hexdigest()
 
+    def end_attachments(self) -> None:
+        """Write what the reader compares them with: they can be read from then on, whatever happens."""
+        self._writer.add_metadata(DIGESTS, self._digests)
+        self._digests = {}
+
+    def note(self, name: str, value: int) -> None:
+        """A number that belongs to the whole log."""
+        self._writer.add_metadata(name, {name: str(value)})
+
     def finish(self) -> None:
         """Write what the reader compares, and the index; nothing may follow."""
-        self._writer.add_metadata(DIGESTS, self._digests)
+        if self._digests:
+            self.end_attachments()
         self._writer.add_metadata(COUNTS, {topic: str(n) for topic, n in self._counts.items()})
         self._writer.finish()
 
@@ -72,24 +89,28 @@ def written_log(path: Path) -> Iterator[LogWriter]:
         MissingDependencyError: mcap or rosbags is absent.
         OutputError: not writable.
     """
-    typestore()
-    _require_mcap()
+    require_log_packages()
     with atomic_file(path) as temporary, temporary.open("wb") as stream:
         log = LogWriter(stream)
         yield log
         log.finish()
 
 
+def require_log_packages() -> None:
+    """Raise MissingDependencyError where mcap or rosbags is absent."""
+    typestore()
+    _require_mcap()
+
+
 @contextmanager
 def opened_log(path: Path) -> Iterator["LogReader"]:
-    """A log to read from.
+    """A log to read from; one that is named as unfinished may end anywhere.
 
     Raises:
         MissingDependencyError: mcap or rosbags is absent.
         UnreadableFileError: absent, not MCAP, cut off or damaged.
     """
-    typestore()
-    _require_mcap()
+    require_log_packages()
     from mcap.exceptions import McapError
     from zstandard import ZstdError
 
@@ -98,7 +119,7 @@ def opened_log(path: Path) -> Iterator["LogReader"]:
             raise UnreadableFileError(f"{path} is not {WHAT}, or larger than {limits.FILE_BYTES:.3g} bytes")
         stream.seek(0)
         try:
-            yield LogReader(stream, path)
+            yield CutLogReader(stream, path) if path.name.endswith(UNFINISHED) else LogReader(stream, path)
         except (McapError, ZstdError, *_DAMAGE) as exc:
             raise UnreadableFileError(f"{path} is cut off or damaged ({exc}); copy it again") from exc
         except ValueError as exc:
@@ -109,6 +130,9 @@ def opened_log(path: Path) -> Iterator["LogReader"]:
 
 class LogReader:
     """Messages and attachments of an open log (see `opened_log`)."""
+
+    whole = True
+    """Whether it was finished."""
 
     def __init__(self, stream: IO[bytes], path: Path) -> None:
         from mcap.reader import make_reader
@@ -151,6 +175,14 @@ class LogReader:
                 raise UnreadableFileError(f"{self._path}: {channel.topic} is not of type {kind}")
             counts[channel.topic] += 1
             yield channel.topic, store.deserialize_cdr(message.data, kind)
+        self._require_all(counts)
+
+    def number(self, name: str) -> int | None:
+        """A number that was noted; None where none was."""
+        text = self._metadata(name).get(name, "")
+        return int(text) if text.isdecimal() else None
+
+    def _require_all(self, counts: Mapping[str, int]) -> None:
         stated = self._metadata(COUNTS)
         if any(stated.get(topic, "0") != str(n) for topic, n in counts.items()):
             raise UnreadableFileError(f"{self._path} lacks messages that were written; copy it again")
@@ -160,6 +192,60 @@ class LogReader:
         for record in self._reader.iter_metadata():
             found |= record.metadata if record.name == name else {}
         return found
+
+
+class CutLogReader(LogReader):
+    """The same of a log that ends anywhere: what was written whole, in order, and nothing after damage."""
+
+    whole = False
+
+    def __init__(self, stream: IO[bytes], path: Path) -> None:
+        self._reader: Any = _InOrder(stream)
+        self._path = path
+
+    def _require_all(self, counts: Mapping[str, int]) -> None:
+        """Nobody had counted."""
+
+
+class _InOrder:
+    """As mcap's reader with an index, for a file that has none; every pass reads the file again."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+
+    def _records(self) -> Iterator[Any]:
+        from mcap.exceptions import McapError
+        from mcap.stream_reader import StreamReader
+        from zstandard import ZstdError
+
+        self._stream.seek(0)
+        size = os.fstat(self._stream.fileno()).st_size
+        with suppress(McapError, ZstdError, ValueError, *_DAMAGE):
+            reader = StreamReader(self._stream, validate_crcs=True, record_size_limit=size)
+            yield from reader.records
+
+    def iter_attachments(self) -> Iterator[Any]:
+        return (one for kind, one in self._named() if kind == "Attachment")
+
+    def iter_metadata(self) -> Iterator[Any]:
+        return (one for kind, one in self._named() if kind == "Metadata")
+
+    def iter_messages(self, topics: list[str], log_time_order: bool) -> Iterator[tuple[Any, Any, Any]]:
+        schemas: dict[int, Any] = {}
+        channels: dict[int, Any] = {}
+        for kind, found in self._named():
+            if kind == "Schema":
+                schemas[found.id] = found
+            elif kind == "Channel":
+                channels[found.id] = found
+            elif kind == "Message":
+                channel = channels[found.channel_id]
+                if channel.topic in topics:
+                    yield schemas.get(channel.schema_id), channel, found
+
+    def _named(self) -> Iterator[tuple[str, Any]]:
+        """Each record with the name of its type in the format's specification."""
+        return ((type(one).__name__, one) for one in self._records())
 
 
 def _require_mcap() -> None:

@@ -13,6 +13,8 @@ from dvf_ig.core.points import Landmarks, Points
 from dvf_ig.core.rigid import Rigid
 from dvf_ig.core.scenario import Scenario
 from dvf_ig.core.trigger import TriggerTimes
+from dvf_ig.io.plus.names import split_transform
+from dvf_ig.io.session_file.live_read import LivePatient
 from dvf_ig.io.session_file.schema import FanConfig, PreopConfig
 from dvf_ig.io.yaml_config import Section, validated
 
@@ -112,21 +114,54 @@ class SessionDocument(Section):
 
 def document_of(scenario: Scenario, image: ImageMap, lag_s: float, tip: Points, preop: PreopConfig) -> bytes:
     """JSON of a session with its calibrations in use."""
-    ecg, fan, sequence = scenario.ecg, scenario.fan, scenario.ultrasound
+    ecg, sequence = scenario.ecg, scenario.ultrasound
     beats = (
         BeatsEntry(kind="trigger", delay_s=ecg.delay_s)
         if isinstance(ecg, TriggerTimes)
         else BeatsEntry(kind="ecg", rate_hz=ecg.rate_hz, start_s=ecg.start_s, leads=ecg.leads, unit=ecg.unit)
     )
-    document = SessionDocument(
+    return _json(
         name=scenario.name,
         preset=scenario.preset,
-        patient_id=scenario.preop.patient_id,
         tracked_against=scenario.tracked_against,
         beats=beats,
         has_timestamps=sequence.has_timestamps,
         orientation=sequence.orientation,
-        fan=None
+        preop=preop,
+        **_of_patient(scenario, image, lag_s, tip),
+    )
+
+
+def document_of_live(
+    patient: LivePatient, image: ImageMap, lag_s: float, tip: Points, preop: PreopConfig
+) -> bytes:
+    """The same of a live session before its first event: the ECG's leads and its beginning come with it."""
+    live = patient.live
+    reference = split_transform(live.probe) if live.reference is None else split_transform(live.reference)
+    against = "tracker" if reference is None else reference[0 if live.reference is None else 1]
+    return _json(
+        name=patient.preop.patient_id,
+        preset="recorded",
+        tracked_against=against,
+        beats=BeatsEntry(kind="ecg", rate_hz=live.ecg.rate_hz),
+        has_timestamps=True,
+        orientation=live.calibrated_orientation,
+        preop=preop,
+        **_of_patient(patient, image, lag_s, tip),
+    )
+
+
+def _json(**fields: Any) -> bytes:
+    document = SessionDocument(**fields)
+    return json.dumps(document.model_dump(mode="json", by_alias=True), indent=1).encode()
+
+
+def _of_patient(given: Scenario | LivePatient, image: ImageMap, lag_s: float, tip: Points) -> dict[str, Any]:
+    """What a recording and a live session have in common."""
+    fan, start = given.fan, given.start
+    return {
+        "patient_id": given.preop.patient_id,
+        "fan": None
         if fan is None
         else FanConfig(
             apex_px=(float(fan.apex_px[0]), float(fan.apex_px[1])),
@@ -134,17 +169,15 @@ def document_of(scenario: Scenario, image: ImageMap, lag_s: float, tip: Points, 
             stop_px=float(fan.stop_px),
             half_angle_rad=float(fan.half_angle_rad),
         ),
-        probe_from_image=ImageEntry.of(image),
-        lag_s=lag_s,
-        tip=PointsEntry.of(tip),
-        start=None if scenario.start is None else RigidEntry.of(scenario.start),
-        landmarks_mr=_points(scenario.landmarks_mr),
-        landmarks_tracker=_points(scenario.landmarks_tracker),
-        touched=_points(scenario.touched),
-        touched_phase=scenario.touched_phase,
-        preop=preop,
-    )
-    return json.dumps(document.model_dump(mode="json", by_alias=True), indent=1).encode()
+        "probe_from_image": ImageEntry.of(image),
+        "lag_s": lag_s,
+        "tip": PointsEntry.of(tip),
+        "start": None if start is None else RigidEntry.of(start),
+        "landmarks_mr": _points(given.landmarks_mr),
+        "landmarks_tracker": _points(given.landmarks_tracker),
+        "touched": _points(given.touched),
+        "touched_phase": given.touched_phase,
+    }
 
 
 def _points(held: Landmarks | Points | None) -> PointsEntry | None:

@@ -3,6 +3,7 @@
 What is not there is told by `missing_parts`, what cannot be read by `examine`.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,8 @@ import numpy as np
 from dvf_ig.cardiac import RPeak, stream_recording
 from dvf_ig.core.errors import InvalidInputError, NoOverlapError
 from dvf_ig.core.image_map import ImageMap
+from dvf_ig.core.model import DvfModel
+from dvf_ig.core.points import Points
 from dvf_ig.registration import TouchedPoints, start_from_landmarks
 from dvf_ig.registration.surface_points.touched import require_spread
 from dvf_ig.session.calibrations import require_lag
@@ -24,6 +27,7 @@ from .agreement.agreement import disagreements
 from .agreement.cycle import HeartInImages, heart_in_images
 from .agreement.finding import Finding
 from .fit_heart import misfits_of_heart
+from .live_read import LivePatient
 from .missing import missing_parts
 from .parts import SessionParts, StartFiles, Sweep
 from .preop import PreopFiles
@@ -113,10 +117,32 @@ def require_fit(recordings: SessionRecordings, use: Use) -> tuple[Finding, ...]:
     """
     parts = parts_of(recordings)
     fit = fit_of(parts)
-    for problem in (*fit.misfits, *missing_parts(parts)):
+    _refuse((*fit.misfits, *missing_parts(parts)), use)
+    return tuple(one for one in fit.warnings if one.concerns(use))
+
+
+def require_live_fit(
+    patient: LivePatient, model: DvfModel, image: ImageMap, lag_s: float, tip: Points
+) -> tuple[Finding, ...]:
+    """What is doubtful about the files of a live session, which sends the rest.
+
+    Args:
+        model: of the patient.
+        image, lag_s, tip: calibrations in use.
+    Raises:
+        DvfIgError: the first reason why they cannot be used, or not together.
+    """
+    start = StartFiles(patient.start, patient.landmarks_mr, patient.landmarks_tracker, patient.touched)
+    heart = PreopFiles(patient.preop, model, patient.named_patient)
+    fit = fit_of(SessionParts(heart, fan=patient.fan, probe=image, latency=lag_s, tip=tip, start=start))
+    _refuse(fit.misfits, "replay")
+    return fit.warnings
+
+
+def _refuse(problems: Iterable[Problem], use: Use) -> None:
+    for problem in problems:
         if problem.concerns(use):
             raise type(problem.error)(problem.sentence) from problem.error
-    return tuple(one for one in fit.warnings if one.concerns(use))
 
 
 def parts_of(recordings: SessionRecordings) -> SessionParts:

@@ -41,6 +41,7 @@ class LivePatient:
         fixtures, retiming: None where the configuration does not say.
         live: who sends what.
         folder: where names of files begin.
+        named_patient: as of `PreopFiles`.
     """
 
     preop: Preop
@@ -58,6 +59,7 @@ class LivePatient:
     retiming: RetimingName | None
     live: LiveConfig
     folder: Path
+    named_patient: str | None = None
 
 
 def read_live_patient(path: Path | str) -> LivePatient:
@@ -120,6 +122,7 @@ def live_patient(config: LiveSessionConfig, folder: Path, named_by: str) -> Live
         retiming=retiming,
         live=live,
         folder=folder,
+        named_patient=files.named_patient,
     )
 
 

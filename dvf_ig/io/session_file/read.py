@@ -26,6 +26,8 @@ from .schema import SCHEMA, SessionConfig, SessionDraft
 if TYPE_CHECKING:
     from dvf_ig.guidance import FixtureSet
 
+    from .live_record import LiveRecord
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionRecordings:
@@ -37,6 +39,7 @@ class SessionRecordings:
         fixtures: None where the configuration describes none.
         retiming: how the beat is mapped to the model's cycle; None where it does not say.
         named_patient: as of `PreopFiles`.
+        live: what repeats a live session, of its record; None of other recordings.
     """
 
     scenario: Scenario
@@ -44,6 +47,7 @@ class SessionRecordings:
     fixtures: "FixtureSet | None"
     retiming: RetimingName | None
     named_patient: str | None = None
+    live: "LiveRecord | None" = None
 
 
 def read_session_config(path: Path | str) -> SessionConfig:

@@ -13,6 +13,13 @@ Corner = tuple[int, int, int]
 
 
 @inlined
+def on_a_plane(i: int, j: int, k: int, every: int) -> bool:
+    """Whether a block lies on a plane that is looked at: the `every`-th along an axis, from half of it on."""
+    half = every // 2
+    return i % every == half or j % every == half or k % every == half
+
+
+@inlined
 def _block_sum(
     grey: NDArray[np.uint8], mask: NDArray[np.uint8], table: NDArray[np.float32], low: Corner, step: int
 ) -> np.float32:
@@ -33,6 +40,7 @@ def pool_blocks(
     mask: NDArray[np.uint8],
     table: NDArray[np.float32],
     step: int,
+    every: int,
     out: NDArray[np.float32],
 ) -> None:
     """Mean of `table[grey]` over each block of step³ voxels; NaN where one of them lies outside the mask.
@@ -40,13 +48,17 @@ def pool_blocks(
     Args:
         grey, mask: (nx, ny, nz).
         table: (256,).
+        every: as in `on_a_plane`; NaN elsewhere.
         out: (nx // step, ny // step, nz // step).
     """
     count = np.float32(step * step * step)
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             for k in range(out.shape[2]):
-                out[i, j, k] = _block_sum(grey, mask, table, (i * step, j * step, k * step), step) / count
+                out[i, j, k] = np.nan
+                if on_a_plane(i, j, k, every):
+                    low = (i * step, j * step, k * step)
+                    out[i, j, k] = _block_sum(grey, mask, table, low, step) / count
 
 
 @kernel
@@ -55,6 +67,7 @@ def pool_cubes(
     mask: NDArray[np.uint8],
     table: NDArray[np.float32],
     edge: NDArray[np.float64],
+    every: int,
     out: NDArray[np.float32],
 ) -> None:
     """Mean of `table[grey]` over boxes of any size, each voxel weighted by its share inside; NaN as above.
@@ -63,6 +76,7 @@ def pool_cubes(
         grey, mask: (nx, ny, nz).
         table: (256,).
         edge: (3,) of a box in voxels along each axis; a multiple of one voxel may be off by rounding.
+        every: as in `on_a_plane`; NaN elsewhere.
         out: (mx, my, mz), with m·edge at most n along each axis. Box i lies between i·edge and (i + 1)·edge,
             voxel j between j and j + 1.
     """
@@ -72,6 +86,9 @@ def pool_cubes(
         for j in range(out.shape[1]):
             y0, y1 = j * edge[1], (j + 1) * edge[1]
             for k in range(out.shape[2]):
+                out[i, j, k] = np.nan
+                if not on_a_plane(i, j, k, every):
+                    continue
                 z0, z1 = k * edge[2], (k + 1) * edge[2]
                 total = 0.0
                 whole = True
@@ -82,4 +99,5 @@ def pool_cubes(
                         for c in range(floor(z0 + least), ceil(z1 - least)):
                             whole = whole and mask[a, b, c] != 0
                             total += wy * (min(z1, c + 1.0) - max(z0, float(c))) * table[grey[a, b, c]]
-                out[i, j, k] = total / (edge[0] * edge[1] * edge[2]) if whole else np.nan
+                if whole:
+                    out[i, j, k] = total / (edge[0] * edge[1] * edge[2])

@@ -1,53 +1,70 @@
 """The boundary's cost block by block of space: how each group of points pulls, to second order."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
-from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
-from dvf_ig.kernels.boundary import RIGHT, SQUARES, UNKNOWNS
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, IntArray, Rigid
+from dvf_ig.kernels.boundary import RIGHT, SQUARES, SUMS, UNKNOWNS, OrientedPoints, boundary_step_sums
+from dvf_ig.registration.distinct_rows import distinct_rows
 
-from .fit import BoundaryFit
 from .options import BoundaryFitOptions
 from .problem import Boundary, BoundaryProblem, normal_matrices
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class BoundaryBlocks:
-    """−log likelihood of the points of each block, one observation a point, to second order at a pose.
+class BlockedBoundary:
+    """The boundary's points of every block of space.
 
     Attributes:
         cell: (n, 3) which block of space, in steps of its edge in the points' frame.
-        gradient: (n, 7); curvature: (n, 7, 7) over the coordinates of `PoseChart` and the offset.
+        offset_mm: of the surface, from which that of a state is counted.
     """
 
-    cell: IntArray
-    gradient: FloatArray
-    curvature: FloatArray
+    def __init__(
+        self, boundary: Boundary, offset_mm: float, center_mm: FloatArray, *, block_mm: float
+    ) -> None:
+        """Sort the points by their blocks.
 
+        Args:
+            offset_mm: of the boundary's fit.
+            block_mm: edge of a block.
+        """
+        cells = np.floor(boundary.points.points_mm / block_mm).astype(np.int64)
+        self.cell, group = distinct_rows(cells)
+        order = np.argsort(group, kind="stable")
+        sorted_points = Boundary(boundary.points.subset(order), boundary.target)
+        self._problem = BoundaryProblem(sorted_points, center_mm)
+        self._group: IntArray = group[order]
+        self._ends = np.concatenate([[0], np.cumsum(np.bincount(group))]).tolist()
+        self.offset_mm = offset_mm
 
-def boundary_blocks(
-    boundary: Boundary, fit: BoundaryFit, pose: Rigid, center_mm: FloatArray, *, block_mm: float
-) -> BoundaryBlocks:
-    """Every block at a pose, with the offset of a fit.
+    def expansion(self, pose: Rigid, shift_mm: FloatArray, offset_mm: float) -> tuple[FloatArray, FloatArray]:
+        """(n, 7) gradient and (n, 7, 7) curvature of −log likelihood, one observation a point, at a pose.
 
-    Args:
-        block_mm: edge of a block of space.
-    """
-    points, sigma_mm = boundary.points, BoundaryFitOptions().sigmas_mm[-1]
-    at, offset = pose.matrix[None, :3], np.array([fit.offset_mm])
-    cell, group = np.unique(
-        np.floor(points.points_mm / block_mm).astype(np.int64), axis=0, return_inverse=True
-    )
-    parts = [points.subset(group.ravel() == k) for k in range(len(cell))]
-    sums = np.vstack(
-        [
-            BoundaryProblem(replace(boundary, points=part), center_mm).sums(at, offset, sigma_mm)
-            for part in parts
-        ]
-    )
-    curvature = normal_matrices(sums)
-    variance = float(sums[:, SQUARES].sum()) / max(float(curvature[:, 6, 6].sum()), 1e-12)
-    scale = 1.0 / max(variance, 1e-12)
-    return BoundaryBlocks(cell, scale * sums[:, RIGHT : RIGHT + UNKNOWNS], scale * curvature)
+        Args:
+            shift_mm: (n, 3) by which each block is moved beside the pose, target frame.
+            offset_mm: of the surface, added to that of the fit.
+        """
+        problem = self._problem
+        points = problem.points
+        moved = points.points + (shift_mm @ pose.rotation)[self._group]
+        sums = np.empty((len(self.cell), SUMS))
+        for out, begin, end in zip(sums, self._ends, self._ends[1:], strict=False):
+            part = OrientedPoints(
+                moved[begin:end],
+                points.normals[begin:end],
+                points.weights[begin:end],
+                points.phases[begin:end],
+            )
+            boundary_step_sums(
+                part,
+                problem.splines,
+                pose.matrix[:3],
+                problem.center_mm,
+                HEART_RADIUS_MM,
+                self.offset_mm + offset_mm,
+                BoundaryFitOptions().sigmas_mm[-1],
+                out,
+            )
+        curvature = normal_matrices(sums)
+        variance = float(sums[:, SQUARES].sum()) / max(float(curvature[:, 6, 6].sum()), 1e-12)
+        scale = 1.0 / max(variance, 1e-12)
+        return scale * sums[:, RIGHT : RIGHT + UNKNOWNS], scale * curvature

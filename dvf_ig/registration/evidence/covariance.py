@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid
-from dvf_ig.registration.deformation.blocks import Blocks
+from dvf_ig.registration.deformation.blocks import Influences
 from dvf_ig.registration.deformation.joint_fit import JointFit
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.slices import SliceSet
@@ -28,10 +28,10 @@ UNSEEN_MM = 0.22
 """Standard deviation per coordinate of what every block shares: the bias of LC2."""
 
 
-def covariance_mm2(blocks: Blocks, fit: JointFit) -> FloatArray:
+def covariance_mm2(fit: JointFit, influences: Influences) -> FloatArray:
     """(6, 6) without what the slices' placement adds, in the coordinates of `PoseChart`."""
-    pulls = -np.einsum("gpu,gu->gp", fit.pull[blocks.block], blocks.gradient)
-    scatter = sandwich(pulls, blocks.block[:, None], blocks.slice)
+    pulls = -np.einsum("gpu,gu->gp", fit.pull[influences.block], influences.gradient)
+    scatter = sandwich(pulls, influences.block[:, None], influences.slice)
     return np.asarray(fit.covariance_mm2 + scatter + UNSEEN_MM**2 * np.eye(6))
 
 

@@ -1,11 +1,11 @@
 """LC2's gradient block by block of space and slice by slice: what a sandwich covariance is made of.
 
 Neighbouring patches share the difference between patient and pre-operative images, so that neither pixels nor
-patches are independent observations; blocks of some centimetres nearly are. Every slice is cut into its
-blocks, and their patches are evaluated as slices of their own.
+patches are independent observations; blocks of some centimetres nearly are.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,8 +14,6 @@ from dvf_ig.registration.distinct_rows import distinct_rows
 
 from .density_weights import patch_centers_mm
 from .lc2 import Lc2
-from .patches import Patches
-from .slices import SliceSet
 
 
 @read_only_arrays
@@ -49,41 +47,15 @@ class BlockedLc2:
         owner = np.repeat(np.arange(len(slices)), np.diff(patches.first))
         cell = np.floor(patch_centers_mm(slices, patches.first, patches.centers) / block_mm).astype(np.int64)
         keys, part = distinct_rows(np.column_stack([owner, cell]))
-        order = np.argsort(part.ravel(), kind="stable")
-        counts = np.bincount(part.ravel(), minlength=len(keys))
-        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        centers = patches.centers[order]
-        # patches stay centred on every second pixel, which the kernels rely on
-        margin = metric.radius + metric.radius % 2
-        corner = np.minimum.reduceat(centers, first[:-1], axis=0) - margin
-        centers = centers - np.repeat(corner, counts, axis=0)
-        self._parts = metric.with_patches(
-            _cut(slices, keys[:, 0], corner, centers.max(axis=0) + metric.radius + 1, margin),
-            Patches(first, centers, patches.moments[order]),
-        )
+        self._metric, self._parts = metric, metric.cut(keys[:, 0], part.ravel())
         self.cell: IntArray = keys[:, 1:]
         self.slice: IntArray = keys[:, 0]
 
-    def gradients(self, pose: Rigid, center_mm: FloatArray) -> BlockGradients:
-        """Of every block at a pose."""
-        found = self._parts.cost_gradient(pose, center_mm)
-        return BlockGradients(found.cost, found.gradient)
+    def gradients(self, poses: Sequence[Rigid], center_mm: FloatArray) -> tuple[BlockGradients, ...]:
+        """Of every block at each pose; poses that lie together cost less than one by one."""
+        found = self._metric.part_gradients(self._parts, poses, center_mm)
+        return tuple(BlockGradients(at.cost, at.gradient) for at in found)
 
-
-def _cut(slices: SliceSet, owner: IntArray, corner: IntArray, size: IntArray, margin: int) -> SliceSet:
-    """Windows of one size: of slice `owner` (b,) from row and column `corner` (b, 2) on, −margin at least."""
-    rows, columns = (int(n) for n in size)
-    pad = ((0, 0), (margin, rows), (margin, columns))
-    images, masks = np.pad(slices.images, pad), np.pad(slices.masks, pad)
-    row = margin + corner[:, 0, None, None] + np.arange(rows)[None, :, None]
-    column = margin + corner[:, 1, None, None] + np.arange(columns)[None, None, :]
-    number = owner[:, None, None]
-    maps = slices.frame_from_pixel[owner].copy()
-    maps[:, :, 2] += maps[:, :, 0] * corner[:, 1, None] + maps[:, :, 1] * corner[:, 0, None]
-    bare = replace(slices, images=slices.images[:, :1, :1], masks=slices.masks[:, :1, :1])
-    return replace(
-        bare.subset(owner),
-        images=np.ascontiguousarray(images[number, row, column]),
-        masks=np.ascontiguousarray(masks[number, row, column]),
-        frame_from_pixel=maps,
-    )
+    def shifted_gradient(self, pose: Rigid, shift_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
+        """(b, 6) as `gradients` at a pose beside which each block is moved by (b, 3), target frame."""
+        return self._metric.shifted_part_gradient(self._parts, pose, shift_mm, center_mm).gradient

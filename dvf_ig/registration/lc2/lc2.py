@@ -1,6 +1,6 @@
 """LC2 of a slice set against the phase-matched model, as a function of the pose."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from dvf_ig.core import (
     FloatArray,
+    IntArray,
     InvalidInputError,
     Rigid,
     read_only_arrays,
@@ -24,11 +25,13 @@ from dvf_ig.kernels.lc2 import (
     Scratch,
     lc2_slices,
 )
-from dvf_ig.kernels.lc2_step import STEP_SCORE, STEP_SUMS, STEP_WEIGHT, lc2_step_slices
+from dvf_ig.kernels.lc2_parts import SliceParts, lc2_step_parts
+from dvf_ig.kernels.lc2_step import MATRIX, STEP_SCORE, STEP_SUMS, STEP_WEIGHT, lc2_step_slices
 
 from .channels import ModelChannels
 from .motion import SliceMotion
-from .patches import Patches, patches_of, pixel_runs
+from .parts import slice_parts
+from .patches import patches_of, pixel_runs
 from .slices import SliceSet
 from .threads import SliceThreads
 
@@ -108,7 +111,6 @@ class Lc2:
         pitch_mm: float,
         density_width_mm: float | None = None,
         threads: SliceThreads | None = None,
-        patches: Patches | None = None,
     ) -> None:
         """LC2 of a slice set against a model, at any pose.
 
@@ -117,7 +119,6 @@ class Lc2:
             patch_mm: edge of a patch; pitch_mm: of a pixel.
             density_width_mm: see `patches_of`.
             threads: of the caller, who closes them; without any all slices run on the calling thread.
-            patches: of the slices, in place of all that `patches_of` finds.
         Raises:
             InvalidInputError: the model has one voxel only along an axis.
         """
@@ -128,13 +129,10 @@ class Lc2:
         self.slices = slices
         self._model = model
         self._threads = threads
-        self._sizes = (patch_mm, pitch_mm)
         self._phases = model.nearest_phase(slices.model_phase)
         radius = max(2, round(patch_mm / pitch_mm / 2))
         pixels = pixel_runs(slices)
-        if patches is None:
-            patches = patches_of(slices, pixels, radius, density_width_mm)
-        self.patches = patches
+        self.patches = patches = patches_of(slices, pixels, radius, density_width_mm)
         self._patch_pixels = (2 * radius + 1) ** 2
         self._patched = PatchedSlices(
             pixels.values,
@@ -150,18 +148,6 @@ class Lc2:
         )
         self._index_from_mm = np.ascontiguousarray(np.linalg.inv(model.grid.axes_mm))
         self._channels = model.values.reshape(*model.values.shape[:3], -1)
-
-    @property
-    def radius(self) -> int:
-        """Of a patch of (2·radius + 1)² pixels."""
-        return self._patched.radius
-
-    def with_patches(self, slices: SliceSet, patches: Patches) -> "Lc2":
-        """The same metric of other slices, by patches that were found already."""
-        patch_mm, pitch_mm = self._sizes
-        return Lc2(
-            slices, self._model, patch_mm=patch_mm, pitch_mm=pitch_mm, threads=self._threads, patches=patches
-        )
 
     def per_slice(self, target_from_source: Rigid) -> FloatArray:
         """(s, 3) weighted score, weight and overlap of each slice."""
@@ -191,7 +177,40 @@ class Lc2:
     def cost_gradient(self, target_from_source: Rigid, center_mm: FloatArray) -> CostGradient:
         """Cost of each slice and its gradient in the coordinates of `PoseChart`."""
         sums, motion = self._step_sums(target_from_source, center_mm, matrix=False)
-        return CostGradient(sums[:, STEP_WEIGHT] - sums[:, STEP_SCORE], -2.0 * motion.gradient(sums))
+        return _cost_gradient(sums, motion)
+
+    def cut(self, owner: IntArray, part: IntArray) -> SliceParts:
+        """The slices in parts; see `slice_parts`."""
+        return slice_parts(self._patched, owner, part)
+
+    def part_gradients(
+        self, parts: SliceParts, poses: Sequence[Rigid], center_mm: FloatArray
+    ) -> tuple[CostGradient, ...]:
+        """As `cost_gradient` at each of some poses, of every part in place of every slice."""
+        placed = [self._placed(pose) for pose in poses]
+        model = placed[0][0]._replace(index_from_pixel=np.stack([at.index_from_pixel for at, _ in placed]))
+        sums = np.empty((len(poses), parts.first_part[-1], MATRIX))
+        ordered = np.empty_like(self._scratch.fits)
+        self._run(lc2_step_parts, (self._patched, parts, model, self._scratch, ordered, sums))
+        found, counts = [], np.diff(parts.first_part)
+        for own, (_, mm_from_pixel) in zip(sums, placed, strict=True):
+            motion = self._motion(mm_from_pixel, center_mm).repeated(counts)
+            found.append(_cost_gradient(own, motion))
+        return tuple(found)
+
+    def shifted_part_gradient(
+        self, parts: SliceParts, pose: Rigid, shift_mm: FloatArray, center_mm: FloatArray
+    ) -> CostGradient:
+        """As `part_gradients` at a pose beside which each part is moved by (k, 3), target frame."""
+        placed, mm_from_pixel = self._placed(pose)
+        owner = np.repeat(np.arange(len(self.slices)), np.diff(parts.first_part))
+        mm_from_pixel = mm_from_pixel[owner]
+        mm_from_pixel[:, :, 2] += shift_mm
+        index_from_pixel = np.ascontiguousarray(self._index_from_mm @ mm_from_pixel)
+        model = placed._replace(phases=placed.phases[owner], index_from_pixel=index_from_pixel)
+        sums = np.empty((len(owner), STEP_SUMS))
+        self._run(lc2_step_slices, (parts.cut, model, self._scratch, False, sums), len(owner))
+        return _cost_gradient(sums, self._motion(mm_from_pixel, center_mm))
 
     @property
     def information(self) -> float:
@@ -211,10 +230,13 @@ class Lc2:
     ) -> tuple[FloatArray, SliceMotion]:
         """(s, STEP_SUMS) of `lc2_step_slices`, and what they mean for the pose."""
         model, mm_from_pixel = self._placed(target_from_source)
-        mm_from_pixel[:, :, 2] += self._model.grid.origin_mm - center_mm
         out = np.empty((len(self.slices), STEP_SUMS))
         self._run(lc2_step_slices, (self._patched, model, self._scratch, matrix, out))
-        return out, SliceMotion.of(mm_from_pixel, self._index_from_mm)
+        return out, self._motion(mm_from_pixel, center_mm)
+
+    def _motion(self, mm_from_pixel: FloatArray, center_mm: FloatArray) -> SliceMotion:
+        mm_from_pixel[:, :, 2] += self._model.grid.origin_mm - center_mm
+        return SliceMotion.of(mm_from_pixel, self._index_from_mm)
 
     def _placed(self, target_from_source: Rigid) -> tuple[PlacedModel, FloatArray]:
         """The model at a pose, and (s, 3, 3) mm from its grid's origin from (column, row, 1)."""
@@ -225,12 +247,13 @@ class Lc2:
         index_from_pixel = np.ascontiguousarray(self._index_from_mm @ mm_from_pixel)
         return PlacedModel(self._channels, self._phases, index_from_pixel), mm_from_pixel
 
-    def _run(self, kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-        """A kernel over all slices."""
+    def _run(self, kernel: Callable[..., Any], arguments: tuple[Any, ...], count: int | None = None) -> None:
+        """A kernel over all slices, or over `count` parts of them."""
+        total = len(self.slices) if count is None else count
         if self._threads is None:
-            kernel(*arguments, 0, 0, len(self.slices))
+            kernel(*arguments, 0, 0, total)
         else:
-            self._threads.run(lambda *share: kernel(*arguments, *share), len(self.slices))
+            self._threads.run(lambda *share: kernel(*arguments, *share), total)
 
 
 def _scratch(slices: PatchedSlices, columns: int, workers: int) -> Scratch:
@@ -254,3 +277,7 @@ def _similarity(scores: FloatArray) -> float:
 def _slope(sums: FloatArray, motion: SliceMotion) -> Slope:
     weight = max(float(sums[:, STEP_WEIGHT].sum()), 1e-300)
     return Slope(motion.gradient(sums).sum(axis=0), float(sums[:, STEP_SCORE].sum()) / weight, weight)
+
+
+def _cost_gradient(sums: FloatArray, motion: SliceMotion) -> CostGradient:
+    return CostGradient(sums[:, STEP_WEIGHT] - sums[:, STEP_SCORE], -2.0 * motion.gradient(sums))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import HEART_RADIUS_MM, FloatArray, read_only_arrays
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, IntArray, read_only_arrays
 from dvf_ig.kernels.lc2_step import FORCE, MATRIX
 
 _TRIANGLE = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
@@ -38,6 +38,10 @@ class SliceMotion:
         steps[..., :3] = np.cross(place, index_from_mm) / HEART_RADIUS_MM
         steps[:, 2, :, 3:] = index_from_mm
         return cls(steps)
+
+    def repeated(self, counts: IntArray) -> "SliceMotion":
+        """Of parts that move as their slice does: `counts` (s,) of each slice."""
+        return SliceMotion(np.repeat(self.steps, counts, axis=0))
 
     def gradient(self, sums: FloatArray) -> FloatArray:
         """(s, 6) Jᵀr of each slice, from the kernel's (s, STEP_SUMS)."""

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator
 from heapq import merge
 from operator import itemgetter
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -18,19 +17,28 @@ from dvf_ig.core import (
     DvfModel,
     FloatArray,
     InvalidInputError,
-    Preop,
     Scenario,
     TriggerTimes,
 )
 from dvf_ig.core.arrays import AnyArray
-from dvf_ig.guidance import Hazard, Status, SupervisorState
-from dvf_ig.io.model import model_bytes
 from dvf_ig.io.ros import messages as ros
-from dvf_ig.io.ros.log_file import LogWriter, written_log
+from dvf_ig.io.ros.attached_heart import attach_heart
+from dvf_ig.io.ros.log_file import written_log
 from dvf_ig.io.ros.session_document import document_of
-from dvf_ig.io.scenario.layout import PreopConfig as FolderPreop
-from dvf_ig.io.scenario.write import write_preop
-from dvf_ig.io.session_file.schema import PreopConfig
+from dvf_ig.io.ros.session_topics import (
+    DOCUMENT,
+    ECG,
+    EXACT_FRAME,
+    EXACT_TOOL,
+    GUIDANCE,
+    IMAGE,
+    IMAGE_LABEL,
+    POSE_LABEL,
+    STATUS_EVERY_S,
+    TRIGGER,
+    exact_pose,
+    status_message,
+)
 from dvf_ig.replay.calibrations import calibrate
 from dvf_ig.replay.events import ECG_CHUNK
 from dvf_ig.replay.outputs import TICKS
@@ -39,31 +47,7 @@ from dvf_ig.replay.run_folder import RESULT, read_ticks
 
 from .exported_run import ExportedRun
 
-DOCUMENT, MODEL = "session.json", "preop/model.npz"
-ECG, IMAGE, TRIGGER = "/ecg", "/ultrasound/image", "/trigger"
-EXACT_FRAME, EXACT_TOOL = "/exact/ultrasound", "/exact/tool"
-STREAMS = {
-    ECG: ros.ARRAY,
-    TRIGGER: ros.ARRAY,
-    IMAGE: ros.IMAGE,
-    EXACT_FRAME: ros.ARRAY,
-    EXACT_TOOL: ros.ARRAY,
-}
-"""What a replay reads, with the type of each."""
-POSE_LABEL = "t_s, valid, rotation (9, row-major), translation_mm (3): tracker_from_{}"
-IMAGE_LABEL = ", then whether the image is valid"
-LEVELS = {
-    SupervisorState.OK: 0,
-    SupervisorState.DEGRADED: 1,
-    SupervisorState.FADE: 2,
-    SupervisorState.LATCHED: 2,
-}
-"""Of diagnostics: OK, warning, error."""
 FORCE, TIP = "force_tracker_{}_n", "tip_mr_{}_mm"
-GUIDANCE = ("phi", "model_phase", "rr_s", "distance_mm", "pose_age_s")
-"""Columns of ticks.csv that are logged as numbers; NaN where there is none."""
-STATUS_EVERY_S = 1.0
-
 Timed = tuple[float, str, str, ros.Message]
 """When, topic, type, message."""
 
@@ -90,7 +74,7 @@ def write_session_log(
         raise InvalidInputError(f"{folder} was replayed with another seed or version; give its --seed")
     count = 0
     with written_log(path) as log:
-        preop = _attach_heart(log, run.scenario.preop, given)
+        preop = attach_heart(log, run.scenario.preop, given)
         document = document_of(run.scenario, in_use.probe_from_image, in_use.lag_s, in_use.tip, preop)
         log.attach(DOCUMENT, "application/json", document)
         log.attach(RESULT, "application/json", (folder / RESULT).read_bytes())
@@ -101,44 +85,6 @@ def write_session_log(
             log.write(topic, kind, t_s, message)
             count += 1
     return count
-
-
-def _attach_heart(log: LogWriter, preop: Preop, given: DvfModel | None) -> PreopConfig:
-    """Attach what the heart is built from, and say what it is.
-
-    With labels or surfaces the model is attached without being named: reading it with them would give the
-    images its times.
-    """
-    has_labels = preop.labels is not None or preop.ed_labels is not None
-    files = FolderPreop(
-        kind="labels",
-        mr="preop/mr.nrrd" if preop.mr is not None else None,
-        labels="preop/labels.nrrd" if has_labels else None,
-    )
-    with TemporaryDirectory(prefix="dvf_ig_") as name:
-        folder = Path(name)
-        (folder / "preop").mkdir()
-        has_files = has_labels or preop.mr is not None or bool(preop.surfaces)
-        if has_files:
-            write_preop(preop, folder, files)
-        for file in sorted(folder.rglob("*")):
-            if file.is_file():
-                log.attach(file.relative_to(folder).as_posix(), "application/octet-stream", file.read_bytes())
-    if given is not None:
-        log.attach(MODEL, "application/octet-stream", b"".join(model_bytes(given)))
-    return PreopConfig(
-        model=MODEL if given is not None and not has_labels and not preop.surfaces else None,
-        mr=files.mr,
-        labels=files.labels,
-        ed_phase=preop.ed_phase,
-        label_names=dict(preop.label_names),
-        organ_labels=tuple(int(value) for value in preop.organ_labels),
-        cavity_labels=tuple(int(value) for value in preop.cavity_labels),
-        surfaces_folder="preop" if preop.surfaces else None,
-        surfaces=tuple(series.name for series in preop.surfaces),
-        surface=preop.surface,
-        timing=files.timing if has_files else None,
-    )
 
 
 def _recorded(scenario: Scenario) -> Iterator[Timed]:
@@ -162,7 +108,7 @@ def _frames(scenario: Scenario) -> Iterator[Timed]:
     stream = sequence.stream("tracker", "probe")
     label = POSE_LABEL.format("probe") + IMAGE_LABEL
     for i, t_s in enumerate(sequence.t_s.tolist()):
-        exact = _exact(t_s, stream.valid[i], stream.rotations[i], stream.translations_mm[i])
+        exact = exact_pose(t_s, stream.valid[i], stream.rotations[i], stream.translations_mm[i])
         values = np.append(exact, float(sequence.image_valid[i]))
         yield t_s, EXACT_FRAME, ros.ARRAY, ros.array(values, (label,))
         if sequence.images is not None:
@@ -175,14 +121,10 @@ def _tool(scenario: Scenario) -> Iterator[Timed]:
     stream = tool_of(scenario)
     label = POSE_LABEL.format("tool")
     for i, t_s in enumerate(stream.t_s.tolist()):
-        exact = _exact(t_s, stream.valid[i], stream.rotations[i], stream.translations_mm[i])
+        exact = exact_pose(t_s, stream.valid[i], stream.rotations[i], stream.translations_mm[i])
         yield t_s, EXACT_TOOL, ros.ARRAY, ros.array(exact, (label,))
         if stream.valid[i]:
             yield t_s, "/tf", ros.TF, ros.transforms(t_s, [("tracker", "tool", stream.pose(i).matrix)])
-
-
-def _exact(t_s: float, valid: bool, rotation: FloatArray, translation_mm: FloatArray) -> FloatArray:
-    return np.concatenate([[t_s, float(valid)], rotation.ravel(), translation_mm])
 
 
 def _poses(run: ExportedRun) -> Iterator[Timed]:
@@ -205,14 +147,7 @@ def _answers(ticks: dict[str, AnyArray]) -> Iterator[Timed]:
         said = tuple(codes[i].tolist())
         if said != told or t_s >= due_s:
             told, due_s = said, t_s + STATUS_EVERY_S
-            yield t_s, "/diagnostics", ros.DIAGNOSTICS, _status(t_s, *(int(code) for code in said))
-
-
-def _status(t_s: float, status: int, supervisor: int, hazards: int) -> ros.Message:
-    state = SupervisorState(supervisor)
-    active = "|".join(one.name.lower() for one in Hazard(hazards) if one.name)
-    values = {"status": Status(status).name.lower(), "hazards": active}
-    return ros.diagnostics(t_s, LEVELS[state], "supervisor", state.name.lower(), values)
+            yield t_s, "/diagnostics", ros.DIAGNOSTICS, status_message(t_s, *(int(code) for code in said))
 
 
 def _rows(ticks: dict[str, AnyArray], names: Iterable[str]) -> FloatArray:

@@ -1,5 +1,6 @@
 """A session's log back as a recording: the events that its replay pushes are those that were logged."""
 
+import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -21,20 +22,28 @@ from dvf_ig.io.file_within import path_within
 from dvf_ig.io.model import read_model
 from dvf_ig.io.provenance import not_recorded
 from dvf_ig.io.ros import messages as ros
-from dvf_ig.io.ros.log_file import opened_log
+from dvf_ig.io.ros.attached_heart import MODEL
+from dvf_ig.io.ros.live_log import LIVE, LiveDocument
+from dvf_ig.io.ros.log_file import LogReader, opened_log
 from dvf_ig.io.ros.session_document import SessionDocument, read_document
+from dvf_ig.io.ros.session_topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
 from dvf_ig.io.session_file.preop import PreopFiles, read_preop
 from dvf_ig.io.session_file.read import SessionRecordings
+from dvf_ig.io.yaml_config import validated
 
-from .session_log import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, MODEL, STREAMS, TRIGGER
+from .live_log_read import read_live_streams
 
 _POSE = 14
 """Numbers of a pose: stamp, validity, rotation, translation."""
 
 
-def read_session_log(path: Path) -> SessionRecordings:
-    """Read a log that `dvf-ig export mcap` wrote: recording, calibrations in use, and the heart.
+def read_session_log(path: Path, *, images: bool = True) -> SessionRecordings:
+    """Read a log that `dvf-ig export mcap` or `dvf-ig serve` wrote.
 
+    Args:
+        images: of a live session, whether its ultrasound is wanted.
+    Returns:
+        recording, calibrations in use, and the heart; of a live session also what repeats it.
     Raises:
         MissingDependencyError: mcap or rosbags is absent.
         UnreadableFileError: absent, no such log, cut off or damaged.
@@ -43,29 +52,44 @@ def read_session_log(path: Path) -> SessionRecordings:
         attached = log.attachments()
         if DOCUMENT not in attached:
             raise UnreadableFileError(
-                f"{path} has no {DOCUMENT} attached; needed a log that `dvf-ig export mcap` wrote"
+                f"{path} has no {DOCUMENT} attached; needed a log that `dvf-ig export mcap` or "
+                "`dvf-ig serve` wrote"
             )
         document = read_document(attached[DOCUMENT], path)
         heart = _heart(path, document, attached)
+        if LIVE in attached:
+            return _live(log, path, document, heart, attached[LIVE], images=images)
         arrays: dict[str, list[FloatArray]] = {topic: [] for topic in STREAMS}
-        images: list[NDArray[np.uint8]] = []
+        shown: list[NDArray[np.uint8]] = []
         for topic, message in log.messages(STREAMS):
             if topic == IMAGE:
-                images.append(ros.grey_levels(message))
+                shown.append(ros.grey_levels(message))
             else:
                 arrays[topic].append(_numbers(message))
-        scenario = _scenario(document, heart, arrays, images)
+        scenario = _recorded(document, heart, arrays, shown)
     return SessionRecordings(scenario, heart.model, None, None)
 
 
-def _scenario(
+def _live(
+    log: LogReader, path: Path, document: SessionDocument, heart: PreopFiles, live: bytes, *, images: bool
+) -> SessionRecordings:
+    try:
+        content = json.loads(live)
+    except (ValueError, RecursionError) as exc:
+        raise UnreadableFileError(f"{path}: its {LIVE} is damaged ({exc})") from exc
+    options = validated(LiveDocument, content, path)
+    streams = read_live_streams(log, document, options, path, images=images)
+    scenario = _scenario(document, heart, streams.ecg, streams.ultrasound, streams.tool)
+    fixtures = options.fixtures.fixture_set(Path())
+    return SessionRecordings(scenario, heart.model, fixtures, options.retiming, live=streams.record)
+
+
+def _recorded(
     document: SessionDocument,
     heart: PreopFiles,
     arrays: dict[str, list[FloatArray]],
     images: list[NDArray[np.uint8]],
 ) -> Scenario:
-    touched, start = document.touched, document.start
-    marked, at = document.landmarks_mr, document.landmarks_tracker
     frames = np.array(arrays[EXACT_FRAME]).reshape(-1, _POSE + 1)
     probe = _stream("probe", frames[:, :_POSE])
     sequence = TrackedSequence(
@@ -76,16 +100,29 @@ def _scenario(
         document.has_timestamps,
         document.orientation,
     )
+    tool = _stream("tool", np.array(arrays[EXACT_TOOL]).reshape(-1, _POSE))
+    return _scenario(document, heart, _beats(document, arrays), sequence, tool)
+
+
+def _scenario(
+    document: SessionDocument,
+    heart: PreopFiles,
+    ecg: Signal | TriggerTimes,
+    ultrasound: TrackedSequence,
+    tool: PoseStream,
+) -> Scenario:
+    touched, start = document.touched, document.start
+    marked, at = document.landmarks_mr, document.landmarks_tracker
     return Scenario(
         name=document.name,
         preset=document.preset,
         preop=heart.preop,
-        ecg=_beats(document, arrays),
-        ultrasound=sequence,
+        ecg=ecg,
+        ultrasound=ultrasound,
         fan=None if document.fan is None else document.fan.fan(),
         probe=document.probe_from_image.image(),
         latency=document.lag_s,
-        tool=_stream("tool", np.array(arrays[EXACT_TOOL]).reshape(-1, _POSE)),
+        tool=tool,
         tracked_against=document.tracked_against,
         tip=document.tip.points(),
         start=None if start is None else start.rigid(),

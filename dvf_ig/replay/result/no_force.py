@@ -1,5 +1,6 @@
 """Why a replay gave no force at all, and how to mend it."""
 
+from collections.abc import Mapping
 from enum import Enum
 
 import numpy as np
@@ -34,13 +35,25 @@ class NoForce(Enum):
 
 def no_force_of(replay: Replay) -> str | None:
     """The sentence of the status that most ticks had once there was a pose; None where a tick was valid."""
-    status = replay.ticks.status
-    if not len(status) or replay.ticks.valid.any():
+    found, count = np.unique(replay.ticks.status, return_counts=True)
+    counts = {Status(code): n for code, n in zip(found.tolist(), count.tolist(), strict=True)}
+    reason = replay.attempts[-1].reason if replay.attempts else None
+    return no_force(counts, posed=bool(replay.poses), reason=reason)
+
+
+def no_force(counts: Mapping[Status, int], *, posed: bool, reason: str | None) -> str | None:
+    """The same of how often there was each status.
+
+    Args:
+        posed: whether a pose was ever in use.
+        reason: how the last registration ended; None without one.
+    """
+    if counts.get(Status.OK, 0) or not sum(counts.values()):
         return None
-    posed = status[status != Status.NO_POSE]
-    status = posed if replay.poses and len(posed) else status
-    found, count = np.unique(status, return_counts=True)
-    most = int(np.argmax(count))
-    reason = replay.attempts[-1].reason if replay.attempts else "none, the recording is too short"
-    cause = NoForce[Status(int(found[most])).name]
-    return cause.value.format(share=count[most] / len(status), reason=reason)
+    found: dict[Status, int] = {status: n for status, n in counts.items() if n}
+    if posed and set(found) != {Status.NO_POSE}:
+        found.pop(Status.NO_POSE, None)
+    most = max(sorted(found), key=found.__getitem__)
+    share = found[most] / sum(found.values())
+    told = reason or "none, the recording is too short"
+    return NoForce[most.name].value.format(share=share, reason=told)

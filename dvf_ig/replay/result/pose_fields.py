@@ -30,7 +30,8 @@ def update_fields(replay: Replay) -> dict[str, Any]:
 def _withheld_s(ticks: Ticks) -> float:
     """Seconds after the first pose in which none could be used: suspended, or confirmed by no beat."""
     posed = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
-    return float(np.count_nonzero(np.maximum.accumulate(posed) & ~posed)) / RATE_HZ
+    lasts_s = np.diff(ticks.t_s, append=ticks.t_s[-1:] + 1.0 / RATE_HZ)
+    return round(float(lasts_s[np.maximum.accumulate(posed) & ~posed].sum()), 6)
 
 
 def age_fields(ticks: Ticks) -> dict[str, float] | None:

@@ -204,7 +204,7 @@ def distance_histogram(ticks: TickTrace) -> Figure:
             label="ground truth",
         )
     axis.axvline(0, color=TRUTH, lw=0.8, ls=":")
-    axis.set(xlabel="distance from the surface, mm (inside > 0)", ylabel="ticks of 1 ms")
+    axis.set(xlabel="distance from the surface, mm (inside > 0)", ylabel="ticks")
     axis.legend(fontsize=9, frameon=False)
     return figure
 
@@ -218,7 +218,8 @@ def ecg_figure(strip: EcgStrip) -> Figure:
         height = np.zeros(len(strip.r_peaks_s))
     else:
         upper.plot(strip.ecg_t_s, strip.ecg, color=TRUTH, lw=0.8)
-        height = np.interp(strip.r_peaks_s, strip.ecg_t_s, strip.ecg)
+        known = len(strip.ecg_t_s) > 0
+        height = np.interp(strip.r_peaks_s, strip.ecg_t_s, strip.ecg) if known else 0.0 * strip.r_peaks_s
     handles: list[Artist] = list(
         upper.plot(
             strip.r_peaks_s, height, "o", ms=5, mfc="none", color=ESTIMATE, label="R peak, as detected"

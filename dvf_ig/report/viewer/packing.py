@@ -11,6 +11,7 @@ import numpy as np
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.errors import InvalidInputError
 
+TIME_STEP_S = 1e-6
 _SIGNED = (np.int8, np.int16, np.int32)
 
 
@@ -33,6 +34,13 @@ def packed(values: AnyArray, scale: float, *, offset: float = 0.0, delta: bool =
         raise InvalidInputError(f"{most * scale:g} in steps of {scale:g} does not fit into 32 bits")
     integers = np.where(known, whole, np.iinfo(kind).min).astype(kind)
     return _entry(integers, scale=scale, offset=offset, delta=delta)
+
+
+def packed_times(t_s: AnyArray) -> dict[str, Any]:
+    """Times in order, from the second in which the first lies: to 1 µs, or to 10 µs beyond half an hour."""
+    begin_s = float(np.floor(t_s[0]))
+    fits = t_s[-1] - begin_s <= np.iinfo(np.int32).max * TIME_STEP_S
+    return packed(t_s, TIME_STEP_S if fits else 10.0 * TIME_STEP_S, offset=begin_s, delta=True)
 
 
 def packed_exactly(values: AnyArray) -> dict[str, Any]:

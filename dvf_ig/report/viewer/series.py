@@ -12,7 +12,7 @@ from dvf_ig.core.arrays import AnyArray, FloatArray, read_only_arrays
 
 from .columns import STEPS
 from .frames import FrameSeries, frames_payload
-from .packing import packed
+from .packing import packed, packed_times
 
 MOST_TICKS = 120_000
 """Of two minutes; of longer runs every second, third, … is kept."""
@@ -69,11 +69,13 @@ class SeriesInput:
 def series_payload(given: SeriesInput) -> dict[str, Any]:
     """The field `series` of a page's scene (`dvf_ig/report/web/README.md`)."""
     every = -(-len(given.ticks["t_s"]) // MOST_TICKS)
+    ticks = {
+        name: packed(np.asarray(given.ticks[name])[::every], step, delta=True)
+        for name, step in STEPS.items()
+        if name != "t_s"
+    }
     return {
-        "ticks": {
-            name: packed(np.asarray(given.ticks[name])[::every], step, delta=True)
-            for name, step in STEPS.items()
-        },
+        "ticks": {"t_s": packed_times(np.asarray(given.ticks["t_s"])[::every]), **ticks},
         "ecg": _signal(given.ecg),
         "breathing": _signal(given.breathing),
         "r_peaks_s": given.r_peaks_s.round(6).tolist(),
@@ -93,6 +95,6 @@ def _signal(signal: SampledSignal | None) -> dict[str, Any] | None:
     t_s, values = signal.t_s[::every], signal.values[::every]
     largest = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
     return {
-        "t_s": packed(t_s, 1e-6, offset=float(t_s[0]), delta=True),
+        "t_s": packed_times(t_s),
         "values": packed(values, largest / SIGNAL_STEPS, delta=True),
     }

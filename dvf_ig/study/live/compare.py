@@ -11,8 +11,11 @@ from dvf_ig.replay import Replay
 from dvf_ig.replay.result.score import pose_errors_mm
 from dvf_ig.session import Attempt
 
+from .asked import asked_at
 from .run import LiveRun
 
+LATE_S = 0.001
+"""A pose of the tool that the replay has had for longer, and the live session not yet, was late."""
 LARGEST_SHIFT_S, SHIFT_STEP_S = 0.05, 0.0005
 SETTLED_S = 1.0
 """A force that fades, rises or is limited on either side is not compared until so long after."""
@@ -28,6 +31,7 @@ class LiveSamples:
         force_n: (n, 3) the servo's; session_n: (n, 3) the session's.
         servo, supervisor, status: (n,) codes.
         mr_from_tracker: (n, 3, 4) NaN where none was in use.
+        tool_age_s: (n,) of the newest pose of the tool that had come.
     """
 
     state_s: FloatArray
@@ -38,6 +42,7 @@ class LiveSamples:
     supervisor: IntArray
     status: IntArray
     mr_from_tracker: FloatArray
+    tool_age_s: FloatArray
 
     def __len__(self) -> int:
         return len(self.state_s)
@@ -59,6 +64,7 @@ def samples_of(run: LiveRun) -> LiveSamples:
         supervisor=np.array([int(a.state.supervisor) for a in answers]),
         status=np.array([int(a.state.status) for a in answers]),
         mr_from_tracker=poses,
+        tool_age_s=np.array([a.state.tool.age_s for a in answers]),
     )
 
 
@@ -76,7 +82,7 @@ def comparison(live: LiveRun, replay: Replay, truth: ScenarioTruth | None) -> di
         "registrations": _registrations(live, replay),
         "same_status_share": float(same_status.mean()),
         "same_supervisor_share": float(same_state.mean()),
-        "force_session": _force(samples.state_s[given], samples.session_n[given], replay),
+        "force_session": _force_at_answers(samples, replay, given),
         "force_servo": _force(samples.servo_s[sent], samples.force_n[sent], replay),
         "latency_ms": live.result["latency_ms"],
         "live": live.result,
@@ -120,6 +126,32 @@ def _settled(t_s: FloatArray, codes: IntArray) -> BoolArray:
     return np.asarray(t_s - last > SETTLED_S)
 
 
+def _force_at_answers(samples: LiveSamples, replay: Replay, given: BoolArray) -> dict[str, Any]:
+    """Errors of the session's force at the very moments, and how many a late pose of the tool explains."""
+    asked = asked_at(replay.scenario, replay.setup, samples.state_s)
+    given = given & (asked.status == Status.OK) & _settled(samples.state_s, asked.supervisor)
+    error = np.linalg.norm(samples.session_n - asked.force_n, axis=1)
+    late = samples.tool_age_s > asked.tool_age_s + LATE_S
+    return {
+        **_summary(error[given]),
+        "pose_late": _summary(error[given & late]),
+        "pose_in_time": _summary(error[given & ~late]),
+    }
+
+
+def _summary(error_n: FloatArray) -> dict[str, Any]:
+    if not len(error_n):
+        return {"answers": 0}
+    return {
+        "answers": len(error_n),
+        "median_n": float(np.median(error_n)),
+        "p95_n": float(np.percentile(error_n, 95)),
+        "p99_n": float(np.percentile(error_n, 99)),
+        "max_n": float(error_n.max()),
+        "within_0.02_share": float((error_n <= 0.02).mean()),
+    }
+
+
 def _force(t_s: FloatArray, force_n: FloatArray, replay: Replay) -> dict[str, Any]:
     """Errors at the shift of time that makes their median least."""
     if not len(t_s):
@@ -129,15 +161,7 @@ def _force(t_s: FloatArray, force_n: FloatArray, replay: Replay) -> dict[str, An
     errors = [_apart(t_s - shift, force_n, ticks.t_s, ticks.force_n) for shift in shifts]
     best = int(np.argmin([error.mean() for error in errors]))
     error = errors[best]
-    return {
-        "answers": len(t_s),
-        "shift_ms": 1e3 * float(shifts[best]),
-        "median_n": float(np.median(error)),
-        "p95_n": float(np.percentile(error, 95)),
-        "p99_n": float(np.percentile(error, 99)),
-        "max_n": float(error.max()),
-        "within_0.02_share": float((error <= 0.02).mean()),
-    }
+    return {**_summary(error), "shift_ms": 1e3 * float(shifts[best])}
 
 
 def _apart(t_s: FloatArray, force_n: FloatArray, at_s: FloatArray, of_n: FloatArray) -> FloatArray:

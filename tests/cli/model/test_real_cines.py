@@ -131,15 +131,16 @@ def test_fitted_surfaces_of_a_real_heart_give_a_model_with_its_ventricles(
 def test_a_real_cine_with_distant_slices_gives_a_model_and_says_what_is_missing(
     bivme: Path, tmp_path: Path
 ) -> None:
-    """Labels of end-diastole are the fitted surfaces' in the short-axis stack; every fifth frame is used."""
+    """Labels of end-diastole are the fitted surfaces' in the short-axis stack; every fifth frame and every
+    second pixel are used."""
     image = read_volume_series(bivme / "sax_4d.nii.gz")
     labels = rasterise(at_phases(bivme, 0, 9), image.grid)
     write_volume(labels.phase(0), tmp_path / "whole.nii.gz")
     ed = SimpleITK.ReadImage(str(tmp_path / "whole.nii.gz"))
     grey = SimpleITK.ReadImage(str(bivme / "sax_4d.nii.gz"))
     x, y = about_the_heart(ed)
-    SimpleITK.WriteImage(grey[x, y, :, 0:25:5], str(tmp_path / "cine.nii.gz"))
-    SimpleITK.WriteImage(ed[x, y, :], str(tmp_path / "ed.nii.gz"))
+    SimpleITK.WriteImage(grey[x, y, :, 0:25:5][::2, ::2], str(tmp_path / "cine.nii.gz"))
+    SimpleITK.WriteImage(ed[x, y, :][::2, ::2], str(tmp_path / "ed.nii.gz"))
     write_timing(CycleTiming(image.timing.fractions[::5], image.timing.rr_s), tmp_path / "timing.json")
     done = run(
         *("model", "build", "--image", tmp_path / "cine.nii.gz", "--labels", tmp_path / "ed.nii.gz"),

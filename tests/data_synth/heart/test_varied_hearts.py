@@ -168,7 +168,7 @@ def unit(v: FloatArray) -> FloatArray:
 
 
 def blood_ml(anatomy: PhantomAnatomy) -> float:
-    step = 4.0
+    step = 6.0
     axes = [np.arange(low, high, step) for low, high in anatomy.box_mm.T]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return float((tissue_at(anatomy.shapes, nodes) == Tissue.LV_BLOOD).sum() * step**3 / 1e3)

@@ -1,6 +1,7 @@
 """One heart of the second world: its truth, and what MR, contours and scanner make of it."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 import data_synth
+from data_synth.heart import anatomy
+from data_synth.heart.outline import outline
 from data_synth.heart.tissue import Tissue
+from data_synth.second_world import tissue_fields
 from data_synth.second_world.changed_heart import vertex_areas
 from data_synth.second_world.drawn import Drawn
 from data_synth.second_world.echo_images import drawn_display, echo_images
@@ -18,7 +22,7 @@ from data_synth.second_world.measured_poses import distorted_field
 from data_synth.second_world.operating_room import OperatingRoom, image_map
 from data_synth.second_world.probes import insonified
 from data_synth.second_world.properties import EFFUSION
-from data_synth.second_world.ranges import RANGES
+from data_synth.second_world.ranges import RANGES, Range
 from data_synth.second_world.recording import (
     SecondWorldRecording,
     SecondWorldSpec,
@@ -36,8 +40,15 @@ from dvf_ig.preop import ModelOptions, model_from_labels
 
 @pytest.fixture(scope="module")
 def recording() -> SecondWorldRecording:
-    """Five seconds of seed 5002 (a development seed), with as many images as it takes to register."""
-    return second_world_recording(SecondWorldSpec(seed=5002, seconds=5.0, us_rate_hz=8.0))
+    """Five seconds of seed 5002 (a development seed), with as many images as it takes to register.
+
+    Tissue and outline are drawn on wider grids than a study's, and the MR has fewer phases: half the time.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tissue_fields, "SPACING_MM", 2.5)
+        patch.setitem(RANGES, "mr.phases", Range(12.0, 12.0))
+        patch.setattr(anatomy, "outline", partial(outline, step_mm=5.0))
+        return second_world_recording(SecondWorldSpec(seed=5002, seconds=5.0, us_rate_hz=8.0))
 
 
 @pytest.fixture(scope="module")

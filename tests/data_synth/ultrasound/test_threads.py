@@ -18,7 +18,9 @@ import data_synth.mr.cine as cine
 from data_synth import PRESETS, ScenarioSpec, phantom_scenario
 
 # a coarse world: the same code at a fraction of the time
-anatomy.REFERENCE_SPACING_MM = 3.0
+outline = anatomy.outline
+anatomy.outline = lambda *given: outline(*given, step_mm=6.0)
+anatomy.REFERENCE_SPACING_MM = 4.0
 Protocol = cine.MrProtocol
 cine.MrProtocol = lambda: Protocol(phases=4, spacing_mm=4.0)
 

@@ -1,6 +1,7 @@
 """Vendors' devices against shared libraries with the vendors' symbols, compiled here."""
 
 import ctypes
+import gc
 import shutil
 import subprocess
 import time
@@ -166,6 +167,14 @@ def test_an_openhaptics_device_is_driven_inside_its_frames(hd, ball, steady_ball
     assert number(hd, "fake_forces_on").value == 1
     device.close()
     device.close()
+    assert number(hd, "fake_forces_on").value == 0
+
+
+def test_an_openhaptics_device_that_is_dropped_stops_the_drivers_thread(hd):
+    device = OpenHapticsDevice(path=hd)
+    assert number(hd, "fake_forces_on").value == 1
+    del device
+    gc.collect()
     assert number(hd, "fake_forces_on").value == 0
 
 

@@ -1,10 +1,13 @@
 """Pose and change of shape together: exact where nothing changes, better than a rigid fit elsewhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray
-from dvf_ig.registration.deformation.joint_fit import BlockCosts, joint_fit, none_negative
+from dvf_ig.registration.deformation.blocks import about_no_shift
+from dvf_ig.registration.deformation.joint_fit import OWN_MM, SHIFT, BlockCosts, joint_fit, none_negative
 from dvf_ig.registration.deformation.prior import RMS_MM, deformation_factor
 from dvf_ig.registration.pose_chart import rigid_motion
 
@@ -37,20 +40,48 @@ def test_a_rigid_motion_is_found_as_it_is() -> None:
     np.testing.assert_allclose(found, motion, atol=1e-6)
 
 
-def test_a_change_of_shape_moves_the_pose_less_than_a_rigid_fit() -> None:
+def steps_under_a_change(own_mm: float) -> tuple[list[float], list[float], list[float]]:
+    """Lengths of rigid and of joint steps that are to be none, and the latter's squares by their covariance.
+
+    Args:
+        own_mm: standard deviation of what each block is moved by besides the smooth change of shape.
+    """
     rigid, joint, claimed = [], [], []
     for seed in range(60):
         at = places(40, seed)
-        factor = deformation_factor(at, CENTER_MM)
-        change = factor @ np.random.default_rng(1000 + seed).normal(size=factor.shape[2])
+        factor, rng = deformation_factor(at, CENTER_MM), np.random.default_rng(1000 + seed)
+        change = factor @ rng.normal(size=factor.shape[2]) + own_mm * rng.normal(size=(len(at), 3))
         motion = rigid_motion(at, CENTER_MM).reshape(-1, 6)
-        rigid.append(np.linalg.norm(np.linalg.lstsq(motion, change.ravel(), rcond=None)[0]))
+        rigid.append(float(np.linalg.norm(np.linalg.lstsq(motion, change.ravel(), rcond=None)[0])))
         found = joint_fit(costs_of(at, change), NOTHING_KNOWN, np.zeros(7), CENTER_MM)
-        joint.append(np.linalg.norm(found.step_mm))
-        claimed.append(found.step_mm @ np.linalg.solve(found.covariance_mm2, found.step_mm))
-    assert np.mean(joint) < 0.6 * np.mean(rigid)
-    # no noise was added, of which the covariance has some
-    assert 4.0 < np.mean(claimed) < 6.5
+        joint.append(float(np.linalg.norm(found.step_mm)))
+        claimed.append(float(found.step_mm @ np.linalg.solve(found.covariance_mm2, found.step_mm)))
+    return rigid, joint, claimed
+
+
+def test_a_smooth_change_of_shape_moves_the_pose_less_than_a_rigid_fit() -> None:
+    rigid, joint, _ = steps_under_a_change(own_mm=0.0)
+    assert np.mean(joint) < 0.85 * np.mean(rigid)
+
+
+def test_the_covariance_is_right_where_blocks_also_move_on_their_own() -> None:
+    _, _, claimed = steps_under_a_change(own_mm=OWN_MM)
+    assert 5.0 < np.mean(claimed) < 7.0
+
+
+def test_the_fit_of_shifted_blocks_is_that_of_blocks_in_place() -> None:
+    """An exact quadratic may be expanded anywhere."""
+    at, rng = places(30, 8), np.random.default_rng(9)
+    costs, shift = costs_of(at, rng.normal(size=(30, 3))), rng.normal(size=(30, 3))
+    moved = replace(
+        costs, gradient=costs.gradient + np.einsum("bud,bd->bu", costs.curvature[:, :, SHIFT], shift)
+    )
+    here, there = (
+        joint_fit(given, NOTHING_KNOWN, np.zeros(7), CENTER_MM)
+        for given in (costs, about_no_shift(moved, shift))
+    )
+    np.testing.assert_allclose(here.step_mm, there.step_mm, atol=1e-9)
+    np.testing.assert_allclose(here.shift_mm, there.shift_mm, atol=1e-9)
 
 
 def test_the_pull_of_each_block_adds_up_to_the_step() -> None:

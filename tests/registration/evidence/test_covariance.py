@@ -22,7 +22,8 @@ def test_blocks_add_up_to_the_gradient_of_all_and_lie_where_they_say() -> None:
     metric = metric_of(SLICES)
     whole = metric.cost_gradient(toy_pose(), CENTER_MM)
     cut = BlockedLc2(metric, block_mm=30.0)
-    blocks = cut.gradients(toy_pose(), CENTER_MM)
+    aside = Rigid("mr", "tracker", np.eye(3), np.ones(3))
+    _, blocks = cut.gradients([aside, toy_pose()], CENTER_MM)
     assert len(blocks.cost) > 3 * len(SLICES)
     for number in range(len(SLICES)):
         own = cut.slice == number

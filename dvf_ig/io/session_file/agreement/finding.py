@@ -130,6 +130,16 @@ class Disagreement(Enum):
         "ECG and {what} share {share:.0%} of the time of the {what}; outside it no phase is known: check the "
         "clocks, and that the whole recordings were copied",
     )
+    RECORD_ENDS_EARLY = Rule(
+        False,
+        "the live session's record was not finished, because its program was killed or its disk was full: "
+        "what came after {s:.1f} s is not in it",
+    )
+    RECORD_LACKS_MESSAGES = Rule(
+        False,
+        "the live session's record lacks {count:.0f} messages, which came faster than the disk took them: "
+        "answers after the first of them may differ from those that were given",
+    )
 
 
 @dataclass(frozen=True, slots=True)
