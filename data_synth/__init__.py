@@ -4,6 +4,8 @@ Whole interventions (`phantom_scenario`, `surface_scenario`) and image pairs (`i
 each of use alone: a beating heart, its MR and ultrasound, signals, calibration phantoms, an operator's hands.
 """
 
+from .cine_heart.anatomy import LV_LABEL as LV_LABEL
+from .cine_heart.anatomy import RV_LABEL as RV_LABEL
 from .cine_heart.anatomy import CineHeart as CineHeart
 from .cine_heart.anatomy import cine_anatomy as cine_anatomy
 from .heart.anatomy import PhantomAnatomy as PhantomAnatomy

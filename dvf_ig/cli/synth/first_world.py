@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from dvf_ig.cli.shell import emit, progress, wrote
+from dvf_ig.cli.shell import emit, progress, warn, wrote
 
 if TYPE_CHECKING:
     from data_synth import ReplayedPath, ScenarioSpec
-    from dvf_ig.core import Scenario
+    from dvf_ig.core import Scenario, Volume, VolumeSeries
 
     from .spec import SpecFile
 
@@ -51,8 +51,8 @@ def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPa
     if file.anatomy == "phantom":
         return _on_the_phantom(spec), None
     if file.anatomy == "cine":
-        if file.cine is None or file.labels is None or file.es_labels is None:
-            raise typer.BadParameter("--anatomy cine needs --cine, --labels and --es-labels")
+        if file.cine is None or file.labels is None:
+            raise typer.BadParameter("--anatomy cine needs --cine and --labels")
         return _on_a_cine(spec, Path(file.cine), Path(file.labels), file.es_labels), None
     surfaces, ecg, probe_path = inputs
     if surfaces is None or ecg is None or probe_path is None:
@@ -60,23 +60,57 @@ def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPa
     return _on_real_anatomy(spec, Path(surfaces), ecg, Path(probe_path))
 
 
-def _on_a_cine(spec: "ScenarioSpec", cine: Path, labels: Path, es_labels: str) -> "Scenario":
+def _on_a_cine(spec: "ScenarioSpec", cine: Path, labels: Path, es_labels: str | None) -> "Scenario":
     """Real MR and its expert's labels, simulated ultrasound."""
     from data_synth import CineHeart, cine_scenario
-    from dvf_ig.core import InvalidInputError
     from dvf_ig.io import read_cine_labels, read_volume_series
+
+    drawn = None if es_labels is None else _named_systole(es_labels)
+    series = read_volume_series(cine)
+    ed, _ = read_cine_labels(labels, series, 0)
+    es, phase = _tracked_systole(series, ed) if drawn is None else _drawn_systole(series, cine, *drawn)
+    heart = CineHeart(cine.resolve().parent.name, series, ed, es, phase)
+    with progress("synthetic scenario") as report:
+        return cine_scenario(spec, heart, report)
+
+
+def _named_systole(es_labels: str) -> tuple[Path, int]:
+    """File and phase of FILE@PHASE."""
+    from dvf_ig.core import InvalidInputError
 
     name, _, phase = es_labels.rpartition("@")
     if not name or not phase.isdecimal():
         raise InvalidInputError(f"--es-labels is '{es_labels}'; needed FILE@PHASE, the first phase being 0")
-    series = read_volume_series(cine)
-    ed, _ = read_cine_labels(labels, series, 0)
-    if int(phase) >= len(series.timing):
+    return Path(name), int(phase)
+
+
+def _drawn_systole(series: "VolumeSeries", cine: Path, labels: Path, phase: int) -> "tuple[Volume, int]":
+    """The expert's end-systole, and its phase."""
+    from dvf_ig.core import InvalidInputError
+    from dvf_ig.io import read_cine_labels
+
+    if phase >= len(series.timing):
         raise InvalidInputError(f"{cine} has phases 0 to {len(series.timing) - 1}; --es-labels names {phase}")
-    es, _ = read_cine_labels(Path(name), series, int(phase))
-    heart = CineHeart(cine.resolve().parent.name, series, ed, es, int(phase))
-    with progress("synthetic scenario") as report:
-        return cine_scenario(spec, heart, report)
+    return read_cine_labels(labels, series, phase)[0], phase
+
+
+def _tracked_systole(series: "VolumeSeries", ed: "Volume") -> "tuple[Volume, int]":
+    """End-systole as the motion that is found in the cine has it: where the left ventricle is smallest."""
+    import numpy as np
+
+    from data_synth import LV_LABEL, RV_LABEL
+    from dvf_ig.core import Volume
+    from dvf_ig.preop import cavity_volumes_mm3, propagate_labels, track_cycle
+
+    values = np.asarray(ed.values)
+    with progress("motion of the cine") as report:
+        motion = track_cycle(series, values > 0, blood=np.isin(values, (RV_LABEL, LV_LABEL)), progress=report)
+    phase = 1 + int(np.argmin(cavity_volumes_mm3(motion, values == LV_LABEL)[1:]))
+    warn(
+        f"the simulated heart moves as this program tracks the cine, with end-systole at phase {phase}; give "
+        "--es-labels FILE@PHASE for a motion that is independent of it"
+    )
+    return Volume(series.grid, propagate_labels(motion, series, ed, phase)), phase
 
 
 def _on_the_phantom(spec: "ScenarioSpec") -> "Scenario":

@@ -87,7 +87,10 @@ def scenario(
     ] = None,
     es_labels: Annotated[
         str | None,
-        typer.Option("--es-labels", help="At end-systole, with its phase (0 is the first): FILE@PHASE."),
+        typer.Option(
+            "--es-labels",
+            help="At end-systole, with its phase (0 is the first): FILE@PHASE; without, the cine is tracked.",
+        ),
     ] = None,
     probe_calibration: Annotated[
         Path | None,

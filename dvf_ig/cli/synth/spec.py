@@ -33,7 +33,7 @@ class SpecFile(BaseModel):
         world: which synthetic world; `quality` belongs to the second, which takes seed, motion, seconds and
             us_rate_hz besides.
         anatomy: whose heart beats; surfaces, ecg and probe_path belong to "surfaces", cine, labels and
-            es_labels (FILE@PHASE) to "cine".
+            es_labels (FILE@PHASE; without, end-systole is tracked) to "cine".
         probe_calibration, image_px: file with a real probe's image calibration, and its image's columns and
             rows; both or neither.
         heart: kind of heart of the phantom.

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from typer.testing import CliRunner
@@ -12,7 +13,15 @@ import dvf_ig.cli.synth.scenario as scenario_command
 from data_synth import PRESETS, HeartSpec, ScenarioSpec, describe_faults
 from dvf_ig.cli.synth.commands import app
 from dvf_ig.cli.synth.spec import SpecFile, read_spec, scenario_spec, spec_text
-from dvf_ig.core import InvalidInputError, Scenario, UnreadableFileError
+from dvf_ig.core import (
+    CycleTiming,
+    Grid,
+    InvalidInputError,
+    Scenario,
+    UnreadableFileError,
+    Volume,
+    VolumeSeries,
+)
 from dvf_ig.io import ScenarioNotes, read_scenario, write_scenario
 
 
@@ -118,12 +127,25 @@ def test_kind_and_seeds_of_the_heart_are_in_the_yaml_and_read_back(tmp_path: Pat
     "options",
     [
         ["--cine", "c.nii", "--labels", "l.nii", "--es-labels", "e.nii@3"],
-        ["--anatomy", "cine", "--cine", "c.nii", "--labels", "l.nii"],
+        ["--anatomy", "cine", "--cine", "c.nii"],
         ["--anatomy", "cine", "--surfaces", "s"],
     ],
 )
 def test_what_a_cine_needs_belongs_to_it(tmp_path: Path, options: list[str]) -> None:
     assert CliRunner().invoke(app, ["scenario", *options, "-o", str(tmp_path / "out")]).exit_code == 2
+
+
+def test_without_its_labels_end_systole_is_tracked_in_the_cine(capsys: pytest.CaptureFixture[str]) -> None:
+    grid = Grid("mr", (36, 36, 6), np.zeros(3), np.array([2.0, 2.0, 8.0]), np.eye(3))
+    away_mm = np.linalg.norm((grid.centers_mm() - grid.to_mm(np.array([17.5, 17.5, 2.5])))[..., :2], axis=-1)
+    radii_mm = [20.0, 17.0, 14.0, 16.0, 19.0]
+    grey = np.stack([np.where(away_mm < r, 300.0, np.where(away_mm < 30.0, 100.0, 180.0)) for r in radii_mm])
+    labels = np.where(away_mm < 20.0, 3, np.where(away_mm < 30.0, 2, 0)).astype(np.uint8)
+    series = VolumeSeries(grid, grey.astype(np.float32), CycleTiming(np.arange(5) / 5, 0.8))
+    es, phase = first_world._tracked_systole(series, Volume(grid, labels))
+    assert phase == 2
+    assert (es.values == 3).sum() < 0.7 * (labels == 3).sum()
+    assert "end-systole at phase 2" in " ".join(capsys.readouterr().err.split())
 
 
 def test_end_systolic_labels_come_with_their_phase(tmp_path: Path) -> None:
