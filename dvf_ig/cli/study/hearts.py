@@ -153,6 +153,7 @@ def _table(groups: "list[HeartGroup]") -> list[tuple[str, ...]]:
         "TRE bound covers": lambda g: _share(g.bound_covers),
         "TRE bound median mm": lambda g: _number(g.bound_median_mm),
         "calibration error": lambda g: _number(g.calibration_error),
+        "by chance alone": lambda g: _number(g.calibration_error_by_chance),
         "AUC": lambda g: _number(g.auc),
         "outside calibration": lambda g: str(g.outside),
         "seconds": lambda g: _number(g.seconds_median),

@@ -52,6 +52,7 @@ class HeartGroup:
         bound_covers: of hearts whose largest error over the targets stays below `tre_bound_mm`.
         bound_median_mm: of the bounds.
         calibration_error: mean difference between stated probability and success over tenths of it.
+        calibration_error_by_chance: what so many trials show on average where the probabilities are right.
         auc: chance that a success has a higher stated probability than a failure.
         outside: hearts for which no probability was stated.
         seconds_median: of one registration.
@@ -76,6 +77,7 @@ class HeartGroup:
     bound_covers: Share
     bound_median_mm: float | None
     calibration_error: float | None
+    calibration_error_by_chance: float | None
     auc: float | None
     outside: int
     seconds_median: float | None
@@ -130,6 +132,17 @@ def calibration_error(stated: Sequence[float], succeeded: Sequence[bool]) -> flo
     return sum(apart) / len(p)
 
 
+def calibration_error_by_chance(stated: Sequence[float]) -> float | None:
+    """`calibration_error` on average over draws of success with the stated probabilities; None of nothing."""
+    if not stated:
+        return None
+    p = np.array(stated)
+    drawn = np.random.default_rng(0).random((RESAMPLES, len(p))) < p
+    tenth = np.minimum((10 * p).astype(int), 9)
+    apart = [np.abs((p - drawn)[:, tenth == t].sum(axis=1)) for t in np.unique(tenth)]
+    return float(np.sum(apart, axis=0).mean() / len(p))
+
+
 def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
     world, images, quality, disturbed = key
     done = [line for line in lines if "refused" not in line]
@@ -161,6 +174,7 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
         calibration_error=calibration_error(
             [line["success_probability"] for line in stated], [line["tre_mm"] < SUCCESS_MM for line in stated]
         ),
+        calibration_error_by_chance=calibration_error_by_chance(_probabilities(stated)),
         auc=auc_of(_probabilities(bad), _probabilities(good)),
         outside=len(done) - len(stated),
         seconds_median=_median([line["seconds"] for line in done]),

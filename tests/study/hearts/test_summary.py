@@ -5,7 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dvf_ig.study.hearts.summary import bootstrap, calibration_error, summarise_hearts
+from dvf_ig.study.hearts.summary import (
+    bootstrap,
+    calibration_error,
+    calibration_error_by_chance,
+    summarise_hearts,
+)
 
 
 def line(heart: int, tre_mm: float, **more: Any) -> dict[str, Any]:
@@ -85,3 +90,12 @@ def test_calibration_error_is_the_mean_gap_between_stated_and_seen() -> None:
     assert calibration_error([0.85] * 10, [True] * 8 + [False] * 2) == pytest.approx(0.05)
     assert calibration_error([1.0, 0.0], [True, False]) == 0.0
     assert calibration_error([], []) is None
+
+
+def test_few_trials_show_a_calibration_error_where_there_is_none() -> None:
+    # |x| of x ~ N(0, p(1 − p)/n) is √(2/π) of its standard deviation on average
+    assert calibration_error_by_chance([0.85] * 400) == pytest.approx(
+        np.sqrt(2 / np.pi * 0.85 * 0.15 / 400), rel=0.05
+    )
+    assert calibration_error_by_chance([1.0, 0.0]) == 0.0
+    assert calibration_error_by_chance([]) is None
