@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from data_synth.kernels.depths import ellipsoid_depths, tube_depths
 from data_synth.kernels.lv import BASE, OUTER, POWER, STANDARD_CAVITY
 from dvf_ig.core import FloatArray, read_only_arrays
 
@@ -38,21 +39,16 @@ PERICARDIUM_MM = 1.0
 
 def ellipsoid_depth(p: FloatArray, center: FloatArray, semi: FloatArray) -> FloatArray:
     """First-order signed distance to an ellipsoid."""
-    scaled = (p - center) / semi
-    k0 = np.sqrt((scaled**2).sum(axis=-1))
-    k1 = np.sqrt(((scaled / semi) ** 2).sum(axis=-1))
-    return np.asarray(np.where(k1 > 1e-9, k0 * (1 - k0) / np.maximum(k1, 1e-9), semi.min()))
+    out = np.empty(len(p))
+    ellipsoid_depths(p, center, semi, out)
+    return out
 
 
 def tube_depth(p: FloatArray, path: FloatArray, radii: FloatArray) -> FloatArray:
     """Signed distance to a chain of round cones approximated by interpolated radii along `path`."""
-    best = np.full(len(p), -np.inf)
-    for a, b, ra, rb in zip(path[:-1], path[1:], radii[:-1], radii[1:], strict=True):
-        axis = b - a
-        along = np.clip((p - a) @ axis / (axis @ axis), 0.0, 1.0)
-        distance = np.sqrt(((p - a - along[:, None] * axis) ** 2).sum(axis=-1))
-        best = np.maximum(best, ra + (rb - ra) * along - distance)
-    return best
+    out = np.empty(len(p))
+    tube_depths(p, path, radii, out)
+    return out
 
 
 def bullet_depth(p: FloatArray, apex_z: float, radius: float, round_mm: float = 0.0) -> FloatArray:
