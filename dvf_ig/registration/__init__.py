@@ -73,6 +73,7 @@ from .tracking.pose_estimate import measure_beat as measure_beat
 from .tracking.shift_detector import ShiftDetector as ShiftDetector
 from .tracking.shift_detector import ShiftTest as ShiftTest
 from .tracking.similarity_watch import SimilarityWatch as SimilarityWatch
+from .volumes import GREY_VOLUMES as GREY_VOLUMES
 from .volumes import VOLUME_SMOOTHING_MM as VOLUME_SMOOTHING_MM
 from .volumes import VolumeTarget as VolumeTarget
 from .volumes import prepare_volumes as prepare_volumes

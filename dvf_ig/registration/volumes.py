@@ -37,8 +37,9 @@ SEARCH = RegistrationOptions(
     times_seen=3,
     bound_mm=120.0,
     limits=VOLUME_LIMITS,
-    kind="volumes",
 )
+GREY_VOLUMES = "volumes"
+"""Kind of images for the calibration of evidence: gated volumes against smoothed grey levels of MR."""
 
 
 Brightness = Callable[[NDArray[np.uint8]], NDArray[np.float32]]
@@ -55,12 +56,14 @@ class VolumeTarget:
         center_mm: (3,) centre of the heart box, in the channels' frame.
         surface: the model's surface at the phases in use, where its labels are known.
         brightness: of ultrasound that is compared with these channels.
+        kind: GREY_VOLUMES, where channels are that; None: no probability and no bound is stated.
     """
 
     channels: ModelChannels
     center_mm: FloatArray
     surface: BoundaryTarget | None = None
     brightness: Brightness = root_amplitude
+    kind: str | None = None
 
 
 def register_volumes(
@@ -95,7 +98,8 @@ def register_volumes(
         )
         boundary = seen.result()
     data = RegistrationData(coarse, fine, target.center_mm, boundary, prior)
-    result = register_rigid(data, start, rng=rng, clock=clock, options=SEARCH, progress=progress)
+    options = replace(SEARCH, kind=target.kind)
+    result = register_rigid(data, start, rng=rng, clock=clock, options=options, progress=progress)
     return replace(result, seconds=clock() - began)
 
 

@@ -18,6 +18,7 @@ from dvf_ig.core import (
     phase_distance,
 )
 from dvf_ig.registration import (
+    GREY_VOLUMES,
     PHASE_WINDOW,
     VOLUME_SMOOTHING_MM,
     LandmarkPrior,
@@ -113,7 +114,7 @@ def _target(volumes: Sequence[TrackedVolume], heart: Heart, mr: VolumeSeries | N
         return VolumeTarget(heart.fine, heart.center_mm, heart.surface, heart.brightness)
     used = np.unique(nearest).tolist()
     channels = channels_from_mr(mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=used)
-    return VolumeTarget(channels, heart.center_mm, heart.surface, brightness=heart.brightness)
+    return VolumeTarget(channels, heart.center_mm, heart.surface, heart.brightness, GREY_VOLUMES)
 
 
 def _tell_distant_phases(phases: FloatArray, nearest: FloatArray) -> None:

@@ -152,7 +152,8 @@ def test_files_give_the_pose_of_arrays(lab: Path, tmp_path: Path) -> None:
     assert len(outline.images) == 24
     assert "a.nrrd, b.nrrd" in page
     assert "volume 2, across its third axis" in page
-    assert f"<td>{payload['part_disagreement_mm']:.2f} mm</td><td>at most 2.25 mm</td>" in page
+    assert f"<td>{payload['part_disagreement_mm']:.2f} mm</td><td>at most 2.5 mm</td>" in page
+    assert payload["outside"].startswith("outside what was calibrated: "), "a toy is unlike any heart"
 
 
 def test_landmarks_are_start_and_prior_and_times_need_the_ecg(lab: Path, tmp_path: Path) -> None:
@@ -169,6 +170,7 @@ def test_landmarks_are_start_and_prior_and_times_need_the_ecg(lab: Path, tmp_pat
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert re.search(r"<td>\d+\.\d\d mm</td><td>at most 4 mm</td><td class=(passed|failed)>", page)
     assert "colour shows where the model has blood" in page
+    assert payload["outside"] == "no probability was calibrated for images of this kind", "labels, not MR"
     start = Rigid.from_matrix(payload["start"], "mr", "tracker")
     prior = prior_from_landmarks(marked, felt)
     assert prior is not None

@@ -109,10 +109,10 @@ def test_a_check_fails_exactly_where_the_judge_refuses() -> None:
 
 def test_volumes_are_held_against_their_own_limits() -> None:
     result = replace(
-        with_evidence(half_volume_mm=2.3, phase_mm=1.3), options=RegistrationOptions(limits=VOLUME_LIMITS)
+        with_evidence(half_volume_mm=2.6, phase_mm=2.3), options=RegistrationOptions(limits=VOLUME_LIMITS)
     )
     assert named(result, "Half-volumes").outcome is Outcome.FAILED
-    assert named(result, "Parts of the cycle").limit == "at most 1.22 mm"
+    assert named(result, "Parts of the cycle").limit == "at most 2.2 mm"
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.registration import (
+    GREY_VOLUMES,
     VOLUME_SMOOTHING_MM,
     Boundary,
     BoundaryTarget,
@@ -140,7 +141,7 @@ def volume_problem(pair: ImagePair, volumes: tuple[TrackedVolume, ...]) -> Regis
 def _problem_with(
     pair: ImagePair, volumes: tuple[TrackedVolume, ...], preop: _PreOperative, surface: BoundaryTarget | None
 ) -> RegistrationProblem:
-    target, mr = VolumeTarget(preop.gated, pair.center_mm, surface), preop.mr
+    target, mr = VolumeTarget(preop.gated, pair.center_mm, surface, kind=GREY_VOLUMES), preop.mr
 
     def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
         return register_volumes(volumes, target, start, rng=rng, clock=perf_counter)

@@ -132,9 +132,9 @@ def test_the_worst_test_decides() -> None:
     for name, bad in (
         ("z_score", 2.75),
         ("split_half_mm", 4.0),
-        ("phase_mm", 2.44),
-        ("half_volume_mm", 4.5),
-        ("boundary_mm", 4.8),
+        ("phase_mm", 4.4),
+        ("half_volume_mm", 5.0),
+        ("boundary_mm", 6.0),
     ):
         assert replace(good, **{name: bad}).worst_test_ratio(VOLUME_LIMITS) == pytest.approx(2.0)
     untested = replace(good, phase_mm=None, half_volume_mm=None, boundary_mm=None)
