@@ -74,6 +74,10 @@ class BlockedMatch:
     def __len__(self) -> int:
         return len(self.cell)
 
+    def places_mm(self, pose: Rigid) -> FloatArray:
+        """(n, 3) middles of the blocks at a pose, target frame."""
+        return pose.apply_array((self.cell.astype(np.float64) + 0.5) * BLOCK_MM)
+
     def costs(self, pose: Rigid, shift_mm: FloatArray, offset_mm: float) -> tuple[BlockCosts, Influences]:
         """To second order about a pose and a displacement of every block.
 
@@ -94,14 +98,13 @@ class BlockedMatch:
         block = np.concatenate([self._of_lc2, self._of_boundary])
         summed = np.zeros((len(self), UNKNOWNS))
         np.add.at(summed, block, gradient)
-        places = pose.apply_array((self.cell.astype(np.float64) + 0.5) * BLOCK_MM)
-        return BlockCosts(places, summed, curvature), Influences(gradient, block, number)
+        return BlockCosts(summed, curvature), Influences(gradient, block, number)
 
 
 def about_no_shift(costs: BlockCosts, shift_mm: FloatArray) -> BlockCosts:
     """The same expansion, its gradient where blocks are not moved beside the pose."""
     gradient = costs.gradient - np.einsum("bud,bd->bu", costs.curvature[:, :, SHIFT], shift_mm)
-    return BlockCosts(costs.places_mm, gradient, costs.curvature)
+    return BlockCosts(gradient, costs.curvature)
 
 
 def _expansion(lc2: BlockedLc2, chart: PoseChart) -> tuple[BlockGradients, FloatArray]:

@@ -16,6 +16,7 @@ from dvf_ig.registration.pose_chart import PoseChart
 
 from .blocks import BlockedMatch, Influences, about_no_shift
 from .joint_fit import POSE, JointFit, joint_fit
+from .prior import deformation_factor
 
 TURNS = 8
 SETTLED_MM = 0.03
@@ -50,6 +51,8 @@ def pose_and_shape(match: BlockedMatch, chart: PoseChart, known: KnownPose) -> P
         numpy.linalg.LinAlgError: blocks and knowledge leave the pose open.
     """
     pose, offset_mm, shift_mm = chart.base, 0.0, np.zeros((len(match), 3))
+    # blocks move by far less than the length over which changes of shape are alike
+    factor = deformation_factor(match.places_mm(pose), chart.center_mm)
     turns: list[tuple[JointFit, Influences]] = []
     for _ in range(TURNS):
         here = PoseChart(pose, chart.center_mm)
@@ -58,7 +61,7 @@ def pose_and_shape(match: BlockedMatch, chart: PoseChart, known: KnownPose) -> P
         curvature[POSE, POSE], slope[POSE] = known(here)
         curvature[6, 6] = OFFSET_SIGMA_MM**-2
         slope[6] = offset_mm * OFFSET_SIGMA_MM**-2
-        fit = joint_fit(about_no_shift(costs, shift_mm), curvature, slope, chart.center_mm)
+        fit = joint_fit(about_no_shift(costs, shift_mm), factor, curvature, slope)
         turns.append((fit, influences))
         pose, shift_mm = here.pose(fit.step_mm), fit.shift_mm
         offset_mm += fit.offset_step_mm

@@ -13,8 +13,6 @@ import numpy as np
 from dvf_ig.core import FloatArray, read_only_arrays
 from dvf_ig.kernels.boundary import UNKNOWNS
 
-from .prior import deformation_factor
-
 POSE, SHIFT = slice(0, 6), slice(3, 6)
 """Of the unknowns: the six coordinates of `PoseChart`, its translation. The boundary's offset follows."""
 OWN_MM = 1.0
@@ -29,11 +27,9 @@ class BlockCosts:
     """−log likelihood of blocks of space, to second order about one pose.
 
     Attributes:
-        places_mm: (n, 3) middles of the blocks, target frame.
         gradient: (n, 7); curvature: (n, 7, 7), none negative.
     """
 
-    places_mm: FloatArray
     gradient: FloatArray
     curvature: FloatArray
 
@@ -58,16 +54,15 @@ class JointFit:
     pull: FloatArray
 
 
-def joint_fit(costs: BlockCosts, known: FloatArray, slope: FloatArray, center_mm: FloatArray) -> JointFit:
+def joint_fit(costs: BlockCosts, factor: FloatArray, known: FloatArray, slope: FloatArray) -> JointFit:
     """Fit pose, offset and change of shape.
 
     Args:
+        factor: (n, 3, k) of the change of shape at the blocks, see `deformation_factor`.
         known: (7, 7) curvature, and slope: (7,) gradient, of what else is known: the offset, landmarks.
-        center_mm: (3,) of the heart.
     Raises:
         numpy.linalg.LinAlgError: blocks and knowledge leave the pose open.
     """
-    factor = deformation_factor(costs.places_mm, center_mm)
     kept = _kept_by_own_shift(costs.curvature)
     curvature = kept @ costs.curvature
     shifts = curvature[:, SHIFT]

@@ -30,15 +30,15 @@ def deformation_factor(places_mm: FloatArray, center_mm: FloatArray) -> FloatArr
     """
     edge = np.linspace(-HEART_RADIUS_MM, HEART_RADIUS_MM, NODES)
     nodes = center_mm + np.stack(np.meshgrid(edge, edge, edge, indexing="ij"), axis=-1).reshape(-1, 3)
-    # rigid part of a field: its fit to the nodes
+    everywhere = np.concatenate([places_mm, nodes])
+    of_each_axis = np.sqrt(RMS_MM**2 / 3.0) * _cholesky(_alike(everywhere, everywhere))
+    of_places, of_nodes = np.split(of_each_axis, [len(places_mm)])
     fit = np.linalg.pinv(rigid_motion(nodes, center_mm).reshape(-1, 6)).reshape(6, -1, 3)
-    rigid = rigid_motion(places_mm, center_mm).reshape(-1, 6)
-    of_fit = np.einsum("abi,bc,dci->ad", fit, _alike(nodes, nodes), fit, optimize=True)
-    with_fit = np.einsum("pb,abi->pia", _alike(places_mm, nodes), fit, optimize=True).reshape(-1, 6)
-    covariance = np.kron(_alike(places_mm, places_mm), np.eye(3))
-    covariance += rigid @ of_fit @ rigid.T - with_fit @ rigid.T - rigid @ with_fit.T
-    factor = np.sqrt(RMS_MM**2 / 3.0) * _cholesky(np.asarray(covariance, dtype=np.float64))
-    return np.asarray(factor.reshape(len(places_mm), 3, -1))
+    rigid_part = np.tensordot(
+        rigid_motion(places_mm, center_mm), np.tensordot(fit, of_nodes, axes=(1, 0)), axes=1
+    )
+    field = of_places[:, None, None, :] * np.eye(3)[None, :, :, None]
+    return np.asarray((field - rigid_part).reshape(len(places_mm), 3, -1))
 
 
 def _cholesky(covariance: FloatArray) -> FloatArray:

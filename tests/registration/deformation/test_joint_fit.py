@@ -7,7 +7,14 @@ import pytest
 
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray
 from dvf_ig.registration.deformation.blocks import about_no_shift
-from dvf_ig.registration.deformation.joint_fit import OWN_MM, SHIFT, BlockCosts, joint_fit, none_negative
+from dvf_ig.registration.deformation.joint_fit import (
+    OWN_MM,
+    SHIFT,
+    BlockCosts,
+    JointFit,
+    joint_fit,
+    none_negative,
+)
 from dvf_ig.registration.deformation.prior import RMS_MM, deformation_factor
 from dvf_ig.registration.pose_chart import rigid_motion
 
@@ -27,11 +34,15 @@ def costs_of(at_mm: FloatArray, shifts_mm: FloatArray) -> BlockCosts:
     """Blocks that are seen `shifts_mm` (n, 3) from where the pose puts them."""
     jacobian = np.concatenate([rigid_motion(at_mm, CENTER_MM), np.zeros((len(at_mm), 3, 1))], axis=2)
     gradient = -STIFFNESS * np.einsum("bdu,bd->bu", jacobian, shifts_mm)
-    return BlockCosts(at_mm, gradient, STIFFNESS * np.einsum("bdu,bdv->buv", jacobian, jacobian))
+    return BlockCosts(gradient, STIFFNESS * np.einsum("bdu,bdv->buv", jacobian, jacobian))
+
+
+def fit_of(at_mm: FloatArray, costs: BlockCosts, known: FloatArray = NOTHING_KNOWN) -> JointFit:
+    return joint_fit(costs, deformation_factor(at_mm, CENTER_MM), known, np.zeros(7))
 
 
 def fitted(at_mm: FloatArray, shifts_mm: FloatArray) -> FloatArray:
-    return joint_fit(costs_of(at_mm, shifts_mm), NOTHING_KNOWN, np.zeros(7), CENTER_MM).step_mm
+    return fit_of(at_mm, costs_of(at_mm, shifts_mm)).step_mm
 
 
 def test_a_rigid_motion_is_found_as_it_is() -> None:
@@ -53,7 +64,7 @@ def steps_under_a_change(own_mm: float) -> tuple[list[float], list[float], list[
         change = factor @ rng.normal(size=factor.shape[2]) + own_mm * rng.normal(size=(len(at), 3))
         motion = rigid_motion(at, CENTER_MM).reshape(-1, 6)
         rigid.append(float(np.linalg.norm(np.linalg.lstsq(motion, change.ravel(), rcond=None)[0])))
-        found = joint_fit(costs_of(at, change), NOTHING_KNOWN, np.zeros(7), CENTER_MM)
+        found = fit_of(at, costs_of(at, change))
         joint.append(float(np.linalg.norm(found.step_mm)))
         claimed.append(float(found.step_mm @ np.linalg.solve(found.covariance_mm2, found.step_mm)))
     return rigid, joint, claimed
@@ -76,10 +87,7 @@ def test_the_fit_of_shifted_blocks_is_that_of_blocks_in_place() -> None:
     moved = replace(
         costs, gradient=costs.gradient + np.einsum("bud,bd->bu", costs.curvature[:, :, SHIFT], shift)
     )
-    here, there = (
-        joint_fit(given, NOTHING_KNOWN, np.zeros(7), CENTER_MM)
-        for given in (costs, about_no_shift(moved, shift))
-    )
+    here, there = (fit_of(at, given) for given in (costs, about_no_shift(moved, shift)))
     np.testing.assert_allclose(here.step_mm, there.step_mm, atol=1e-9)
     np.testing.assert_allclose(here.shift_mm, there.shift_mm, atol=1e-9)
 
@@ -87,7 +95,7 @@ def test_the_fit_of_shifted_blocks_is_that_of_blocks_in_place() -> None:
 def test_the_pull_of_each_block_adds_up_to_the_step() -> None:
     at = places(30, 3)
     costs = costs_of(at, np.random.default_rng(4).normal(size=(30, 3)))
-    found = joint_fit(costs, NOTHING_KNOWN, np.zeros(7), CENTER_MM)
+    found = fit_of(at, costs)
     np.testing.assert_allclose(-np.einsum("bpu,bu->p", found.pull, costs.gradient), found.step_mm, atol=1e-9)
 
 
@@ -95,7 +103,7 @@ def test_what_is_known_of_the_pose_counts() -> None:
     at = places(30, 5)
     costs = costs_of(at, np.full((30, 3), 2.0))
     known = np.diag([1e9] * 6 + [1.0])
-    assert np.abs(joint_fit(costs, known, np.zeros(7), CENTER_MM).step_mm).max() < 1e-3
+    assert np.abs(fit_of(at, costs, known).step_mm).max() < 1e-3
 
 
 def test_the_prior_has_its_size_and_no_rigid_part() -> None:
