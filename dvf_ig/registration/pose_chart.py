@@ -10,7 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, mean_displacement_mm, read_only_arrays
+from dvf_ig.core import (
+    HEART_RADIUS_MM,
+    FloatArray,
+    Rigid,
+    mean_displacement_mm,
+    read_only_arrays,
+    require_same_frame,
+)
 
 DISTINCT_MM = 4.0
 """Poses nearer to each other than this, mean over the heart, count as one."""
@@ -33,10 +40,13 @@ class PoseChart:
         return self.base.perturbed_left(xi_mm[:3] / HEART_RADIUS_MM, xi_mm[3:], self.center_mm)
 
     def coordinates(self, pose: Rigid) -> FloatArray:
-        """(6,) ξ of a pose: the inverse of `pose`."""
-        step = pose @ self.base.inverse()
-        turn = HEART_RADIUS_MM * Rotation.from_matrix(step.rotation).as_rotvec()
-        return np.concatenate([turn, step.apply_array(self.center_mm) - self.center_mm])
+        """(6,) ξ of a pose between the same frames: the inverse of `pose`."""
+        require_same_frame(self.base.target, pose.target, "coordinates")
+        require_same_frame(self.base.source, pose.source, "coordinates")
+        rotation = pose.rotation @ self.base.rotation.T
+        turn = HEART_RADIUS_MM * Rotation.from_matrix(rotation).as_rotvec()
+        at_center = rotation @ (self.center_mm - self.base.translation_mm) + pose.translation_mm
+        return np.concatenate([turn, at_center - self.center_mm])
 
 
 def distinct(poses: Sequence[Rigid], center_mm: FloatArray) -> list[int]:

@@ -69,11 +69,13 @@ def joint_fit(costs: BlockCosts, factor: FloatArray, known: FloatArray, slope: F
     mixed = np.einsum("bdk,bde->ke", factor, shifts, optimize=True)
     own = np.einsum("bdk,bdl->kl", factor, shifts[:, :, SHIFT] @ factor, optimize=True)
     rigid = curvature.sum(axis=0) + known
-    inverse = np.linalg.inv(np.block([[rigid, mixed.T], [mixed, own + np.eye(len(own))]]))
+    normal = np.block([[rigid, mixed.T], [mixed, own + np.eye(len(own))]])
     gradient = np.einsum("buv,bv->bu", kept, costs.gradient)
     shape = np.einsum("bdk,bd->k", factor, gradient[:, SHIFT], optimize=True)
-    found = -inverse @ np.concatenate([gradient.sum(axis=0) + slope, shape])
-    of_pose = inverse[POSE]
+    wanted = np.eye(len(normal), 7)
+    wanted[:, 6] = -np.concatenate([gradient.sum(axis=0) + slope, shape])
+    solved = np.linalg.solve(normal, wanted)
+    found, of_pose = solved[:, 6], solved[:, POSE].T
     pull = np.repeat(of_pose[None, :, :UNKNOWNS], len(factor), axis=0)
     pull[:, :, SHIFT] += np.einsum("pk,bdk->bpd", of_pose[:, UNKNOWNS:], factor, optimize=True)
     return JointFit(
