@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_synth.heart.mismatch import random_mismatch, tabulated_inverse
+from data_synth.kernels.waves import cosine_and_sine
 from dvf_ig.core import FloatArray, InvalidInputError
 
 BOX = np.array([[-60.0, -100.0, -40.0], [70.0, 35.0, 85.0]])
@@ -58,6 +59,12 @@ def test_field_is_the_sum_of_its_waves() -> None:
     expected = np.cos(angle) @ field.cosine + np.sin(angle) @ field.sine
     expected -= field.shift_mm + np.cross(field.turn_rad, relative)
     assert np.abs(field.at(box_nodes(5)) - expected).max() < 1e-10
+
+
+def test_cosine_and_sine_of_any_angle() -> None:
+    angles = np.concatenate([np.linspace(-20.0, 20.0, 4001), [-1e6, 1e6, 12345.678]])
+    found = np.array([cosine_and_sine(angle) for angle in angles])
+    np.testing.assert_allclose(found, np.column_stack([np.cos(angles), np.sin(angles)]), rtol=0, atol=1e-14)
 
 
 def test_zero_mismatch_moves_nothing() -> None:
