@@ -11,8 +11,8 @@ from dvf_ig.kernels.compiled import thread_count
 class SliceThreads:
     """Runs a kernel over slices, an equal share of them on each thread, the caller's own among them.
 
-    A context manager: its threads end with it. Kernels write one row a slice, so results do not depend on the
-    number of threads.
+    A context manager: its threads end with it, and what outlives it runs on the caller's thread. Kernels
+    write one row a slice, so results do not depend on the number of threads.
     """
 
     def __init__(self) -> None:
@@ -29,6 +29,7 @@ class SliceThreads:
         trace: TracebackType | None,
     ) -> None:
         self._pool.shutdown()
+        self.count = 1
 
     def run(self, work: Callable[[int, int, int], object], items: int) -> None:
         """work(worker, begin, end) over 0 <= item < `items`, in a range for each thread."""

@@ -224,6 +224,7 @@ def test_score_is_the_same_at_any_thread_count(threads: int, monkeypatch: pytest
     with SliceThreads() as shared:
         metric = _metric(slices, shared)
         np.testing.assert_array_equal(metric.per_slice(toy_pose()), alone)
+    np.testing.assert_array_equal(metric.per_slice(toy_pose()), alone, "a metric outlives its threads")
 
 
 def test_overlap_falls_to_nothing_far_away() -> None:

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from known_patient import KnownBeat
 
-from dvf_ig.core import Rigid, mean_displacement_mm
+from dvf_ig.core import Rigid, Scenario, mean_displacement_mm
 from dvf_ig.registration import PoseEstimate
-from dvf_ig.study.watch.recording import DisplacedBeat, WatchedBeat, WatchedRecording, moved
+from dvf_ig.study.watch.recording import DisplacedBeat, WatchedBeat, WatchedRecording, moved, watch_recording
 from dvf_ig.study.watch.summary import poisson_rate, share_over_hearts, summarise_watch
-from dvf_ig.study.watch.trial import measured
+from dvf_ig.study.watch.trial import FIRST_ONSET, beats_until_found, measured
 
 CENTER = np.array([10.0, -20.0, 30.0])
 HOME = Rigid.from_rotation_vector([0.2, -0.1, 0.4], [5.0, 6.0, -7.0], "mr", "tracker")
@@ -48,6 +48,15 @@ def test_a_trial_counts_beats_until_a_shift_is_found_and_how_far_a_drift_is_foll
     assert all(1 <= beats <= 3 for beats in line["shifts"]["4"])
     lags = [line["drifts"][rate]["lag_mm"] for rate in ("1", "3", "10")]
     assert 0.0 < lags[0] < lags[1] < lags[2] < 2.0
+
+
+def test_beats_of_a_recording_are_displaced_when_its_session_has_ended(scenario: Scenario) -> None:
+    watched = watch_recording(scenario, 0)
+    assert len(watched.beats) > FIRST_ONSET
+    assert watched.alarms == ()
+    found = beats_until_found(watched, FIRST_ONSET, np.array([12.0, 0.0, 0.0]))
+    assert found is not None
+    assert found <= 3
 
 
 def test_a_summary_counts_alarms_over_the_time_and_shares_over_hearts() -> None:
