@@ -133,7 +133,7 @@ def _notes_of_warnings() -> Iterator[None]:
 
 def limit_threads(threads: int) -> None:
     """Use at most `threads` threads; must run before numba is loaded."""
-    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ[name] = str(threads)
 
 

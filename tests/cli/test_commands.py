@@ -1,6 +1,7 @@
 """The commands as a user types them: help without heavy imports, doctor, register, evaluate, replay."""
 
 import json
+import os
 import shlex
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 import dvf_ig
+from dvf_ig.cli import main
 from dvf_ig.cli.doctor import verdict
 from dvf_ig.cli.examples import EXAMPLES
 from dvf_ig.cli.main import app
@@ -42,6 +44,19 @@ def test_help_loads_nothing_heavy() -> None:
         "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(("given", "used"), [(None, "1"), ("3", "3")])
+def test_blas_has_one_thread_unless_the_user_says_otherwise(
+    given: str | None, used: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", given or "")
+    if given is None:
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    monkeypatch.setattr(sys, "argv", ["dvf-ig", "--version"])
+    with pytest.raises(SystemExit, match="0"):
+        main.run()
+    assert os.environ["OPENBLAS_NUM_THREADS"] == used
 
 
 def _commands(group: Any, before: str = "") -> Iterator[tuple[str, Any]]:
