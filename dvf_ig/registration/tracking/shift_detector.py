@@ -11,9 +11,15 @@ and the largest T_k is compared with a limit that the wanted rate of false alarm
 a large shift, several together find one that each of them would let pass, and a drift shows against the pose
 of WINDOW_BEATS beats ago even where the beats have moved the pose meanwhile.
 
+Hearts differ in how far their beats scatter: where model and patient, or the images, agree less, J promises
+too much. So J is divided by what the beats before the window had for a variance: the mean of their own
+statistics over its expectation, 6, where that is more than 1. A shift does not raise it before it has been in
+the window for WINDOW_BEATS beats.
+
 Source: Willsky and Jones 1976, A generalized likelihood ratio approach to the detection of jumps in linear
 systems; Lai 1995, Sequential changepoint detection in quality control and dynamical systems (the window).
-Differs from source: the filter runs on, and the pose from before each k is kept instead of the jump's traces.
+Differs from source: the filter runs on, the pose from before each k is kept instead of the jump's traces, and
+the noise is estimated on the way.
 """
 
 from dataclasses import dataclass
@@ -29,6 +35,11 @@ from .pose_estimate import BeatMeasurement, PoseEstimate
 WINDOW_BEATS = 8
 UNOBSERVED = 1e-12
 """Share of the trace that makes a covariance regular in directions that no beat observes."""
+SCATTER_BEATS, PRESUMED_BEATS = 30, 5
+"""Beats before the window whose scatter counts, and beats that scatter as they should, presumed before them.
+On tuning hearts 1001–1010, 240 s each, 20 or 60 and 2 or 10 do as well."""
+LARGEST_SCATTER = 60.0
+"""Statistic of one beat, above which it counts as this."""
 
 
 @read_only_arrays
@@ -79,17 +90,44 @@ class ShiftTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShiftDetector:
-    """The last beats that were compared with the pose, oldest first."""
+    """The last beats that were compared with the pose, and how far those before them scattered.
+
+    Attributes:
+        compared: the window, oldest first.
+        scatter: statistics of single beats that have left it, oldest first.
+    """
 
     compared: tuple[ComparedBeat, ...] = ()
+    scatter: tuple[float, ...] = ()
 
-    def after(self, begin_s: float, estimate: PoseEstimate, measurement: BeatMeasurement) -> "ShiftDetector":
-        """With one more beat; `estimate` is of before it, at the pose that it was compared with."""
+    def restarted(self) -> "ShiftDetector":
+        """Without beats, for another pose of the same heart in the same images."""
+        return ShiftDetector(scatter=self.scatter)
+
+    def after(
+        self, begin_s: float, estimate: PoseEstimate, measurement: BeatMeasurement, *, in_use: bool = True
+    ) -> "ShiftDetector":
+        """With one more beat.
+
+        Args:
+            estimate: of before it, at the pose that it was compared with.
+            in_use: that pose was; otherwise it may be wrong, and tells nothing of how beats scatter.
+        """
         step = np.zeros(6)
         if self.compared and self.compared[-1].estimate.pose is not estimate.pose:
             step = PoseChart(self.compared[-1].estimate.pose, estimate.center_mm).coordinates(estimate.pose)
         newest = ComparedBeat(begin_s, estimate, measurement, step)
-        return ShiftDetector((*self.compared[1 - WINDOW_BEATS :], newest))
+        compared, scatter = (*self.compared, newest), self.scatter
+        if len(compared) > WINDOW_BEATS:
+            left = min(_statistic_of_one(compared[0]), LARGEST_SCATTER)
+            compared, scatter = compared[1:], (*scatter, left)[-SCATTER_BEATS:] if in_use else scatter
+        return ShiftDetector(compared, scatter)
+
+    @property
+    def variance(self) -> float:
+        """Of beats over what their information promises, at least 1."""
+        promised = 6.0 * (PRESUMED_BEATS + len(self.scatter))
+        return max(1.0, (6.0 * PRESUMED_BEATS + sum(self.scatter)) / promised)
 
     @property
     def test(self) -> ShiftTest | None:
@@ -98,17 +136,29 @@ class ShiftDetector:
         Steps from pose to pose are small, and add.
         """
         worst: ShiftTest | None = None
-        at, total, offset_total = np.zeros(6), np.zeros((6, 6)), np.zeros(6)
+        at, total, offset_total, share = np.zeros(6), np.zeros((6, 6)), np.zeros(6), 1.0 / self.variance
         for count, beat in enumerate(reversed(self.compared), start=1):
             told = beat.measurement
-            total = total + told.information
-            offset_total = offset_total + told.offset_information_mm + told.information @ at
+            total = total + share * told.information
+            offset_total = offset_total + share * (told.offset_information_mm + told.information @ at)
             offset = offset_total - total @ at
-            covariance = total + total @ beat.estimate.covariance_mm2 @ total
-            covariance += UNOBSERVED * np.trace(covariance) * np.eye(6)
-            statistic = float(offset @ np.linalg.solve(covariance, offset))
+            statistic = _statistic(offset, total, beat.estimate.covariance_mm2)
             if worst is None or statistic > worst.statistic:
                 xi = np.asarray(np.linalg.solve(total + np.eye(6) / PRIOR_SIGMA_MM**2, offset))
                 worst = ShiftTest(statistic, beat.begin_s, count, beat.estimate, xi)
             at = at - beat.step_mm
         return worst
+
+
+def _statistic(offset_information_mm: FloatArray, information: FloatArray, known_mm2: FloatArray) -> float:
+    """χ² of six degrees of an offset (6,), given as Yξ with its information Y, from a pose known to P."""
+    if not information.any():
+        return 0.0
+    covariance = information + information @ known_mm2 @ information
+    covariance += UNOBSERVED * np.trace(covariance) * np.eye(6)
+    return float(offset_information_mm @ np.linalg.solve(covariance, offset_information_mm))
+
+
+def _statistic_of_one(beat: ComparedBeat) -> float:
+    told = beat.measurement
+    return _statistic(told.offset_information_mm, told.information, beat.estimate.covariance_mm2)

@@ -90,3 +90,40 @@ def test_a_pose_that_follows_a_drift_is_compared_with_the_one_before() -> None:
     assert found.statistic > 34.0
     assert found.beats > 3
     assert found.distance_mm > 1.5
+
+
+def after_quiet(scatter: float, seed: int, beats: int, *, in_use: bool = True) -> ShiftDetector:
+    """Beats of a still heart that scatter so many times further than their information promises."""
+    rng, estimate, detector = np.random.default_rng(seed), at(np.zeros(6), 0.1), ShiftDetector()
+    for k in range(beats):
+        seen = scatter * BEAT_MM * rng.normal(size=6)
+        told = beat(estimate, seen, np.diag(BEAT_MM**-2.0))
+        detector = detector.after(0.8 * k, estimate, told, in_use=in_use)
+    return detector
+
+
+def test_beats_that_scatter_further_than_they_promise_are_believed_less() -> None:
+    tests = [after_quiet(2.0, seed, 45).test for seed in range(100)]
+    assert np.mean([found.statistic for found in tests if found is not None]) < 20.0
+    assert np.mean([after_quiet(2.0, seed, 45).variance for seed in range(20)]) == pytest.approx(3.6, abs=0.4)
+    assert np.mean([after_quiet(0.8, seed, 45).variance for seed in range(20)]) < 1.05
+
+
+def test_the_scatter_is_that_of_beats_before_the_window_at_a_pose_in_use() -> None:
+    quiet = after_quiet(2.0, 1, 45)
+    assert after_quiet(2.0, 1, 45, in_use=False).variance == 1.0
+    assert quiet.restarted().variance == quiet.variance
+    assert quiet.restarted().test is None
+    estimate, shifted = at(np.zeros(6), 0.1), quiet
+    for k in range(WINDOW_BEATS):
+        shifted = shifted.after(50.0 + k, estimate, beat(estimate, np.full(6, 8.0), np.diag(BEAT_MM**-2.0)))
+        assert shifted.variance < 1.3 * quiet.variance, "a shift does not hide itself"
+    assert shifted.test is not None
+    assert shifted.test.statistic > 300.0
+
+
+def test_beats_without_information_say_nothing() -> None:
+    estimate = at(np.zeros(6), 0.1)
+    found = ShiftDetector().after(0.0, estimate, beat(estimate, np.full(6, 8.0), np.zeros((6, 6)))).test
+    assert found is not None
+    assert found.statistic == 0.0
