@@ -30,9 +30,9 @@ JUMP_MM = 2.5
 SHIFT_LIMIT = 50.0
 """Statistic of `ShiftDetector` that suspends the pose in use: at most one false alarm in an hour of beats
 (4320). On tuning hearts 1001–1012, calm, 240 s each, the exponential tail of the largest tenth of 3134 beats
-(above 17.0, mean excess 5.1) puts one beat in 4320 above 48; with poor images, 1013 and 1014, above 44. Shifts
-by 4 mm put into the same beats lie above within 3 beats in 97 %. Without the beats' own scatter it would be
-64."""
+(above 17.0, mean excess 5.1) puts one beat in 4320 above 48; with poor images, 1013 and 1014, above 44.
+Shifts by 4 mm put into the same beats lie above within 3 beats in 97 %. Without the beats' own scatter it
+would be 64."""
 SHIFT_EXPLAINED = 20.0
 """The same up to which beats bring a suspended pose back: quiet beats lie below in nine of ten with poor
 images, calm in more than 999 of 1000."""
