@@ -133,6 +133,9 @@ class PoseEstimate:
     def intersected_with(self, registered: "PoseEstimate", beats: float) -> "PoseEstimate":
         """With a registration of frames that the beats have used; see the module docstring.
 
+        The registration says anew what the heart's shape pulls the images aside by, which differs from window
+        to window of views by up to 2 mm: that far P no longer knows where a beat's images match.
+
         Args:
             beats: since the middle of its frames; the heart may have moved meanwhile.
         """
@@ -142,7 +145,10 @@ class PoseEstimate:
             registered.shared_mm2 + beats * PROCESS_NOISE_MM**2 * np.eye(6),
             chart.coordinates(registered.pose),
         )
-        return replace(self, pose=chart.pose(offset), shared_mm2=shared, shape_step=registered.shape_step)
+        there = replace(self, pose=chart.pose(offset), shared_mm2=shared)
+        found = replace(there, shape_step=registered.shape_step)
+        pulled = PoseChart(there.matched_pose, self.center_mm).coordinates(found.matched_pose)
+        return replace(found, covariance_mm2=self.covariance_mm2 + np.outer(pulled, pulled))
 
     def sigma_mm(self) -> float:
         """Standard deviation per coordinate by `total_mm2`, RMS over the six."""

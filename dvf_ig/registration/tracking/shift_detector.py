@@ -50,7 +50,8 @@ class ComparedBeat:
     Attributes:
         begin_s: when it began.
         estimate: of before it, at the pose that it was compared with; measurement: what it told.
-        step_mm: (6,) that pose about the one of the beat before, in the coordinates of `PoseChart`.
+        step_mm: (6,) where images match at that pose, about where they did at the one of the beat before, in
+            the coordinates of `PoseChart`: how shape pulls images aside may be said anew and shifts nothing.
     """
 
     begin_s: float
@@ -115,7 +116,8 @@ class ShiftDetector:
         """
         step = np.zeros(6)
         if self.compared and self.compared[-1].estimate.pose is not estimate.pose:
-            step = PoseChart(self.compared[-1].estimate.pose, estimate.center_mm).coordinates(estimate.pose)
+            before = PoseChart(self.compared[-1].estimate.matched_pose, estimate.center_mm)
+            step = before.coordinates(estimate.matched_pose)
         newest = ComparedBeat(begin_s, estimate, measurement, step)
         compared, scatter = (*self.compared, newest), self.scatter
         if len(compared) > WINDOW_BEATS:

@@ -65,8 +65,20 @@ def test_a_registration_that_shares_frames_with_the_beats_leaves_the_tracked_pos
         PoseChart(TRUTH, CENTER_MM).pose(offset), covariance, covariance, CENTER_MM
     )
     fused = tracked.intersected_with(again, 0.0)
-    np.testing.assert_array_equal(fused.covariance_mm2, tracked.covariance_mm2)
+    np.testing.assert_allclose(fused.covariance_mm2, tracked.covariance_mm2, rtol=0, atol=1e-12)
     np.testing.assert_allclose(fused.shared_mm2, 0.5**2 * np.eye(6), atol=1e-9)
+
+
+def test_a_registration_that_pulls_images_aside_otherwise_leaves_open_where_beats_match() -> None:
+    covariance = np.diag([(0.5 / HEART_RADIUS_MM) ** 2] * 3 + [0.5**2] * 3)
+    matched, elsewhere = (PoseChart(TRUTH, CENTER_MM).pose(np.array([0, 0, 0, 0, y, 0])) for y in (1.0, -1.0))
+    tracked = PoseEstimate.from_registration(TRUTH, covariance, covariance, CENTER_MM, matched)
+    again = PoseEstimate.from_registration(TRUTH, covariance, covariance, CENTER_MM, elsewhere)
+    fused = tracked.intersected_with(again, 0.0)
+    np.testing.assert_allclose(fused.matched_pose.matrix, elsewhere.matrix, atol=1e-9)
+    assert fused.covariance_mm2[4, 4] == pytest.approx(0.5**2 + 2.0**2)
+    same = tracked.intersected_with(tracked, 0.0)
+    np.testing.assert_allclose(same.covariance_mm2, tracked.covariance_mm2, atol=1e-9)
 
 
 def test_the_bound_holds_the_distance_over_the_heart_in_95_percent() -> None:

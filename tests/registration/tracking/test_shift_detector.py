@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid
 from dvf_ig.registration import BeatMeasurement, PoseChart, PoseEstimate, ShiftDetector
 from dvf_ig.registration.tracking.shift_detector import WINDOW_BEATS
 
@@ -127,3 +127,17 @@ def test_beats_without_information_say_nothing() -> None:
     found = ShiftDetector().after(0.0, estimate, beat(estimate, np.full(6, 8.0), np.zeros((6, 6)))).test
     assert found is not None
     assert found.statistic == 0.0
+
+
+def test_a_registration_that_says_anew_how_shape_pulls_images_aside_is_no_shift() -> None:
+    """Images go on matching at home; the pose is said to lie 3 mm from there from the fifth beat on."""
+    detector, information = ShiftDetector(), np.eye(6) / 0.5**2
+    aside = PoseChart(HOME, CENTER).pose(np.array([0, 0, 0, 0, 3.0, 0]))
+    for k in range(8):
+        pose = HOME if k < 4 else aside
+        covariance = 0.1**2 * np.eye(6) / np.array([HEART_RADIUS_MM] * 3 + [1.0] * 3) ** 2
+        estimate = PoseEstimate.from_registration(pose, covariance, covariance, CENTER, HOME)
+        told = beat(at(np.zeros(6), 0.1), np.zeros(6), information).of(estimate)
+        detector = detector.after(float(k), estimate, told)
+    assert detector.test is not None
+    assert detector.test.statistic < 1e-6
