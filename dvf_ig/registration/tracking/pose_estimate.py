@@ -146,6 +146,8 @@ class PoseEstimate:
             chart.coordinates(registered.pose),
         )
         there = replace(self, pose=chart.pose(offset), shared_mm2=shared)
+        if registered.shape_step is self.shape_step:
+            return there
         found = replace(there, shape_step=registered.shape_step)
         pulled = PoseChart(there.matched_pose, self.center_mm).coordinates(found.matched_pose)
         return replace(found, covariance_mm2=self.covariance_mm2 + np.outer(pulled, pulled))

@@ -38,6 +38,8 @@ UNOBSERVED = 1e-12
 SCATTER_BEATS, PRESUMED_BEATS = 30, 5
 """Beats before the window whose scatter counts, and beats that scatter as they should, presumed before them.
 On tuning hearts 1001–1010, 240 s each, 20 or 60 and 2 or 10 do as well."""
+DEGREES_OF_FREEDOM = 6
+"""Of a pose: what a beat's statistic is in the mean if its information is right."""
 LARGEST_SCATTER = 60.0
 """Statistic of one beat, above which it counts as this."""
 
@@ -58,6 +60,12 @@ class ComparedBeat:
     estimate: PoseEstimate
     measurement: BeatMeasurement
     step_mm: FloatArray
+
+    @property
+    def statistic(self) -> float:
+        """χ² of six degrees of this beat alone, where nothing has shifted and its information is right."""
+        told = self.measurement
+        return _statistic(told.offset_information_mm, told.information, self.estimate.covariance_mm2)
 
 
 @read_only_arrays
@@ -121,15 +129,16 @@ class ShiftDetector:
         newest = ComparedBeat(begin_s, estimate, measurement, step)
         compared, scatter = (*self.compared, newest), self.scatter
         if len(compared) > WINDOW_BEATS:
-            left = min(_statistic_of_one(compared[0]), LARGEST_SCATTER)
-            compared, scatter = compared[1:], (*scatter, left)[-SCATTER_BEATS:] if in_use else scatter
+            if in_use:
+                scatter = (*scatter, min(compared[0].statistic, LARGEST_SCATTER))[-SCATTER_BEATS:]
+            compared = compared[1:]
         return ShiftDetector(compared, scatter)
 
     @property
     def variance(self) -> float:
         """Of beats over what their information promises, at least 1."""
-        promised = 6.0 * (PRESUMED_BEATS + len(self.scatter))
-        return max(1.0, (6.0 * PRESUMED_BEATS + sum(self.scatter)) / promised)
+        beats = PRESUMED_BEATS + len(self.scatter)
+        return max(1.0, (PRESUMED_BEATS + sum(self.scatter) / DEGREES_OF_FREEDOM) / beats)
 
     @property
     def test(self) -> ShiftTest | None:
@@ -159,8 +168,3 @@ def _statistic(offset_information_mm: FloatArray, information: FloatArray, known
     covariance = information + information @ known_mm2 @ information
     covariance += UNOBSERVED * np.trace(covariance) * np.eye(6)
     return float(offset_information_mm @ np.linalg.solve(covariance, offset_information_mm))
-
-
-def _statistic_of_one(beat: ComparedBeat) -> float:
-    told = beat.measurement
-    return _statistic(told.offset_information_mm, told.information, beat.estimate.covariance_mm2)
