@@ -50,7 +50,7 @@ from .lc2.slices import root_amplitude as root_amplitude
 from .lc2.slices import slices_of_volume as slices_of_volume
 from .lc2.slices import subsample as subsample
 from .lc2.threads import SliceThreads as SliceThreads
-from .pair import register_pair as register_pair
+from .pairs.pair import register_pair as register_pair
 from .placement import USUAL_PLACEMENT as USUAL_PLACEMENT
 from .placement import PlacementUncertainty as PlacementUncertainty
 from .pose_chart import PoseChart as PoseChart

@@ -27,7 +27,7 @@ was accepted."""
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PairEvidence:
-    """Consistency of a pose with itself; see `pair_check`.
+    """Consistency of a pose with itself; see `pairs.check`.
 
     Attributes:
         agreeing_starts: share of the displaced starts that ended at the pose, at least one start's.

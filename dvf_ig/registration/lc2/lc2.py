@@ -14,7 +14,8 @@ from dvf_ig.core import (
     read_only_arrays,
     require_same_frame,
 )
-from dvf_ig.kernels.lc2 import (
+from dvf_ig.kernels.lc2.parts import SliceParts, lc2_step_parts
+from dvf_ig.kernels.lc2.slices import (
     PIXEL,
     SLICE_OVERLAP,
     SLICE_SCORE,
@@ -25,8 +26,7 @@ from dvf_ig.kernels.lc2 import (
     Scratch,
     lc2_slices,
 )
-from dvf_ig.kernels.lc2_parts import SliceParts, lc2_step_parts
-from dvf_ig.kernels.lc2_step import MATRIX, STEP_SCORE, STEP_SUMS, STEP_WEIGHT, lc2_step_slices
+from dvf_ig.kernels.lc2.step import MATRIX, STEP_SCORE, STEP_SUMS, STEP_WEIGHT, lc2_step_slices
 
 from .channels import ModelChannels
 from .motion import SliceMotion

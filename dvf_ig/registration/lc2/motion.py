@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray, IntArray, read_only_arrays
-from dvf_ig.kernels.lc2_step import FORCE, MATRIX
+from dvf_ig.kernels.lc2.step import FORCE, MATRIX
 
 _TRIANGLE = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 """Where the entries of a symmetric matrix lie in its lower triangle by rows."""

@@ -1,6 +1,6 @@
 """Quasi-Newton optimisation of LC2 over the pose: some ten steps where a derivative-free search needs 100.
 
-The gradient is exact (`kernels.lc2_step`). The curvature starts as that of Gauss–Newton with the coefficients
+The gradient is exact (`kernels.lc2.step`). The curvature starts as that of Gauss–Newton with the coefficients
 of the local fits fixed, divided by FIXED_FIT_STIFFNESS: fixed fits make a minimum appear that much narrower,
 because α and β would have followed. From then on it is updated from how the gradient changes (BFGS).
 """

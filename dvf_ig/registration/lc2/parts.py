@@ -3,8 +3,8 @@
 import numpy as np
 
 from dvf_ig.core import IntArray
-from dvf_ig.kernels.lc2 import FIRST, LAST, PATCH_COLUMN, PATCH_ROW, PIXEL, ROW, PatchedSlices
-from dvf_ig.kernels.lc2_parts import SliceParts
+from dvf_ig.kernels.lc2.parts import SliceParts
+from dvf_ig.kernels.lc2.slices import FIRST, LAST, PATCH_COLUMN, PATCH_ROW, PIXEL, ROW, PatchedSlices
 
 
 def slice_parts(slices: PatchedSlices, owner: IntArray, part: IntArray) -> SliceParts:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
-from dvf_ig.kernels.lc2 import CENTER_STEP
-from dvf_ig.kernels.lc2_patches import window_moments
+from dvf_ig.kernels.lc2.patches import window_moments
+from dvf_ig.kernels.lc2.slices import CENTER_STEP
 
 from .density_weights import inverse_density_weights, patch_centers_mm
 from .slices import SliceSet

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, Grid, IntArray, Rigid, read_only_arrays
-from dvf_ig.kernels.lc2_blocks import (
+from dvf_ig.kernels.lc2.blocks import (
     BLOCK_COLUMNS,
     BLOCK_MOMENT,
     BLOCK_STIFFNESS,

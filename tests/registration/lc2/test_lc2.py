@@ -10,8 +10,8 @@ from scipy import ndimage
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import FloatArray, Grid, InvalidInputError, Rigid, VolumeSeries
-from dvf_ig.kernels.lc2 import RIDGE, sample_channels
-from dvf_ig.kernels.lc2_step import sample_gradients
+from dvf_ig.kernels.lc2.slices import RIDGE, sample_channels
+from dvf_ig.kernels.lc2.step import sample_gradients
 from dvf_ig.registration import Lc2, ModelChannels, SliceSet, SliceThreads, channels_from_mr
 from dvf_ig.registration.lc2.patches import pixel_runs
 from dvf_ig.registration.pose_chart import PoseChart

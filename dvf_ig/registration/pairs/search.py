@@ -1,7 +1,7 @@
 """Search for the pose of a pair of 3-D images: many displaced starts, the best distinct ends refined.
 
 Where the starts end is kept: how many of them agree, and how well LC2 does at the other ends, is evidence for
-the pose (see `pair_check`).
+the pose (see `check`).
 """
 
 from collections.abc import Callable
@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
-
-from .lc2.optimise import OptimiserOptions, Optimum, optimise
-from .lc2.volume_lc2 import VolumeLc2
-from .pose_chart import random_displacements
+from dvf_ig.registration.lc2.optimise import OptimiserOptions, Optimum, optimise
+from dvf_ig.registration.lc2.volume_lc2 import VolumeLc2
+from dvf_ig.registration.pose_chart import random_displacements
 
 STARTS_MM = (0.0, *(5.0, 9.0, 13.0) * 10)
 """How far each start is displaced, at the fan's radius. Chosen on tuning pairs 1001–1012."""

@@ -1,6 +1,6 @@
 """Any rigid pair of an ultrasound volume and MR or CT of one organ that does not beat.
 
-The pitch follows the size of what was insonified, and whether the pose may be used is judged as `pair_check`
+The pitch follows the size of what was insonified, and whether the pose may be used is judged as `check`
 says. Several images of the anatomy, MR contrasts as a rule, are channels of one LC2. The source is the
 ultrasound, the target the anatomy: where a user calls them "fixed" and "moving", the result is
 moving_from_fixed.
@@ -11,16 +11,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dvf_ig.core import BoolArray, InvalidInputError, NoOverlapError, Rigid, Stop, Volume, untold
+from dvf_ig.registration.data import RegistrationOptions
+from dvf_ig.registration.evidence.checks import Evidence, Limits
+from dvf_ig.registration.evidence.pair_evidence import PairEvidence
+from dvf_ig.registration.lc2.threads import SliceThreads
+from dvf_ig.registration.lc2.volume_lc2 import VolumeLc2, blocks_of
+from dvf_ig.registration.result import RegistrationResult
 
-from .data import RegistrationOptions
-from .evidence.checks import Evidence, Limits
-from .evidence.pair_evidence import PairEvidence
-from .lc2.threads import SliceThreads
-from .lc2.volume_lc2 import VolumeLc2, blocks_of
-from .pair_check import gather_pair_evidence
-from .pair_images import FanVolume, channels_around, extent_mm, fan_volume, share_inside, usable_voxels
-from .pair_search import REACH_MM, place_of, search
-from .result import RegistrationResult
+from .check import gather_pair_evidence
+from .images import FanVolume, channels_around, extent_mm, fan_volume, share_inside, usable_voxels
+from .search import REACH_MM, place_of, search
 
 FEW_PITCHES, MANY_PITCHES, MIDDLE_PITCH_MM = 60.0, 80.0, 1.6
 """The fine pitch is a 60th of the fan's longest edge; of large fans 1.6 mm or, if that is more, an 80th. On
@@ -53,7 +53,7 @@ def register_pair(
         clock: seconds from any origin, for the result's `seconds`.
         mask: on the ultrasound's grid, non-zero where it may be used.
     Returns:
-        the pose with its evidence; see `pair_check` for what makes it unusable.
+        the pose with its evidence; see `check` for what makes it unusable.
     Raises:
         InvalidInputError: no image or too many, an empty image, or a mask on another grid.
         NoOverlapError: the images do not overlap at the start.

@@ -12,8 +12,8 @@ from data_synth.organ_pair.pair import OrganPair, displaced_start, organ_pair
 from dvf_ig.core import Grid, InvalidInputError, NoOverlapError, Rigid, Stop, Volume
 from dvf_ig.registration import PairEvidence, RegistrationResult, register_pair
 from dvf_ig.registration.lc2.volume_lc2 import VolumeChannels
-from dvf_ig.registration.pair_check import jackknife_covariance, jackknife_mm, mirrored
-from dvf_ig.registration.pair_images import (
+from dvf_ig.registration.pairs.check import jackknife_covariance, jackknife_mm, mirrored
+from dvf_ig.registration.pairs.images import (
     EROSION_MM,
     channels_around,
     extent_mm,
@@ -21,7 +21,7 @@ from dvf_ig.registration.pair_images import (
     share_inside,
     usable_voxels,
 )
-from dvf_ig.registration.pair_search import place_of
+from dvf_ig.registration.pairs.search import place_of
 
 HERE = Rigid.identity("moving", "fixed")
 MIDDLE = np.array([30.0, -20.0, 12.0])

@@ -1,10 +1,11 @@
-"""Moments of the ultrasound over square windows, by running sums over the runs of its slices (see `lc2`)."""
+"""Moments of the ultrasound over square windows: running sums over the runs of its slices (see `slices`)."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import kernel
-from .lc2 import FIRST, LAST, PIXEL, ROW, Floats, Ints
+from dvf_ig.kernels.compiled import kernel
+
+from .slices import FIRST, LAST, PIXEL, ROW, Floats, Ints
 
 
 @kernel
@@ -21,7 +22,7 @@ def window_moments(
     """Pixel count, mean and variance over the window about every centre.
 
     Args:
-        pixels, first_run, runs: as in `lc2.PatchedSlices`.
+        pixels, first_run, runs: as in `slices.PatchedSlices`.
         first_center: (s + 1,) where each slice's centres begin; centers: (p, 2) row and column, by rows.
         columns: (columns + 2·radius, 3) scratch.
         out: (p, 3).

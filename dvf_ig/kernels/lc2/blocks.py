@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import inlined, kernel
+from dvf_ig.kernels.compiled import inlined, kernel
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -58,7 +58,7 @@ def sum_count(channels: int) -> int:
 
 @inlined
 def _cell(x: float, last: int) -> tuple[int, float, bool]:
-    """Voxel below x along one axis, fraction beyond it, and whether x lies in [0, last]; see `lc2`."""
+    """Voxel below x along one axis, fraction beyond it, and whether x lies in [0, last]; see `slices`."""
     inside = 0.0 <= x <= last
     x = min(max(x, 0.0), float(last))
     i = min(int(x), last - 1)

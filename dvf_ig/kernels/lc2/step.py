@@ -1,6 +1,6 @@
 """Gradient and Gauss–Newton matrix of LC2: which small motion of the model explains the slices better.
 
-With the coefficients α, β, γ of every patch's fit fixed (see `lc2`), 1 − S is a weighted sum of squared
+With the coefficients α, β, γ of every patch's fit fixed (see `slices`), 1 − S is a weighted sum of squared
 residuals u − α·a − β·b − γ, and a and b change with the pose by their gradients. Every pixel lies in many
 patches; what it needs of their coefficients are seven sums, running sums as those of windows are.
 
@@ -12,9 +12,10 @@ G = Σ_patches c (α∇a + β∇b)(α∇a + β∇b)ᵀ; what they mean for the p
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import inlined, kernel
-from .lanes import add, fma, load4, multiply, pack, pair_sums, scale, store4, subtract, unpack
-from .lc2 import (
+from dvf_ig.kernels.compiled import inlined, kernel
+from dvf_ig.kernels.lanes import add, fma, load4, multiply, pack, pair_sums, scale, store4, subtract, unpack
+
+from .slices import (
     AHEAD,
     FIRST,
     LAST,

@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .compiled import inlined, kernel
-from .lanes import load4, store4
-from .lc2 import PIXEL, SUMS, WEIGHT, Floats, Ints, PatchedSlices, PlacedModel, Scratch, fit_patches
-from .lc2_step import STEP_SCORE, STEP_WEIGHT, add_forces, sample_gradients
+from dvf_ig.kernels.compiled import inlined, kernel
+from dvf_ig.kernels.lanes import load4, store4
+
+from .slices import PIXEL, SUMS, WEIGHT, Floats, Ints, PatchedSlices, PlacedModel, Scratch, fit_patches
+from .step import STEP_SCORE, STEP_WEIGHT, add_forces, sample_gradients
 
 
 class SliceParts(NamedTuple):

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
+from dvf_ig.registration.evidence.pair_evidence import PairEvidence
+from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
+from dvf_ig.registration.lc2.volume_lc2 import VolumeChannels, VolumeLc2
+from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm, random_displacements
 
-from .evidence.pair_evidence import PairEvidence
-from .lc2.optimise import OptimiserOptions, optimise
-from .lc2.volume_lc2 import VolumeChannels, VolumeLc2
-from .pair_search import FINE, Found, Place, similarity_of
-from .pose_chart import PoseChart, covariance_from_mm, random_displacements
+from .search import FINE, Found, Place, similarity_of
 
 PART = OptimiserOptions(steps=12, cap_mm=3.0, tolerance_mm=0.1)
 PARTS = 8

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import inlined, kernel
-from .lanes import (
+from dvf_ig.kernels.compiled import inlined, kernel
+from dvf_ig.kernels.lanes import (
     Float64x4,
     add,
     fma,
