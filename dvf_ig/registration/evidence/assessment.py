@@ -5,7 +5,7 @@
     μ      w₀ + Σ w_j x_j, all w_j >= 0: predicted logarithm of the largest target error
     P      of a mean error below 2 mm: isotonic regression on μ
     bound  exp(μ + q), q the split-conformal 95 % quantile of log(largest error) − μ, one heart one trial
-    scale  exp(a + b (μ − log predicted)): of the covariance, whose squared error is then 6 on average
+    scale  exp(v₀ + Σ v_j x_j): of the covariance, whose 90 % region then holds the truth in 90 % of hearts
 
 P and bound are cross-fitted by heart (`study.hearts.fit`). Of images whose statistics lie outside all that
 was calibrated neither is stated.
@@ -71,7 +71,7 @@ class Table:
         refused_probability: share of successes among poses that a check refused.
         bound_quantile: q; inf where there were too few hearts for one.
         largest: μ above which a pose must not guide.
-        spread: a and b of the covariance's scale.
+        scale_intercept, scale_weights: v₀ and (f,) v_j of the covariance's scale.
         ranges: lowest and highest value of each image statistic.
         outside_p: at most this share of hearts like those calibrated lie outside of the ranges.
     """
@@ -87,7 +87,8 @@ class Table:
     refused_probability: float
     bound_quantile: float
     largest: float
-    spread: tuple[float, float]
+    scale_intercept: float
+    scale_weights: FloatArray
     ranges: dict[str, tuple[float, float]]
     outside_p: float
 
@@ -144,10 +145,9 @@ def _logarithm(value: float | None) -> float:
     return math.log(min(max(value, 1.0 / LARGEST), LARGEST)) if not math.isnan(value) else math.log(LARGEST)
 
 
-def predicted_log_error(table: Table, logs: FloatArray) -> float:
-    """μ of the features' logarithms (f,)."""
-    known = np.clip(np.where(np.isnan(logs), table.missing, logs), table.low, table.high)
-    return float(table.intercept + table.weights @ known)
+def counted(table: Table, logs: FloatArray) -> FloatArray:
+    """(f,) x_j as they count: cut at the limits, the missing filled in."""
+    return np.clip(np.where(np.isnan(logs), table.missing, logs), table.low, table.high)
 
 
 def assess(table: Table | None, features: dict[str, float | None], statistics: ImageStatistics) -> Assessment:
@@ -158,9 +158,9 @@ def assess(table: Table | None, features: dict[str, float | None], statistics: I
     """
     if table is None:
         return Assessment(None, None, "no probability was calibrated for images of this kind")
-    logs = logarithms(features)
-    error = predicted_log_error(table, logs)
-    scale = covariance_scale(table.spread, error - float(logs[FEATURES.index("predicted_mm")]))
+    x = counted(table, logarithms(features))
+    error = float(table.intercept + table.weights @ x)
+    scale = covariance_scale(table, x)
     strange = _outside(table, statistics)
     if strange:
         return Assessment(None, None, strange, covariance_scale=max(1.0, scale))
@@ -173,15 +173,10 @@ def assess(table: Table | None, features: dict[str, float | None], statistics: I
     )
 
 
-def covariance_scale(spread: tuple[float, float], excess: float) -> float:
-    """Scale of a covariance.
-
-    Args:
-        excess: logarithm of the predicted largest error over the RMS target error by the covariance.
-    """
-    if not math.isfinite(excess):
-        return 1.0
-    return min(max(math.exp(spread[0] + spread[1] * excess), 1.0 / LARGEST_SCALE), LARGEST_SCALE)
+def covariance_scale(table: Table, x: FloatArray) -> float:
+    """Scale of a covariance whose features count as (f,) x."""
+    logarithm = float(table.scale_intercept + table.scale_weights @ x)
+    return min(max(math.exp(logarithm), 1.0 / LARGEST_SCALE), LARGEST_SCALE)
 
 
 def _outside(table: Table, statistics: ImageStatistics) -> str:
@@ -225,7 +220,8 @@ def table_from_json(held: dict[str, Any]) -> Table:
         refused_probability=held["refused_probability"],
         bound_quantile=math.inf if quantile is None else quantile,
         largest=held["largest"],
-        spread=(held["spread"][0], held["spread"][1]),
+        scale_intercept=held["scale_intercept"],
+        scale_weights=np.array(held["scale_weights"]),
         ranges={name: (low, high) for name, (low, high) in held["ranges"].items()},
         outside_p=held["outside_p"],
     )

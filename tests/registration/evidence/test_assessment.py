@@ -33,7 +33,8 @@ def table() -> Table:
         refused_probability=0.1,
         bound_quantile=0.4,
         largest=0.8,
-        spread=(0.3, 1.0),
+        scale_intercept=0.3,
+        scale_weights=np.where(np.array(FEATURES) == "predicted_mm", -1.0, 0.1),
         ranges={name: (0.5 * value, 1.5 * value) for name, value in STATISTICS.values().items()},
         outside_p=0.1,
     )
@@ -51,7 +52,7 @@ def test_a_covariance_that_claims_less_than_the_checks_is_widened() -> None:
     assert assess(table(), features(predicted_mm=1e-3), STATISTICS).covariance_scale <= 16.0
     assert assess(None, features(), STATISTICS).covariance_scale == 1.0
     strange = replace(STATISTICS, view_spread_deg=2.0)
-    calm = replace(table(), spread=(-2.0, 0.0))
+    calm = replace(table(), scale_intercept=-2.0, scale_weights=np.zeros(len(FEATURES)))
     assert assess(calm, features(), STATISTICS).covariance_scale < 1.0
     assert assess(calm, features(), strange).covariance_scale == 1.0  # never narrowed by what is not known
 

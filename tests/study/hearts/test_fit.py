@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from dvf_ig.core import InvalidInputError
 from dvf_ig.registration.evidence.assessment import SUCCESS_MM, Table, assess, table_from_json
@@ -59,15 +60,25 @@ def fitted() -> Table:
     return table_from_json(held["kinds"]["sweep"])
 
 
-def test_squared_errors_by_the_scaled_covariance_are_6_whatever_was_predicted(fitted: Table) -> None:
-    lines = [line for line in drawn(3, 400, trials=1) if line["tre_mm"] < 3.0]
+def test_the_scaled_covariance_s_region_holds_95_percent_whatever_was_predicted(fitted: Table) -> None:
+    lines = drawn(3, 400, trials=1)
     logs = np.array([np.log(line["features"]["predicted_mm"]) for line in lines])
     scales = np.array([assess(fitted, line["features"], INSIDE).covariance_scale for line in lines])
     squared = np.array([line["chi2"] for line in lines])
+    region = chi2.ppf(0.95, 6)
     for half in (logs < 0, logs >= 0):
-        before, after = squared[half].mean(), (squared / scales)[half].mean()
-        assert 4.8 < after < 7.2
-        assert abs(after - 6.0) < abs(before - 6.0)
+        before, after = (np.mean(by[half] <= region) for by in (squared, squared / scales))
+        assert 0.92 <= after <= 0.98
+        assert abs(after - 0.95) < abs(before - 0.95)
+        assert 4.2 < np.mean(squared[half] / scales[half]) < 6.6  # heavier tails than χ²: a smaller mean
+
+
+def test_a_study_without_covariances_is_told() -> None:
+    lines = drawn(1, 30, trials=1)
+    for line in lines:
+        line["chi2"] = None
+    with pytest.raises(InvalidInputError, match="no trial of the study has a covariance"):
+        fit_tables(lines)
 
 
 def test_the_bound_covers_and_the_probability_is_a_frequency_on_other_hearts(fitted: Table) -> None:
