@@ -79,7 +79,7 @@ def register_pair(
     moved_mm = place.apart_mm(start, found.pose)
     return RegistrationResult(
         target_from_source=found.pose,
-        stop=_stop_of(pair, overlap, moved_mm),
+        stop=stop_of(pair, overlap, moved_mm),
         success_probability=pair.success_probability,
         tre_bound_mm=None,
         statistics=None,
@@ -117,11 +117,12 @@ def _metric(fan: FanVolume, anatomies: Sequence[Volume], start: Rigid, threads: 
     return VolumeLc2(blocks_of(fan.values, fan.grid, BLOCK), channels, threads)
 
 
-def _stop_of(pair: PairEvidence, overlap: float, moved_mm: float) -> Stop:
+def stop_of(pair: PairEvidence, overlap: float, moved_mm: float) -> Stop:
+    """How it ended; `overlap`: the share of the ultrasound inside the anatomy, `moved_mm`: from the start."""
     if overlap < MIN_OVERLAP:
         return Stop.LOW_OVERLAP
     if moved_mm > REACH_MM:
-        return Stop.MAX_ITERATIONS
+        return Stop.MOVED_TOO_FAR
     return pair.stop
 
 

@@ -21,7 +21,8 @@ from dvf_ig.registration.pairs.images import (
     share_inside,
     usable_voxels,
 )
-from dvf_ig.registration.pairs.search import place_of
+from dvf_ig.registration.pairs.pair import stop_of
+from dvf_ig.registration.pairs.search import REACH_MM, place_of
 
 HERE = Rigid.identity("moving", "fixed")
 MIDDLE = np.array([30.0, -20.0, 12.0])
@@ -224,6 +225,12 @@ def test_the_strongest_doubt_names_the_reason() -> None:
     assert alone.stop is Stop.AMBIGUOUS
     assert "3 % of the starts end at this pose" in alone.sentence
     assert evidence(elsewhere=np.zeros(0), agreeing_starts=1.0).success_probability > 0.99
+
+
+def test_a_good_pose_that_lies_too_far_from_its_start_asks_for_a_nearer_one() -> None:
+    assert stop_of(evidence(), 1.0, REACH_MM) is Stop.CONVERGED
+    assert stop_of(evidence(), 1.0, REACH_MM + 0.1) is Stop.MOVED_TOO_FAR
+    assert stop_of(evidence(), 0.2, REACH_MM + 0.1) is Stop.LOW_OVERLAP
 
 
 def test_what_no_limit_depends_on() -> None:
