@@ -101,7 +101,8 @@ def assessed(
     """What may be said of the error, and how the registration ended in the light of it.
 
     Of a pose that a check refused no bound is stated, and no more than the share of successes among refused
-    ones. Where nothing was calibrated for such images, the checks' own limits decide.
+    ones. Of images unlike all that was calibrated neither is stated, and the pose is
+    judged as of those that were; where nothing was calibrated for their kind, the checks' own limits decide.
     """
     found = assess(table, features, statistics)
     if not stop.usable:

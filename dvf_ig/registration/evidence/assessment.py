@@ -162,13 +162,14 @@ def assess(table: Table | None, features: dict[str, float | None], statistics: I
     error = float(table.intercept + table.weights @ x)
     scale = covariance_scale(table, x)
     strange = _outside(table, statistics)
+    doubtful = error > table.largest
     if strange:
-        return Assessment(None, None, strange, covariance_scale=max(1.0, scale))
+        return Assessment(None, None, strange, doubtful, max(1.0, scale))
     bound = math.exp(error + table.bound_quantile) if math.isfinite(table.bound_quantile) else None
     return Assessment(
         float(np.interp(error, table.predicted, table.probability)),
         bound,
-        doubtful=error > table.largest,
+        doubtful=doubtful,
         covariance_scale=scale,
     )
 

@@ -24,8 +24,10 @@ from .search import REACH_MM, place_of, search
 
 FEW_PITCHES, MANY_PITCHES, MIDDLE_PITCH_MM = 60.0, 80.0, 1.6
 """The fine pitch is a 60th of the fan's longest edge; of large fans 1.6 mm or, if that is more, an 80th. On
-tuning pairs 1001–1004 finer ones change the error by less than 0.1 mm; on 1013–1018, which are hard, a coarse
-level (twice the pitch) of more than 3.2 mm loses the pose."""
+tuning pairs 1001–1004 finer ones change the error by less than 0.1 mm."""
+COARSE_PITCHES = 1.4
+"""Pitch of the coarse level, in those of the fine one. On hard pairs (tuning 1029, 1031) twice the fine one
+has its best pose 6 to 13 mm from the truth, where the fine level has its own at 1 mm."""
 BLOCK = 3
 """Voxels along the edge of a block: patches are six pitches wide."""
 MARGIN_MM = 25.0
@@ -63,7 +65,7 @@ def register_pair(
         raise InvalidInputError(f"{len(anatomies)} moving images; needed 1 to {MAX_IMAGES}")
     usable = usable_voxels(ultrasound, mask)
     fine_mm = _fine_pitch_mm(ultrasound, usable)
-    fans = tuple(fan_volume(ultrasound, usable, pitch_mm) for pitch_mm in (2.0 * fine_mm, fine_mm))
+    fans = tuple(fan_volume(ultrasound, usable, pitch_mm) for pitch_mm in (COARSE_PITCHES * fine_mm, fine_mm))
     _require_overlap(anatomies, fans[1], start)
     place = place_of(fans[1].points_mm(300), start)
     with SliceThreads() as threads:

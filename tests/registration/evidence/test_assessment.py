@@ -89,6 +89,10 @@ def test_evidence_worse_than_that_of_good_poses_is_doubtful() -> None:
     assert not assess(table(), features(), STATISTICS).doubtful
     bad = Evidence(z_score=0.5, split_half_mm=9.0, phase_mm=9.0, half_volume_mm=9.0, boundary_mm=9.0)
     assert assess(table(), features(bad, 5.0), STATISTICS).doubtful
+    # images unlike those calibrated are judged no more mildly
+    strange = replace(STATISTICS, view_spread_deg=2.0)
+    assert not assess(table(), features(), strange).doubtful
+    assert assess(table(), features(bad, 5.0), strange).doubtful
 
 
 def test_images_unlike_all_that_was_calibrated_get_a_sentence_instead_of_a_number() -> None:

@@ -221,10 +221,16 @@ def test_the_strongest_doubt_names_the_reason() -> None:
     apart = evidence(jackknife_mm=3.0, halves_mm=4.0)
     assert apart.stop is Stop.DISAGREEMENT
     assert "disagree by 3.5 mm" in apart.sentence
-    alone = evidence(agreeing_starts=1 / 31, elsewhere=np.array([0.29]))
+    alone = evidence(agreeing_starts=1 / 22, elsewhere=np.array([0.29]))
     assert alone.stop is Stop.AMBIGUOUS
-    assert "3 % of the starts end at this pose" in alone.sentence
-    assert evidence(elsewhere=np.zeros(0), agreeing_starts=1.0).success_probability > 0.99
+    assert "5 % of the starts end at this pose" in alone.sentence
+    assert evidence(elsewhere=np.zeros(0), agreeing_starts=1.0).success_probability > 0.98
+
+
+def test_that_no_other_end_was_found_does_not_outweigh_parts_that_disagree() -> None:
+    lonely = evidence(elsewhere=np.zeros(0), jackknife_mm=2.9, halves_mm=2.9, agreeing_starts=0.3)
+    assert lonely.next_best_share == 0.0
+    assert lonely.stop is Stop.DISAGREEMENT
 
 
 def test_a_good_pose_that_lies_too_far_from_its_start_asks_for_a_nearer_one() -> None:
