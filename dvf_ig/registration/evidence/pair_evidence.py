@@ -10,7 +10,7 @@ from dvf_ig.core import FloatArray, Stop, read_only_arrays
 USUAL_MM = 1.05
 """Error predicted by parts of the ultrasound at which that speaks neither for nor against a pose."""
 USUAL_STARTS = 0.1
-"""The same share of agreeing starts: with 22, two."""
+"""The same share of agreeing starts: with 32, three."""
 USUAL_SHARE = 0.65
 """The same share of LC2, above chance, that the next best pose has."""
 LEAST_SHARE = 0.4
@@ -22,6 +22,10 @@ USUAL_Z = 6.5
 wrong poses and other patients' brains 4.3 or less: their middle is 7.0; good poses of real cines 6.9 or more,
 wrong ones 6.1 or less: 6.5. Each family's middle parts the other one's poses. Height speaks against a pose,
 never for it: a wrong one can stand high where another explains as much."""
+START_SIGMA_MM = 10.0
+"""Standard deviation of a start's error: a pose far from it is less likely, which decides where an image says
+little (tuning pair 1015 with a fifth of the usual contrast). A wrong anatomy can have a pose that agrees with
+itself (mirrored MR of four lobes, 12 mm away)."""
 PARTS_WEIGHT, STARTS_WEIGHT, SHARE_WEIGHT, Z_WEIGHT = 3.5, 0.7, 6.0, 8.0
 """Of their log-odds. Chosen on brains 1001, 1006, 1013, 1015, 1018, 1020 and real cines 002 and 003: with the
 first three alone, fitted on brains, a pose of cine 002 that is 5.4 mm off and that half of the starts reach
@@ -41,6 +45,7 @@ class PairEvidence:
             left out, predicts.
         halves_mm: mean distance over the fan between the optima of two interleaved halves.
         z_score: standard deviations by which LC2 stands above poses 15 mm away.
+        moved_mm: mean distance over the fan from the start.
         mirrored_share: LC2 of the best mirrored anatomy over that of the anatomy; for information.
     """
 
@@ -51,6 +56,7 @@ class PairEvidence:
     jackknife_mm: float
     halves_mm: float
     z_score: float
+    moved_mm: float
     mirrored_share: float
 
     @property
@@ -67,13 +73,14 @@ class PairEvidence:
         return math.sqrt(0.5 * (self.jackknife_mm**2 + self.halves_mm**2))
 
     @property
-    def doubts(self) -> tuple[float, float, float, float]:
-        """Log-odds against the pose from parts, starts, the next best pose and poses far away."""
+    def doubts(self) -> tuple[float, float, float, float, float]:
+        """Log-odds against the pose from parts, starts, the next best pose, poses far away and the way."""
         return (
             PARTS_WEIGHT * math.log(max(self.parts_mm, 0.05) / USUAL_MM),
             -STARTS_WEIGHT * math.log(self.agreeing_starts / USUAL_STARTS),
             SHARE_WEIGHT * (max(self.next_best_share, LEAST_SHARE) - USUAL_SHARE),
             max(-Z_WEIGHT * math.log(max(self.z_score, 0.5) / USUAL_Z), 0.0),
+            0.5 * (self.moved_mm / START_SIGMA_MM) ** 2,
         )
 
     @property

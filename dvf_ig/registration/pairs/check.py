@@ -92,6 +92,7 @@ def gather_pair_evidence(
     found: Found,
     place: Place,
     *,
+    moved_mm: float,
     rng: np.random.Generator,
     report_progress: Callable[[float], None],
 ) -> PairChecks:
@@ -110,6 +111,7 @@ def gather_pair_evidence(
         jackknife_mm=jackknife_mm(poses, place),
         halves_mm=halves_mm,
         z_score=float((found.similarity - wrong.mean()) / max(float(wrong.std()), 1e-12)),
+        moved_mm=moved_mm,
         mirrored_share=mirrored_share(coarse, found.pose, place, rng=rng),
     )
     return PairChecks(evidence, jackknife_covariance(poses, found.pose, place))

@@ -25,9 +25,10 @@ from .search import REACH_MM, place_of, search
 FEW_PITCHES, MANY_PITCHES, MIDDLE_PITCH_MM = 60.0, 80.0, 1.6
 """The fine pitch is a 60th of the fan's longest edge; of large fans 1.6 mm or, if that is more, an 80th. On
 tuning pairs 1001–1004 finer ones change the error by less than 0.1 mm."""
-COARSE_PITCHES = 1.4
-"""Pitch of the coarse level, in those of the fine one. On hard pairs (tuning 1029, 1031) twice the fine one
-has its best pose 6 to 13 mm from the truth, where the fine level has its own at 1 mm."""
+COARSE_PITCHES = (2.0, 1.4)
+"""Pitches of the coarse levels, in those of the fine one. On hard pairs (tuning 1029, 1031) the first has its
+best pose 6 to 13 mm from the truth, where the fine level has its own at 1 mm; the second finds fewer of the
+other poses by which a wrong one is known."""
 BLOCK = 3
 """Voxels along the edge of a block: patches are six pitches wide."""
 MARGIN_MM = 25.0
@@ -65,20 +66,26 @@ def register_pair(
         raise InvalidInputError(f"{len(anatomies)} moving images; needed 1 to {MAX_IMAGES}")
     usable = usable_voxels(ultrasound, mask)
     fine_mm = _fine_pitch_mm(ultrasound, usable)
-    fans = tuple(fan_volume(ultrasound, usable, pitch_mm) for pitch_mm in (COARSE_PITCHES * fine_mm, fine_mm))
-    _require_overlap(anatomies, fans[1], start)
-    place = place_of(fans[1].points_mm(300), start)
+    fans = [fan_volume(ultrasound, usable, pitches * fine_mm) for pitches in (*COARSE_PITCHES, 1.0)]
+    _require_overlap(anatomies, fans[-1], start)
+    place = place_of(fans[-1].points_mm(300), start)
     with SliceThreads() as threads:
-        coarse, fine = (_metric(fan, anatomies, start, threads) for fan in fans)
+        *coarse, fine = (_metric(fan, anatomies, start, threads) for fan in fans)
         report(0.15)
         found = search(coarse, fine, start, place, rng=rng, report_progress=lambda x: report(0.15 + 0.6 * x))
+        moved_mm = place.apart_mm(start, found.pose)
         checks = gather_pair_evidence(
-            coarse, fine, found, place, rng=rng, report_progress=lambda x: report(0.75 + 0.25 * x)
+            coarse[0],
+            fine,
+            found,
+            place,
+            moved_mm=moved_mm,
+            rng=rng,
+            report_progress=lambda x: report(0.75 + 0.25 * x),
         )
         start_similarity = fine.score(start).similarity
     pair = checks.evidence
-    overlap = share_inside(anatomies, fans[1], found.pose)
-    moved_mm = place.apart_mm(start, found.pose)
+    overlap = share_inside(anatomies, fans[-1], found.pose)
     return RegistrationResult(
         target_from_source=found.pose,
         stop=stop_of(pair, overlap, moved_mm),

@@ -4,28 +4,27 @@ Where the starts end is kept: how many of them agree, and how well LC2 does at t
 the pose (see `check`).
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+from dvf_ig.registration.evidence.pair_evidence import START_SIGMA_MM
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, Optimum, optimise
 from dvf_ig.registration.lc2.volume_lc2 import VolumeLc2
 from dvf_ig.registration.pose_chart import random_displacements
 
-STARTS_MM = (0.0, *(5.0, 9.0, 13.0) * 7)
-"""How far each start is displaced, at the fan's radius. Lengths chosen on tuning pairs 1001–1012; on
-1021–1032 31 starts end where these 22 do."""
+STARTS_MM = (0.0, 0.0, *(5.0, 5.0, 9.0, 9.0, 13.0, 13.0) * 5)
+"""How far each start is displaced, at the fan's radius; the coarse levels take turns. Lengths chosen on
+tuning pairs 1001–1012."""
 SAME_BASIN_MM = 3.0
 """Coarse ends nearer than this, mean over the fan, are one."""
 ELSEWHERE_MM = 4.0
 """An end farther than this from the best is another pose."""
 REACH_MM = 20.0
 """How far a pose may move from the start."""
-START_SIGMA_MM = 10.0
-"""Standard deviation of a start's error: ends are ranked by LC2 and how far they lie from the start, which
-decides where an image says little (tuning pair 1015 with a fifth of the usual contrast)."""
 REFINED = 6
 """Distinct coarse ends that are optimised on the fine level."""
 COARSE = OptimiserOptions(steps=18, cap_mm=5.0, tolerance_mm=0.25)
@@ -85,7 +84,7 @@ def place_of(points_mm: FloatArray, start: Rigid) -> Place:
 
 
 def search(
-    coarse: VolumeLc2,
+    coarse: Sequence[VolumeLc2],
     fine: VolumeLc2,
     start: Rigid,
     place: Place,
@@ -93,23 +92,24 @@ def search(
     rng: np.random.Generator,
     report_progress: Callable[[float], None],
 ) -> Found:
-    """The best pose from `start` and displaced copies of it."""
-    ends: list[Optimum] = []
+    """The best pose from `start` and displaced copies of it, which the coarse levels take in turn."""
+    ends: list[Rigid] = []
+    evaluations = 0
     for k, length_mm in enumerate(STARTS_MM):
         displaced = place.displaced(start, random_displacements(rng, 1, length_mm)[0])
-        ends.append(optimise(coarse, displaced, place.center_mm, None, COARSE))
+        end = optimise(coarse[k % len(coarse)], displaced, place.center_mm, None, COARSE)
+        ends.append(end.pose)
+        evaluations += end.evaluations + 1
         report_progress(0.7 * (k + 1) / len(STARTS_MM))
 
-    def posterior(end: Optimum) -> float:
-        away = place.apart_mm(end.pose, start) / START_SIGMA_MM
-        return end.cost + 0.5 * away**2 / coarse.information
+    def posterior(pose: Rigid, similarity: float) -> float:
+        away = place.apart_mm(pose, start) / START_SIGMA_MM
+        return 0.5 * math.log1p(-similarity) + 0.5 * away**2 / coarse[0].information
 
-    ends.sort(key=posterior)
-    basins = _basins([end.pose for end in ends], place)
-    refined = [
-        optimise(fine, ends[members[0]].pose, place.center_mm, None, FINE) for members in basins[:REFINED]
-    ]
-    order = sorted(range(len(refined)), key=lambda k: posterior(refined[k]))
+    ends.sort(key=lambda pose: posterior(pose, fine.score(pose).similarity))
+    basins = _basins(ends, place)
+    refined = [optimise(fine, ends[members[0]], place.center_mm, None, FINE) for members in basins[:REFINED]]
+    order = sorted(range(len(refined)), key=lambda k: posterior(refined[k].pose, similarity_of(refined[k])))
     best = refined[order[0]]
     # several coarse basins may run together on the fine level
     agreeing = sum(
@@ -124,7 +124,7 @@ def search(
         similarity_of(best),
         agreeing / len(ends),
         np.array(sorted(elsewhere, reverse=True)),
-        sum(end.evaluations for end in (*ends, *refined)),
+        evaluations + sum(end.evaluations for end in refined),
     )
 
 

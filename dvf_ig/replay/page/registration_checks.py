@@ -121,7 +121,7 @@ def _pair(result: RegistrationResult) -> Check:
     name = "Self-consistency"
     measures = (
         "log-odds against the pose: from parts of the ultrasound registered on their own, the share of "
-        "displaced starts that end here, and what the next best pose explains"
+        "displaced starts that end here, what the next best pose explains, and the distance moved"
     )
     if pair is None:
         return Check(name, measures, "", "", Outcome.NOT_CHECKED)

@@ -167,9 +167,10 @@ def stated_rows(result: RegistrationResult) -> list[tuple[str, str]]:
     """Success probability and error bound in words, or why there is none."""
     chance, bound = result.success_probability, result.tre_bound_mm
     why = result.outside or "not stated of a refused pose"
+    unbounded = why if result.evidence.pair is None else "none was calibrated for pairs of organs"
     return [
         ("success probability", why if chance is None else f"{chance:.2f}"),
-        ("error bound", why if bound is None else f"{bound:.1f} mm at 95 %"),
+        ("error bound", unbounded if bound is None else f"{bound:.1f} mm at 95 %"),
     ]
 
 

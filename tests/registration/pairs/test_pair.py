@@ -210,6 +210,7 @@ def evidence(**changed: Any) -> PairEvidence:
         "jackknife_mm": 0.5,
         "halves_mm": 0.8,
         "z_score": 10.0,
+        "moved_mm": 4.0,
         "mirrored_share": 0.9,
     }
     return PairEvidence(**(usual | changed))
@@ -221,9 +222,9 @@ def test_the_strongest_doubt_names_the_reason() -> None:
     apart = evidence(jackknife_mm=3.0, halves_mm=4.0)
     assert apart.stop is Stop.DISAGREEMENT
     assert "disagree by 3.5 mm" in apart.sentence
-    alone = evidence(agreeing_starts=1 / 22, elsewhere=np.array([0.29]))
+    alone = evidence(agreeing_starts=1 / 32, elsewhere=np.array([0.29]))
     assert alone.stop is Stop.AMBIGUOUS
-    assert "5 % of the starts end at this pose" in alone.sentence
+    assert "3 % of the starts end at this pose" in alone.sentence
     assert evidence(elsewhere=np.zeros(0), agreeing_starts=1.0).success_probability > 0.98
 
 
@@ -237,6 +238,12 @@ def test_a_good_pose_that_lies_too_far_from_its_start_asks_for_a_nearer_one() ->
     assert stop_of(evidence(), 1.0, REACH_MM) is Stop.CONVERGED
     assert stop_of(evidence(), 1.0, REACH_MM + 0.1) is Stop.MOVED_TOO_FAR
     assert stop_of(evidence(), 0.2, REACH_MM + 0.1) is Stop.LOW_OVERLAP
+
+
+def test_a_pose_far_from_its_start_is_less_likely() -> None:
+    chances = [evidence(moved_mm=mm).success_probability for mm in (0.0, 4.0, 8.0, 16.0)]
+    assert chances == sorted(chances, reverse=True)
+    assert chances[0] - chances[1] < 0.02  # a start of the usual error costs nothing
 
 
 def test_what_no_limit_depends_on() -> None:
