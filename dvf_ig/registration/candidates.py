@@ -19,8 +19,12 @@ from .data import RegistrationData, RegistrationOptions
 from .pose_chart import PoseChart, distinct, random_displacements
 
 EXPLORATION = OptimiserOptions(steps=7, cap_mm=8.0, tolerance_mm=0.3)
+"""From displaced starts, where the model's surface is not known:"""
 COARSE = OptimiserOptions(steps=16, cap_mm=6.0, tolerance_mm=0.2)
+"""Of the candidates on coarse slices:"""
 BOUNDARY_STARTS, BOUNDARY_SPREAD_MM, BOUNDARY_KEPT = 24, 12.0, 3
+"""Displaced copies of the start from which the boundary is fitted, how far they are displaced at the heart's
+radius, and how many distinct ends are candidates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

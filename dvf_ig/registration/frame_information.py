@@ -17,9 +17,11 @@ from dvf_ig.core import BoolArray, FloatArray, IntArray, read_only_arrays
 from dvf_ig.kernels.grid.block_sums import block_sums
 
 BLOCK_MM = 4.0
+"""Edge of the blocks of a frame that are compared with their neighbours."""
 MIN_FILL = 0.6
 """Least share of a block inside the sector."""
 LIT_GREY = 10
+"""Grey level above which a pixel is lit."""
 MIN_LIT_SHARE = 0.05
 """A frame in which fewer pixels of the sector are brighter than LIT_GREY is dark. All frames of tuning seeds
 101 to 103 show 0.61 or more with poor images, 0.94 or more with calm ones."""

@@ -12,6 +12,7 @@ from .candidates import Candidates
 from .data import RegistrationData, RegistrationOptions
 
 FINE = OptimiserOptions(steps=30, cap_mm=2.0, tolerance_mm=0.01)
+"""Of the candidates on fine slices:"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

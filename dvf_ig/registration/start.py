@@ -10,6 +10,7 @@ from dvf_ig.core.paired import fit_paired_points
 from .pose_chart import rigid_motion
 
 MIN_FOR_PRIOR = 5
+"""Fewer pairs of landmarks leave too few residuals to know how far off the points are."""
 LEAST_SIGMA_MM = 0.5
 """A stylus on a beating heart is never better than this per coordinate."""
 

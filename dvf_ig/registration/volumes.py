@@ -26,8 +26,11 @@ VOLUME_SMOOTHING_MM = 3.0
 """Of the model's channels. Tuning seeds 101–106, two views, three phases: median TRE 0.74 mm; 0.83 with 2.5
 or 3.5 mm, and 0.83 on 2 mm voxels."""
 COARSE_PITCH_MM, COARSE_PLANES = 4.0, 6
+"""Pixels of the coarse planes, and about how many of these along each axis."""
 FINE_PITCH_MM, FINE_PLANES = 3.0, 13
+"""The same of the fine planes."""
 BOUNDARY_PITCH_MM, BOUNDARY_PLANES = 2.0, 8
+"""The same of those on which the boundary is found."""
 CUBE_TOLERANCE = 1e-3
 """Relative difference of voxel edges up to which voxels count as cubes of one size."""
 SEARCH = RegistrationOptions(
@@ -38,6 +41,7 @@ SEARCH = RegistrationOptions(
     bound_mm=120.0,
     limits=VOLUME_LIMITS,
 )
+"""Of gated volumes:"""
 GREY_VOLUMES = "volumes"
 """Kind of images for the calibration of evidence: gated volumes against smoothed grey levels of MR."""
 

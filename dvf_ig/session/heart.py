@@ -35,13 +35,18 @@ from dvf_ig.registration import (
 log = logging.getLogger(__name__)
 
 COARSE_PITCH_MM = 3.0
+"""Pixels of the coarse slices."""
 FINE_PITCH_MM = 2.0
+"""Pixels of the fine slices, and of those on which the boundary is found."""
 MR_SMOOTHING_MM = 2.5
 """On tuning seeds 101–104 TRE and force error are 1.29 mm and 0.077 N with 2.0; 1.15 and 0.079 with 2.5;
 1.09 and 0.092 with 3.0."""
 LABEL_VOXEL_MM = 2.0
+"""Of labels that are made from surfaces."""
 LABEL_SMOOTHING_MM = 1.5
+"""Standard deviation of the Gaussian on them, where they stand for grey levels."""
 LABEL_MARGIN_MM = 20.0
+"""About the surfaces that they are made from."""
 
 
 _WITHOUT_CHAMBERS = (

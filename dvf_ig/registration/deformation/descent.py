@@ -19,6 +19,7 @@ from .joint_fit import POSE, JointFit, joint_fit
 from .prior import deformation_factor
 
 TURNS = 8
+"""Most turns of solving for the pose and the change of shape."""
 SETTLED_MM = 0.03
 """Steps of the pose shorter than this end the descent."""
 OFFSET_SIGMA_MM = 1.0

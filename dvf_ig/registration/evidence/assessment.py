@@ -41,7 +41,9 @@ FEATURES = (
 """In the order of a table's weights; each is the worse the larger it is: of the z-score its inverse, and
 "unexplained" is 1 − LC2."""
 LARGEST = 1e3
+"""Values of a feature count as no more than this, and as no less than its inverse."""
 LARGEST_SCALE = 16.0
+"""The covariance is multiplied by no more than this, and by no less than its inverse."""
 TABLES = "calibrated.json"
 NAMES = {
     "brightness": "the images' mean brightness",

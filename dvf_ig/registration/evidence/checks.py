@@ -11,8 +11,8 @@ from dvf_ig.registration.pose_chart import PoseChart, random_displacements
 from .pair_evidence import PairEvidence
 from .phase_offset import PhaseOffset
 
-WRONG_POSES = 24
-WRONG_MM = 20.0
+WRONG_POSES, WRONG_MM = 24, 20.0
+"""How many wrong poses the z-score compares with, and how far away they lie."""
 
 
 @dataclass(frozen=True, slots=True)

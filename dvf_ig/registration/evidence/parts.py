@@ -23,7 +23,9 @@ from dvf_ig.registration.pose_chart import PoseChart
 from .half_volumes import half_spaces
 
 PHASE_GROUPS = 3
+"""Parts of the cycle, each of which is registered by itself."""
 PART_OPTIMISER = OptimiserOptions(steps=7, cap_mm=4.0, tolerance_mm=0.15)
+"""Of a part of the slices, from the pose of all:"""
 
 MetricOf = Callable[[SliceSet], Lc2]
 

@@ -20,6 +20,7 @@ from dvf_ig.registration.lc2.lc2 import Lc2
 SHIFTS = 20
 """As many as a model has phases, as a rule: slices are compared with the volume nearest in the cycle."""
 SUSPICIOUS_S = 0.08
+"""A phase offset beyond this is suspicious if its log-likelihood ratio exceeds SUSPICIOUS_LOG_RATIO."""
 SUSPICIOUS_LOG_RATIO = 2.0
 """In 33 undisturbed registrations of tuning seeds 101 to 104 (calm, ectopy, poor images, both motions) the
 best shift is within 0.05 of the cycle, its ratio at most 0.6. An ECG 300 ms late gives 9.2 to 38 with good

@@ -17,6 +17,7 @@ from dvf_ig.registration.pose_chart import PoseChart
 from .lc2 import NormalEquations, Slope
 
 DAMPING = 1e-3
+"""Share of each coordinate's curvature that is added to it: undetermined directions take no steps."""
 FIXED_FIT_STIFFNESS = 6.0
 """Gauss–Newton's eigenvalues over the true ones: 8 to 12 at the optimum (tuning seeds 102, 106), less away
 from it."""

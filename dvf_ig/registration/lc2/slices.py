@@ -21,6 +21,7 @@ from dvf_ig.core import (
 )
 
 DYNAMIC_RANGE_DB = 60.0
+"""That a scanner's grey levels stand for."""
 
 
 @read_only_arrays

@@ -19,13 +19,17 @@ from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm, random
 from .search import FINE, Found, Place, similarity_of
 
 PART = OptimiserOptions(steps=12, cap_mm=3.0, tolerance_mm=0.1)
+"""Of a part of the ultrasound, from the pose of all:"""
 PARTS = 8
 """Octants about the median place along the ultrasound's axes: each holds about as many patches."""
 LEAST_PATCHES = 12
 """A part with fewer says nothing."""
 MIRRORED = OptimiserOptions(steps=12, cap_mm=5.0, tolerance_mm=0.3)
+"""Of the ultrasound against mirrored anatomy:"""
 MIRRORED_STARTS, MIRRORED_MM = 4, 8.0
+"""Displaced starts of that, and how far they are displaced at the fan's radius."""
 WRONG_POSES, WRONG_MM = 40, 15.0
+"""How many wrong poses the z-score compares with, and how far away they lie."""
 FLOOR_MM = 0.2
 """Standard deviation of a pose that no image of such voxels can stay below."""
 

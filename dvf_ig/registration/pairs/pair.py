@@ -34,7 +34,9 @@ BLOCK = 3
 MARGIN_MM = 25.0
 """So much of the anatomy around the fan at its start is kept."""
 MIN_START_OVERLAP, MIN_OVERLAP = 0.1, 0.35
+"""Least share of the fan inside the anatomy, at the start and at the pose found."""
 MAX_IMAGES = 4
+"""So many contrasts of the anatomy are fitted at once."""
 
 
 def register_pair(

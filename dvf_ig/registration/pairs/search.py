@@ -28,7 +28,9 @@ REACH_MM = 20.0
 REFINED = 6
 """Distinct coarse ends that are optimised on the fine level."""
 COARSE = OptimiserOptions(steps=18, cap_mm=5.0, tolerance_mm=0.25)
+"""From each start, on a coarse level:"""
 FINE = OptimiserOptions(steps=16, cap_mm=2.0, tolerance_mm=0.05)
+"""From the distinct coarse ends:"""
 
 
 @read_only_arrays

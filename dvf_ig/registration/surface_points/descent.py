@@ -18,8 +18,11 @@ squares."""
 WIDE_MM = (8.0, 5.0)
 """Scales before the last."""
 STEPS, LAST_STEPS = 8, 40
+"""Most steps at the wide scales, and at the last."""
 CAP_MM = 8.0
+"""Longest step."""
 TOLERANCE_MM = 1e-4
+"""A step shorter than this ends the last scale."""
 DAMPING = 1e-3
 """In mean curvatures: undetermined directions take no steps."""
 

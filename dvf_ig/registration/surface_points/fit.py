@@ -33,6 +33,7 @@ MAX_SIGMA_RATIO = 2.0
 INLIER = 3.0
 """An inlier lies within so many standard deviations of the surface."""
 MIN_INLIER_SHARE = 0.7
+"""With a smaller share of inliers there is no pose."""
 MAX_WEAK_SIGMA_MM = 3.0
 """Standard deviation at the heart's radius from which a direction counts as undetermined."""
 MIN_COST_GAP = 8.0

@@ -18,6 +18,7 @@ from .touched import TouchedPoints
 REACH_MM = (25.0, 10.0)
 """Tukey's constant in turn: beyond it a point has no weight."""
 STEPS = 25
+"""Most steps with each constant."""
 DIGITS = 2
 """A pose is rounded to this part of a millimetre: the order in which Open3D's threads sum must not show."""
 

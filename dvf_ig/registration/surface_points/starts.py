@@ -8,8 +8,7 @@ from dvf_ig.registration.pose_chart import PoseChart, random_displacements
 
 from .touched import TouchedPoints
 
-AROUND = 24
-AROUND_MM = 20.0
+AROUND, AROUND_MM = 24, 20.0
 """Displaced copies of a coarse start, and how far they are displaced at the heart's radius."""
 
 

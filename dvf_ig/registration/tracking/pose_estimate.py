@@ -53,6 +53,7 @@ have 0, noise and speckle of any grain up to 0.44."""
 MEAN_SQUARE_OF_COORDINATES = np.array([2 / 3] * 3 + [1.0] * 3)
 """What a unit of each coordinate adds to the mean square distance over points at the heart's radius."""
 BEAT_OPTIMISER = OptimiserOptions(steps=10, cap_mm=5.0, tolerance_mm=0.1)
+"""Of a beat's slices, from the pose in use:"""
 
 
 @read_only_arrays

@@ -33,6 +33,7 @@ from dvf_ig.registration.pose_chart import PoseChart
 from .pose_estimate import BeatMeasurement, PoseEstimate
 
 WINDOW_BEATS = 8
+"""Beats among which a shift may have begun."""
 UNOBSERVED = 1e-12
 """Share of the trace that makes a covariance regular in directions that no beat observes."""
 SCATTER_BEATS, PRESUMED_BEATS = 30, 5

@@ -17,6 +17,7 @@ BEAT_GATHER_S = 0.05
 LATEST_BEAT_S = 3.0
 """A beat that is compared this late is dropped: it says too little of the pose by then."""
 REMEMBERED_PEAKS = 100
+"""R peaks that beats are placed by."""
 
 
 @dataclass(slots=True)

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-MAX_MISSED_BEATS = 3
-MAX_AGE_S = 5.0
+MAX_MISSED_BEATS, MAX_AGE_S = 3, 5.0
 """After so many regular beats in a row that do not confirm it, or so long, a pose is withheld."""
 MAX_BOUND_MM = 5.0
 """95 % bound on the error of a pose that is withheld: a force on a pose further off is a hazard."""

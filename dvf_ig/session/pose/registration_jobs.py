@@ -20,6 +20,7 @@ GATHER_S = 0.35
 """Frames are gathered this long after a registration was asked for: the longest gap of poses, and images that
 are stamped up to COVERED_LAG_S after what they show; later stamps are waited for besides."""
 COVERED_LAG_S = 0.1
+"""Stamps so late are covered by GATHER_S."""
 POLL_S = 0.01
 """Work that is not done when it is due is asked for again after this."""
 

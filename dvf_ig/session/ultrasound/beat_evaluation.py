@@ -25,13 +25,17 @@ from .frame_registration import DENSITY_WIDTH_MM
 from .gated_frames import UltrasoundRecording, gate_recording, slices_of, ultrasound_mask
 
 BEAT_PITCH_MM = 2.0
+"""Pixels of a beat's slices."""
 PATCH_MM = 13.0
+"""Edge of an LC2 patch."""
 BEAT_COMPUTE_S = 0.15
 """A beat's evaluation takes effect this long after its R peak was detected: an allowance for computing it."""
 BEAT_WINDOW = 0.025
 """Half the distance between twenty phases of a model: every frame is compared with the nearest."""
 MIN_SLICES = 4
+"""Fewer of them say nothing of the pose."""
 MIN_OVERLAP = 0.35
+"""Least share of the slices inside the model's volume."""
 GATING_PEAKS = 12
 """R peaks that place a beat and tell whether it is regular."""
 

@@ -29,6 +29,7 @@ seeds 101–104 it takes the TRE from 1.02 to 0.93 mm, the force error from 0.08
 KIND = "sweep"
 """Of images for the calibration of evidence: tracked frames against grey levels of MR."""
 STARTS = RegistrationOptions().starts
+"""Displaced copies of a start that nothing confirms."""
 
 
 def register_frames(

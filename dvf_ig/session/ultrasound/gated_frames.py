@@ -33,8 +33,7 @@ from dvf_ig.session.heart import Heart
 
 from .probe_motion import smoothed_poses
 
-MAX_FRAMES = 48
-MIN_FRAMES = 16
+MAX_FRAMES, MIN_FRAMES = 48, 16
 """Most and fewest frames of one registration."""
 
 

@@ -1,7 +1,7 @@
 """The constants of registration, read from the source: name, value, and what stands behind them.
 
-A constant is a number that a module names in capitals, a number in a value that is named so, or the default
-of an option.
+A constant is a number, or a tuple of numbers, that a module names in capitals; one in a value that is named
+so; or the default of an option.
 """
 
 import ast
@@ -28,7 +28,14 @@ SESSION_MODULES = (
     "pose.registration_monitor",
 )
 """Modules of the session that decide on registrations."""
-_NAMED_HEARTS = re.compile(r"\b(?:seeds?|patients?|hearts?)\b.*\d{3}")
+Number = float | tuple[float, ...]
+"""What a constant is."""
+_SEED = r"(?:1\d\d|[1-3]\d{3})"
+_NAMED_HEARTS = re.compile(
+    r"\b(?:(?:tuning|threshold) )?(?:(?:seeds?|hearts?|patients?|pairs?|brains?) )?"
+    rf"{_SEED}(?:(?:–|, | and | to ){_SEED})*\b"
+)
+_NAMES_HEARTS = re.compile(r"^[a-z]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +46,14 @@ class Constant:
         module: its dotted name.
         name: in the module; `part`: the attribute of a value or the option of a class, empty of a number.
         value: as it stands.
-        purpose: the first sentence behind it; chosen_on: what it says of hearts. Empty where it says nothing.
+        purpose: the first sentence behind it, or what its class says of it; empty where there is none.
+        chosen_on: the seeds, hearts or patients that are named there.
     """
 
     module: str
     name: str
     part: str
-    value: float
+    value: Number
     purpose: str
     chosen_on: str
 
@@ -86,10 +94,12 @@ def _parts(module: ModuleType, name: str, text: str) -> Iterator[Constant]:
     if _is_number(value):
         yield Constant(module.__name__, name, "", value, _first(text), _hearts(text))
     elif is_dataclass(value) and not isinstance(value, type):
+        explained = _attributes(type(value).__doc__ or "")
         for field in fields(value):
             part = getattr(value, field.name)
             if _is_number(part):
-                yield Constant(module.__name__, name, field.name, part, _first(text), _hearts(text))
+                purpose = " ".join(filter(None, (_first(text), explained.get(field.name, ""))))
+                yield Constant(module.__name__, name, field.name, part, purpose, _hearts(text))
 
 
 def _defaults(module: ModuleType, cls: type) -> Iterator[Constant]:
@@ -98,13 +108,15 @@ def _defaults(module: ModuleType, cls: type) -> Iterator[Constant]:
     explained = _attributes(cls.__doc__ or "")
     for field in fields(cls):
         if field.default is not MISSING and _is_number(field.default):
-            text = explained.get(field.name, "")
+            text = explained.get(field.name) or _first(cls.__doc__ or "")
             yield Constant(
                 module.__name__, cls.__name__, field.name, field.default, text, _hearts(cls.__doc__ or "")
             )
 
 
 def _is_number(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return bool(value) and all(map(_is_number, value))
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < float("inf")
 
 
@@ -124,8 +136,9 @@ def _sentences(text: str) -> list[str]:
 
 
 def _hearts(text: str) -> str:
-    """The first sentence that names seeds, patients or hearts by number."""
-    return next(filter(_NAMED_HEARTS.search, _sentences(text)), "")
+    """The seeds, patients or hearts that are named by number."""
+    found = _NAMED_HEARTS.findall(" ".join(text.split()))
+    return "; ".join(dict.fromkeys(filter(_NAMES_HEARTS.match, found)))
 
 
 def _attributes(docstring: str) -> dict[str, str]:

@@ -6,12 +6,18 @@ from contextlib import contextmanager
 from dataclasses import is_dataclass, replace
 from typing import Any
 
-from .listing import Constant
+from .listing import Constant, Number
+
+_REMEMBERING = ("dvf_ig.registration.", "dvf_ig.session.")
+"""Beginnings of modules whose functions keep results that depend on constants."""
 
 
 @contextmanager
-def varied(constant: Constant, factor: float) -> Iterator[float]:
-    """`constant` is `factor` times as large, whole numbers by one at least; yields the value."""
+def varied(constant: Constant, factor: float) -> Iterator[Number]:
+    """`constant` is `factor` times as large, whole numbers by one at least but not below 1; yields it.
+
+    What registration and session have kept of earlier calls is forgotten before and after.
+    """
     holder = getattr(sys.modules[constant.module], constant.name)
     value = _scaled(constant.value, factor)
     if isinstance(holder, type):
@@ -19,26 +25,40 @@ def varied(constant: Constant, factor: float) -> Iterator[float]:
     else:
         new = replace(holder, **{constant.part: value}) if constant.part else value
         undo = _replace_everywhere(constant.name, holder, new)
+    _forget()
     try:
         yield value
     finally:
+        _forget()
         for target, name, before in reversed(undo):
             setattr(target, name, before)
 
 
-def _scaled(value: float, factor: float) -> float:
+def _scaled(value: Number, factor: float) -> Number:
+    if isinstance(value, tuple):
+        return tuple(_scaled_number(number, factor) for number in value)
+    return _scaled_number(value, factor)
+
+
+def _scaled_number(value: float, factor: float) -> float:
     if isinstance(value, int):
-        return max(
-            0, min(round(value * factor), value - 1) if factor < 1 else max(round(value * factor), value + 1)
-        )
+        less, more = min(round(value * factor), value - 1), max(round(value * factor), value + 1)
+        return max(min(value, 1), less) if factor < 1 else more
     return value * factor
+
+
+def _forget() -> None:
+    for module in [m for key, m in sys.modules.items() if key.startswith(_REMEMBERING)]:
+        for kept in list(vars(module).values()):
+            if hasattr(kept, "cache_clear"):
+                kept.cache_clear()
 
 
 Undo = tuple[Any, str, Any]
 """Object, attribute, and its value before."""
 
 
-def _set_default(cls: type, name: str, value: float) -> Undo:
+def _set_default(cls: type, name: str, value: Number) -> Undo:
     """The default of one option of a dataclass."""
     create: Any = vars(cls)["__init__"]
     before = create.__defaults__

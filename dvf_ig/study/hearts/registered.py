@@ -53,8 +53,8 @@ probability is fitted to."""
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class _Truth:
-    """The true mr_from_tracker, and where errors are declared."""
+class Truth:
+    """The true mr_from_tracker, where errors are declared, and a centre (3,) to turn about."""
 
     truth: Rigid
     targets: Points
@@ -140,7 +140,7 @@ def _registered_sweep(
         raise TypeError("a synthetic scenario has its truth")
     box = truth.surface.vertices_mm[0]
     center = (box.min(axis=0) + box.max(axis=0)) / 2
-    known = _Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
+    known = Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
     start = start_with_error(known, float(rng.uniform(*start_mm)), rng)
     done = register_scenario(scenario, start, heart=heart, seed=seed)
     return RegisteredHeart(done.result, start, known, drawn)
@@ -179,7 +179,7 @@ def _volumes(seed: int, drawing: int, condition: Condition, rng: np.random.Gener
 
 def _second_volumes(spec: SecondWorldSpec, rng: np.random.Generator) -> RegisteredHeart:
     pair = second_world_pair(spec)
-    known = _Truth(pair.mr_from_tracker, pair.targets.points, pair.center_mm)
+    known = Truth(pair.mr_from_tracker, pair.targets.points, pair.center_mm)
     start = start_with_error(known, float(rng.uniform(*START_MM)), rng)
     result = register_gated_volumes(
         pair.volumes(GATED),

@@ -2,10 +2,17 @@
 
 import sys
 
+import numpy as np
+import pytest
+
 from dvf_ig.registration.data import RegistrationOptions
 from dvf_ig.registration.evidence import checks
+from dvf_ig.registration.lc2.slices import root_amplitude
+from dvf_ig.registration.pose_chart import DISTINCT_MM
 from dvf_ig.study.constants.listing import registration_constants
+from dvf_ig.study.constants.subjects import Subject, subject_of
 from dvf_ig.study.constants.table import table_markdown
+from dvf_ig.study.constants.trial import FACTORS, variations
 from dvf_ig.study.constants.varied import varied
 
 CONSTANTS = {constant.label: constant for constant in registration_constants()}
@@ -26,7 +33,7 @@ def test_a_varied_constant_is_another_wherever_it_was_imported_and_the_old_one_a
     importing = sys.modules["dvf_ig.registration.judge"]
     with varied(constant, 0.7) as value:
         assert value == importing.DISTINCT_MM == sys.modules[constant.module].DISTINCT_MM
-        assert value == 0.7 * constant.value
+        assert value == pytest.approx(0.7 * DISTINCT_MM)
     assert constant.value == importing.DISTINCT_MM
 
 
@@ -51,12 +58,58 @@ def test_whole_numbers_stay_whole_and_change_by_one_at_least() -> None:
         assert more == 39
     with varied(CONSTANTS["volumes.SEARCH.candidates"], 0.7) as less:
         assert less == 1
+    with varied(CONSTANTS["data.RegistrationOptions.times_seen"], 0.7) as less:
+        assert less == 1
+
+
+def test_tuples_of_numbers_are_constants_too_and_change_as_a_whole() -> None:
+    constant = CONSTANTS["pairs.pair.COARSE_PITCHES"]
+    with varied(constant, 1.3) as value:
+        assert value == pytest.approx((1.3 * 2.0, 1.3 * 1.4)) == sys.modules[constant.module].COARSE_PITCHES
+
+
+def test_what_was_worked_out_with_the_old_value_is_forgotten() -> None:
+    before = root_amplitude(np.array([100], np.uint8))
+    with varied(CONSTANTS["lc2.slices.DYNAMIC_RANGE_DB"], 0.7):
+        assert root_amplitude(np.array([100], np.uint8)) > before
+    assert root_amplitude(np.array([100], np.uint8)) == before
+
+
+def test_the_hearts_a_constant_was_chosen_on_are_named_without_other_numbers() -> None:
+    assert CONSTANTS["tracking.shift_detector.SCATTER_BEATS"].chosen_on == "tuning hearts 1001–1010"
+    assert CONSTANTS["lc2.optimise.DAMPING"].chosen_on == ""
+
+
+def test_every_constant_says_what_it_does() -> None:
+    assert not [label for label, constant in CONSTANTS.items() if not constant.purpose]
+
+
+def test_each_constant_is_tried_where_it_acts() -> None:
+    assert subject_of(CONSTANTS["refine.FINE.cap_mm"]) is Subject.sweep
+    assert subject_of(CONSTANTS["volumes.FINE_PLANES"]) is Subject.volumes
+    assert subject_of(CONSTANTS["pairs.search.REFINED"]) is Subject.pair
+    assert subject_of(CONSTANTS["tracking.shift_detector.WINDOW_BEATS"]) is None
+
+
+def test_each_subject_is_tried_unchanged_and_then_with_its_constants() -> None:
+    tried = variations()
+    assert len(tried) == len(set(tried))
+    for subject in Subject:
+        first, *others = [variation for variation in tried if variation.subject is subject]
+        assert first.constant is None
+        assert all(other.constant is not None and other.factor in FACTORS for other in others)
 
 
 def test_the_table_tells_what_a_change_does() -> None:
     constant = CONSTANTS["refine.FINE.cap_mm"]
-    same = {"constant": "", "factor": 1.0, "tre_mm": [1.0, 2.0, 3.0], "refused_n": 0}
-    more = {"constant": constant.label, "factor": 1.3, "tre_mm": [1.5, 2.5, None], "refused_n": 1}
-    row = table_markdown([constant], [same, more]).splitlines()[-1]
-    assert row.startswith("| `refine.FINE.cap_mm` | 2 |")
-    assert row.endswith("|  | +0.00 mm, max 2.5; +1 refused |")
+    same = {"subject": "sweep", "constant": "", "factor": 1.0, "tre_mm": [1.0, 2.0, 3.0], "refused_n": 0}
+    less = {**same, "constant": constant.label, "factor": 0.7}
+    more = {**less, "factor": 1.3, "tre_mm": [1.5, 2.0, None], "refused_n": 1}
+    row = table_markdown([constant], [same, less, more]).splitlines()[-1]
+    assert row.startswith("| `refine.FINE.cap_mm` | 2 | Of the candidates on fine slices: longest step. |")
+    assert row.endswith("| sweep | none | +0.25 mm, max 2.0; +1 refused |")
+
+
+def test_a_constant_that_acts_in_no_subject_has_empty_columns() -> None:
+    constant = CONSTANTS["tracking.shift_detector.WINDOW_BEATS"]
+    assert table_markdown([constant], []).splitlines()[-1].endswith("|  |  |  |  |")
