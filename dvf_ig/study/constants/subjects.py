@@ -42,11 +42,13 @@ SWEEP_S = 14.0
 START_MM = 8.0
 """Mean error of every start over the targets."""
 
-PREPARING = ("session.heart.", "boundary.target.", "lc2.channels.")
+PREPARING = ("session.heart.", "boundary.target.")
 """Beginnings of labels of constants that act where a heart is prepared: it is prepared anew with each."""
 _ELSEWHERE = (
+    "pairs.check.PARTS",
     "surface_points.",
     "boundary.options.EPICARDIUM_FIT.",
+    "lc2.channels.",
     "flipped_axes.",
     "start.",
     "tracking.",
@@ -58,8 +60,8 @@ _ELSEWHERE = (
     "session.ultrasound.beat_evaluation.",
     "session.heart.LABEL_",
 )
-"""Of constants that act in none of these: touched points, beats, the watch over a pose, models
-without chambers or without MR."""
+"""Of constants that act in none of these: touched points, beats, the watch over a pose, models without MR or
+without chambers, numbers that name labels or octants."""
 _IN_PAIRS = ("pairs.", "evidence.pair_evidence.", "lc2.volume_lc2.")
 _IN_VOLUMES = ("volumes.", "evidence.checks.VOLUME_LIMITS.")
 

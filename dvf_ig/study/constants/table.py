@@ -11,6 +11,7 @@ from .listing import Constant, Number
 from .subjects import subject_of
 from .trial import FACTORS
 
+NOT_TRIED = "not tried"
 MOST_VALUES = 6
 """Of a longer tuple the smallest and the largest are given."""
 COLUMNS = ("constant", "value", "what it does", "chosen on", "tried on", "× 0.7", "× 1.3")
@@ -24,7 +25,8 @@ patients that the code says it was chosen on. Each was also made 30 % smaller an
 one at least), with all others as they are, and {hearts} tuning hearts, or brains, were registered from 8 mm
 off: hearts with calm and with poor images, brains with T1 and with FLAIR. The last columns say how the mean
 error changes, the largest error, and how many more poses are refused; `none`: no pose changes in any digit.
-They are empty for constants that act in none of these. So few hearts tell which constants matter, not
+They are empty for constants that act in none of these, and say `not tried` of those that the study has not
+come to. So few hearts tell which constants matter, not
 which value is the best.
 
 | tried on | registrations | mean error as it is | largest | refused |
@@ -46,7 +48,8 @@ def _unchanged_row(line: Line) -> str:
 
 
 def table_markdown(constants: Sequence[Constant], lines: Sequence[Line]) -> str:
-    """One row a constant; the last columns stay empty for one that acts in no subject.
+    """One row a constant; the last columns stay empty for one that acts in no subject, and say so of one that
+    `lines` do not hold.
 
     A change is given as that of the mean error over the cases that gave a pose both ways, the largest error,
     and how many more poses were refused.
@@ -67,7 +70,12 @@ def _row(constant: Constant, found: dict[tuple[str, float], Line], unchanged: di
     ]
     if subject is None:
         return _joined([*cells, "", *("" for _ in FACTORS)])
-    changes = [_change(found[constant.label, factor], unchanged[subject]) for factor in FACTORS]
+    changes = [
+        _change(found[constant.label, factor], unchanged[subject])
+        if (constant.label, factor) in found
+        else NOT_TRIED
+        for factor in FACTORS
+    ]
     return _joined([*cells, subject.value, *changes])
 
 
