@@ -25,9 +25,8 @@ patients that the code says it was chosen on. Each was also made 30 % smaller an
 one at least), with all others as they are, and {hearts} tuning hearts, or brains, were registered from 8 mm
 off: hearts with calm and with poor images, brains with T1 and with FLAIR. The last columns say how the mean
 error changes, the largest error, and how many more poses are refused; `none`: no pose changes in any digit.
-They are empty for constants that act in none of these, and say `not tried` of those that the study has not
-come to. So few hearts tell which constants matter, not
-which value is the best.
+They are empty for constants that act in none of these, and say `not tried` of any that a run did not come
+to. So few hearts tell which constants matter, not which value is the best.
 
 | tried on | registrations | mean error as it is | largest | refused |
 |---|---|---|---|---|
