@@ -41,7 +41,7 @@ from dvf_ig.guidance import (
 from dvf_ig.guidance.blend import Blend
 from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, SimulatedServo
-from dvf_ig.guidance.supervisor import SLEW_SPEED_M_S
+from dvf_ig.guidance.supervision.supervisor import SLEW_SPEED_M_S
 from dvf_ig.kernels.servo import published
 
 HOSTILE = np.array(

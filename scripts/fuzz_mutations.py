@@ -145,7 +145,7 @@ def _model(data: bytes, rng: random.Random) -> bytes:
 def resealed(data: bytes) -> bytes:
     """A model's header with the digest over its content, which `_model` broke; unchanged where it is none."""
     from dvf_ig.core.errors import DvfIgError
-    from dvf_ig.io.model import _digest, _unpack
+    from dvf_ig.io.model.model_file import _digest, _unpack
 
     try:
         from pathlib import Path

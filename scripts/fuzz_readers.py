@@ -20,7 +20,7 @@ def write_seeds(folder: Path) -> None:
     """One scenario and its recordings in other formats."""
     from tests.io.conftest import _make_scenario
     from tests.io.ecg.test_damaged import edf
-    from tests.io.test_model import model
+    from tests.io.model.test_model import model
 
     scenario: Any = _make_scenario(1)
     io.write_scenario(scenario, folder / "scenario")

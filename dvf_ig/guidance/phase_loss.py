@@ -11,7 +11,7 @@ from dvf_ig.core import FloatArray
 
 from .fixtures import FORCE, TICK_OUTPUT, Fixtures
 from .status import Status
-from .supervisor import FADE_S
+from .supervision.supervisor import FADE_S
 
 
 class PhaseLoss:

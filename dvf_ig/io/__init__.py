@@ -45,11 +45,11 @@ from .mesh.file import write_mesh as write_mesh
 from .mesh.series import read_surface_series as read_surface_series
 from .mesh.series import surface_names as surface_names
 from .mesh.series import write_surface_series as write_surface_series
-from .model import model_digest as model_digest
-from .model import read_model as read_model
-from .model import write_model as write_model
-from .model_cache import CachedModel as CachedModel
-from .model_cache import cached_model as cached_model
+from .model.cache import CachedModel as CachedModel
+from .model.cache import cached_model as cached_model
+from .model.model_file import model_digest as model_digest
+from .model.model_file import read_model as read_model
+from .model.model_file import write_model as write_model
 from .plus.ecg_field import read_ecg_field as read_ecg_field
 from .plus.ecg_field_write import add_ecg_field as add_ecg_field
 from .plus.feature_points import read_feature_points as read_feature_points

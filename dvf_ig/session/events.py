@@ -111,7 +111,7 @@ class Landmark:
 
 @dataclass(frozen=True, slots=True)
 class Rearm:
-    """The operator asks for force again after the supervisor latched; see `guidance.supervisor`."""
+    """The operator asks for force again after the supervisor latched; see `Supervisor.rearm`."""
 
     t_s: float
 

@@ -13,7 +13,7 @@ import numpy as np
 from dvf_ig.core import FloatArray
 from dvf_ig.guidance import DeviceLimits, FixtureSet, PoseAndPhase, Status
 from dvf_ig.guidance.margins import DistanceSigma, distance_sigma, isotropic, next_margin_mm
-from dvf_ig.guidance.supervisor import SLEW_SPEED_M_S
+from dvf_ig.guidance.supervision.supervisor import SLEW_SPEED_M_S
 
 from .pose.confirmation import AGEING_MM_PER_S
 

@@ -3,7 +3,8 @@
 import re
 from pathlib import Path
 
-from dvf_ig.guidance import HAZARD_RULES, Response, SupervisorState, supervisor
+from dvf_ig.guidance import HAZARD_RULES, Response, SupervisorState
+from dvf_ig.guidance.supervision import supervisor
 
 PAGE = (Path(__file__).resolve().parents[2] / "dvf_ig/docs/theory/safety.md").read_text(encoding="utf-8")
 FORCE = {

@@ -32,7 +32,7 @@ from dvf_ig.io import (
     write_model,
     write_scenario,
 )
-from dvf_ig.io.model import _CHECKSUM, _digest, _unpack
+from dvf_ig.io.model.model_file import _CHECKSUM, _digest, _unpack
 from dvf_ig.io.npz import read_npz
 from dvf_ig.io.reading import read_bytes
 from dvf_ig.io.yaml_config import read_yaml

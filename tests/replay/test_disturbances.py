@@ -11,7 +11,7 @@ from data_synth.scenario.recording import ImagedHeart, phantom_scenario
 from data_synth.seeds import child_rng
 from dvf_ig.core import BoolArray, DvfModel, Scenario, ScenarioTruth
 from dvf_ig.guidance import Status
-from dvf_ig.guidance.supervisor import FADE_S
+from dvf_ig.guidance.supervision.supervisor import FADE_S
 from dvf_ig.preop import ModelOptions, model_from_labels
 from dvf_ig.replay import Replay, run_replay
 from dvf_ig.replay.result.pose_summary import suspensions

@@ -10,7 +10,7 @@ from recorded import tool_of
 from dvf_ig.core import InvalidInputError, NoOverlapError, PoseStream, Scenario, Signal, TrackedSequence
 from dvf_ig.guidance import Status
 from dvf_ig.guidance.device import COMMON_DEVICE
-from dvf_ig.guidance.supervisor import FADE_S, SLEW_SPEED_M_S
+from dvf_ig.guidance.supervision.supervisor import FADE_S, SLEW_SPEED_M_S
 from dvf_ig.replay import Replay, result_of, run_replay, table, validate
 from dvf_ig.replay.events import events_of
 from dvf_ig.replay.page.replay_page import report_html

@@ -33,7 +33,7 @@ from dvf_ig.guidance import (
     SupervisorState,
 )
 from dvf_ig.guidance.blend import Blend
-from dvf_ig.guidance.supervisor import FADE_S, FAST_FADE_S, LATCH_AFTER_S
+from dvf_ig.guidance.supervision.supervisor import FADE_S, FAST_FADE_S, LATCH_AFTER_S
 from dvf_ig.session import GuidanceState, Rearm, Session, ToolPose
 
 pytestmark = pytest.mark.usefixtures("known_ultrasound")

@@ -7,7 +7,7 @@ from typing import Literal
 
 from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance.laws import Gaussian, Law
-from dvf_ig.guidance.supervisor import SLOW_SLEW_N_PER_S
+from dvf_ig.guidance.supervision.supervisor import SLOW_SLEW_N_PER_S
 
 MarginMode = Literal["off", "fixed", "adaptive"]
 

@@ -9,7 +9,9 @@ from dvf_ig.core import FloatArray, InvalidInputError, Rigid
 from dvf_ig.guidance.device import MM_PER_M, DeviceLimits
 from dvf_ig.guidance.evaluator import Evaluator
 from dvf_ig.guidance.fixtures import Fixtures
-from dvf_ig.guidance.hazards import (
+from dvf_ig.guidance.laws import Confinement, Gaussian
+from dvf_ig.guidance.status import Status
+from dvf_ig.guidance.supervision.hazards import (
     Hazard,
     Latch,
     Response,
@@ -18,9 +20,7 @@ from dvf_ig.guidance.hazards import (
     hazards_with,
     withholding,
 )
-from dvf_ig.guidance.laws import Confinement, Gaussian
-from dvf_ig.guidance.status import Status
-from dvf_ig.guidance.supervisor import (
+from dvf_ig.guidance.supervision.supervisor import (
     CLAMPS_WITHIN_S,
     FADE_S,
     FAST_FADE_S,

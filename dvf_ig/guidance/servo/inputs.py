@@ -6,9 +6,9 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid, read_only_arrays
 from dvf_ig.core.arrays import frozen_floats
-from dvf_ig.guidance.hazards import Hazard
 from dvf_ig.guidance.pose_and_phase import PoseAndPhase
 from dvf_ig.guidance.status import Status
+from dvf_ig.guidance.supervision.hazards import Hazard
 from dvf_ig.kernels.servo import published as kernel
 
 VALID_FOR_S = 0.1

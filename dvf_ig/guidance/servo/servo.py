@@ -16,7 +16,7 @@ from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.evaluator import Evaluator
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.sideways import check_sideways
-from dvf_ig.guidance.supervisor import RearmAnswer
+from dvf_ig.guidance.supervision.supervisor import RearmAnswer
 from dvf_ig.kernels.servo import loop as kernel
 from dvf_ig.kernels.servo import shared
 from dvf_ig.kernels.servo.record import ROW, T_S

@@ -7,7 +7,7 @@ from dvf_ig.core.arrays import check_shape
 from dvf_ig.guidance.device import COMMON_DEVICE, DeviceLimits
 from dvf_ig.guidance.devices.protocol import HapticDevice
 from dvf_ig.guidance.fixtures import Fixtures
-from dvf_ig.guidance.supervisor import RearmAnswer
+from dvf_ig.guidance.supervision.supervisor import RearmAnswer
 from dvf_ig.kernels.servo import loop as kernel
 from dvf_ig.kernels.servo.record import ROW
 

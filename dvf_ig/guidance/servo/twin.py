@@ -7,11 +7,11 @@ from dvf_ig.guidance.device import DeviceLimits
 from dvf_ig.guidance.evaluator import Evaluator, ForceSamples
 from dvf_ig.guidance.fixture import FixtureSet
 from dvf_ig.guidance.fixtures import Fixtures
-from dvf_ig.guidance.hazards import Hazard, hazard_of
 from dvf_ig.guidance.joint_force import composed_force
 from dvf_ig.guidance.phase_loss import PhaseLoss
 from dvf_ig.guidance.status import Status
-from dvf_ig.guidance.supervisor import SupervisedForce, Supervisor, SupervisorState
+from dvf_ig.guidance.supervision.hazards import Hazard, hazard_of
+from dvf_ig.guidance.supervision.supervisor import SupervisedForce, Supervisor, SupervisorState
 
 from .bound import tick_constants
 from .inputs import ServoInputs

@@ -15,7 +15,7 @@ from dvf_ig.io.image.volume import image_dimension, read_volume, read_volume_ser
 from dvf_ig.io.landmarks import read_landmarks, read_tag_pair
 from dvf_ig.io.mesh.file import read_mesh
 from dvf_ig.io.mesh.series import read_surface_series, surface_names
-from dvf_ig.io.model import model_digest, read_model
+from dvf_ig.io.model.model_file import model_digest, read_model
 from dvf_ig.io.transform import read_transform
 
 Facts = dict[str, Any]

@@ -19,7 +19,7 @@ from dvf_ig.io.image.timing import timing_from_document
 from dvf_ig.io.image.volume import image_dimension, read_volume_series
 from dvf_ig.io.json_file import read_json
 from dvf_ig.io.mesh.series import UNKNOWN_PATIENT, read_surface_series, surface_names
-from dvf_ig.io.model import read_model
+from dvf_ig.io.model.model_file import read_model
 from dvf_ig.io.reading import reading
 from dvf_ig.io.yaml_config import validated
 

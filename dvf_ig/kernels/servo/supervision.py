@@ -1,6 +1,7 @@
 """The supervisor of the force as a kernel: fades, slew limit, latch, re-arm.
 
-`dvf_ig.guidance.supervisor.Supervisor` is its readable form; tests hold one to the other step by step.
+`dvf_ig.guidance.supervision.supervisor.Supervisor` is its readable form; tests hold one to the other step by
+step.
 """
 
 import math

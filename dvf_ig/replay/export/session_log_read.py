@@ -19,7 +19,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.io.atomic import make_folder, write_bytes
 from dvf_ig.io.file_within import path_within
-from dvf_ig.io.model import read_model
+from dvf_ig.io.model.model_file import read_model
 from dvf_ig.io.provenance import not_recorded
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.attached_heart import MODEL

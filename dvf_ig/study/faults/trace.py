@@ -7,7 +7,7 @@ import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, read_only_arrays
 from dvf_ig.guidance import HAZARD_RULES, Hazard, Latch, Response, SupervisorState, withholding
-from dvf_ig.guidance.supervisor import FADE_S, FAST_FADE_S, LATCH_AFTER_S, SLOW_SLEW_N_PER_S
+from dvf_ig.guidance.supervision.supervisor import FADE_S, FAST_FADE_S, LATCH_AFTER_S, SLOW_SLEW_N_PER_S
 
 NEAR_S = 0.05
 """What is found so little before a fault is found of it: noise takes the tip across a border too early."""

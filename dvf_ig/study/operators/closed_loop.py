@@ -15,7 +15,7 @@ from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.guidance import DEVICES, FixtureOptions, Fixtures, FixtureSet, Law
 from dvf_ig.guidance.devices.protocol import HapticDevice
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, SimulatedServo
-from dvf_ig.guidance.supervisor import SupervisorState
+from dvf_ig.guidance.supervision.supervisor import SupervisorState
 from dvf_ig.study.stylus.holding import FASTEST_MM_S
 
 from .conditions import Condition

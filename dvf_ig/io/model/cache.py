@@ -27,11 +27,11 @@ from dvf_ig.core.mesh import SurfaceSeries
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.scenario import Preop
 from dvf_ig.core.volume import Grid, VolumeSeries
+from dvf_ig.io.atomic import make_folder, write_bytes
+from dvf_ig.io.provenance import not_recorded
+from dvf_ig.io.reading import read_bytes
 
-from .atomic import make_folder, write_bytes
-from .model import model_bytes, parse_model
-from .provenance import not_recorded
-from .reading import read_bytes
+from .model_file import model_bytes, parse_model
 
 if TYPE_CHECKING:
     from dvf_ig.preop import ModelOptions

@@ -131,7 +131,7 @@ def test_every_changed_byte_is_seen(tmp_path: Path) -> None:
 def test_content_that_is_not_what_its_header_was_made_for(tmp_path: Path) -> None:
     """The file is whole, but its header carries the digest of another model."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dvf_ig.io.model._digest", lambda header, arrays: "0" * 64)
+        patch.setattr("dvf_ig.io.model.model_file._digest", lambda header, arrays: "0" * 64)
         write_model(model(), tmp_path / "m.npz")
     with pytest.raises(UnreadableFileError, match="changed"):
         read_model(tmp_path / "m.npz")
@@ -158,7 +158,7 @@ def test_bad_files(tmp_path: Path) -> None:
 
 def test_another_schema(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr("dvf_ig.io.model.SCHEMA", "dvf_ig.model/2")
+        patch.setattr("dvf_ig.io.model.model_file.SCHEMA", "dvf_ig.model/2")
         write_model(model(), tmp_path / "m.npz")
     with pytest.raises(UnreadableFileError, match=r"schema 'dvf_ig\.model/2'; this version reads"):
         read_model(tmp_path / "m.npz")

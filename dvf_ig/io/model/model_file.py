@@ -14,14 +14,14 @@ from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.mesh import Mesh
 from dvf_ig.core.model import DvfModel
+from dvf_ig.io.atomic import write_bytes
+from dvf_ig.io.limits import MODEL_BYTES
+from dvf_ig.io.npz import read_npz
+from dvf_ig.io.reading import read_bytes, reading
+from dvf_ig.io.yaml_config import validated
 
-from .atomic import write_bytes
-from .limits import MODEL_BYTES
-from .model_chambers import chamber_arrays, chambers_of_arrays
-from .model_header import ModelHeader, require_consistent
-from .npz import read_npz
-from .reading import read_bytes, reading
-from .yaml_config import validated
+from .chambers import chamber_arrays, chambers_of_arrays
+from .header import ModelHeader, require_consistent
 
 SCHEMA = "dvf_ig.model/1"
 _CHECKSUM = b"dvf_ig sha256 "

@@ -8,8 +8,8 @@ from enum import Enum, IntEnum
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
+from dvf_ig.guidance.device import COMMON_DEVICE, DeviceLimits
 
-from .device import COMMON_DEVICE, DeviceLimits
 from .hazards import Hazard, Latch, Response, hazards_that_latch, hazards_with, withholding
 
 FADE_S = 0.250

@@ -7,8 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.errors import InvalidInputError
-
-from . import limits
+from dvf_ig.io import limits
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Text = Annotated[str, Field(strict=True)]

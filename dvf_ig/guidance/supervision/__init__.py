@@ -1,0 +1,1 @@
+"""Supervision of the force: hazards, fades, slew limit, latch and re-arm (docs/theory/safety.md)."""
