@@ -18,8 +18,9 @@ def main() -> int:
     for folder in (source, SITE):
         shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(ROOT / "dvf_ig" / "docs", source)
-    shutil.copy(ROOT / "CHANGELOG.md", source / "changelog.md")
-    options = ["-W", "--keep-going", "-q", "-b", "html", "-c", str(HERE)]
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    (source / "changelog.md").write_text(changes.replace("](dvf_ig/docs/", "]("), encoding="utf-8")
+    options = ["-W", "--keep-going", "-q", "-j", "auto", "-b", "html", "-c", str(HERE)]
     built = subprocess.run(
         [sys.executable, "-m", "sphinx", *options, "-d", str(source / ".doctrees"), str(source), str(SITE)],
         check=False,

@@ -12,7 +12,7 @@ sys.path.insert(0, str(HERE))
 
 project = "dvf_ig"
 copyright = "the dvf_ig authors, Apache-2.0"
-extensions = ["myst_parser", "autoapi.extension", "docstrings", "formulas", "module_links"]
+extensions = ["myst_parser", "autoapi.extension", "docstrings", "formulas", "module_links", "navigation"]
 
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3

@@ -17,7 +17,7 @@ _ITEM = re.compile(r"(?:[-*]|\d+\.)\s+")
 def setup(app: Sphinx) -> dict[str, Any]:
     """Hook into the docstrings that autoapi reads."""
     app.connect("autodoc-process-docstring", _process)
-    return {"parallel_read_safe": True}
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 def _process(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:

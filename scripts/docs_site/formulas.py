@@ -18,7 +18,7 @@ ziamath.config.math.color = "currentColor"
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the renderer under the name "svg"."""
     app.add_html_math_renderer("svg", (_inline, None), (_display, None))
-    return {"parallel_read_safe": True}
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 def _inline(writer: Any, node: nodes.Element) -> None:

@@ -19,7 +19,7 @@ _log = logging.getLogger(__name__)
 def setup(app: Sphinx) -> dict[str, Any]:
     """Look at every page once all pages are known."""
     app.connect("doctree-resolved", _link)
-    return {"parallel_read_safe": True}
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 def _link(app: Sphinx, doctree: nodes.document, docname: str) -> None:

@@ -39,6 +39,13 @@ def test_paths_and_links_of_a_page_exist(page: Path) -> None:
     assert not missing
 
 
+def test_the_changelog_links_to_pages_of_the_site_alone() -> None:
+    """The site holds the pages of `dvf_ig/docs` and a copy of the changelog beside them."""
+    links = _LINK.findall((ROOT / "CHANGELOG.md").read_text(encoding="utf-8"))
+    assert links
+    assert all(link.startswith("dvf_ig/docs/") or "://" in link for link in links)
+
+
 def test_texts_that_the_code_cites_are_in_the_repository() -> None:
     missing, outside = [], []
     for path in CODE:
