@@ -60,8 +60,17 @@ class Constant:
     @property
     def label(self) -> str:
         """As a reader finds it, for example `lc2.optimise.COARSE.cap_mm`."""
-        module = self.module.removeprefix("dvf_ig.").removeprefix("registration.")
-        return ".".join(filter(None, (module, self.name, self.part)))
+        return f"{self.place}.{self.in_module}"
+
+    @property
+    def place(self) -> str:
+        """Its module, as short as is clear: `lc2.optimise`."""
+        return self.module.removeprefix("dvf_ig.").removeprefix("registration.")
+
+    @property
+    def in_module(self) -> str:
+        """Its name there: `COARSE.cap_mm`."""
+        return f"{self.name}.{self.part}" if self.part else self.name
 
 
 def registration_constants() -> list[Constant]:
@@ -98,7 +107,8 @@ def _parts(module: ModuleType, name: str, text: str) -> Iterator[Constant]:
         for field in fields(value):
             part = getattr(value, field.name)
             if _is_number(part):
-                purpose = " ".join(filter(None, (_first(text), explained.get(field.name, ""))))
+                said = (_first(text).rstrip(".:"), explained.get(field.name, ""))
+                purpose = ": ".join(filter(None, said))
                 yield Constant(module.__name__, name, field.name, part, purpose, _hearts(text))
 
 

@@ -1,6 +1,7 @@
-"""The table of all constants: value, purpose, the hearts they were chosen on, and what ± 30 % do."""
+"""The page of all constants: value, purpose, the hearts they were chosen on, and what ± 30 % do."""
 
 from collections.abc import Sequence
+from itertools import groupby
 
 import numpy as np
 
@@ -34,9 +35,13 @@ to. So few hearts tell which constants matter, not which value is the best.
 
 
 def constants_page(constants: Sequence[Constant], lines: Sequence[Line], hearts: int) -> str:
-    """The whole page: what was done, errors with all constants as they are, and the table."""
+    """The whole page: what was done, errors with all constants as they are, and a table for each module."""
     as_it_is = [_unchanged_row(line) for line in lines if not line["constant"]]
-    return INTRODUCTION.format(hearts=hearts) + "".join(as_it_is) + "\n" + table_markdown(constants, lines)
+    tables = [
+        f"\n## {place}\n\n{table_markdown(list(there), lines)}"
+        for place, there in groupby(constants, key=lambda constant: constant.place)
+    ]
+    return INTRODUCTION.format(hearts=hearts) + "".join(as_it_is) + "".join(tables)
 
 
 def _unchanged_row(line: Line) -> str:
@@ -62,9 +67,9 @@ def table_markdown(constants: Sequence[Constant], lines: Sequence[Line]) -> str:
 def _row(constant: Constant, found: dict[tuple[str, float], Line], unchanged: dict[str, Line]) -> str:
     subject = subject_of(constant)
     cells = [
-        f"`{constant.label}`",
+        f"`{constant.in_module}`",
         value_text(constant.value),
-        _cell(constant.purpose),
+        _cell(_begun_as_sentence(constant.purpose)),
         _cell(constant.chosen_on),
     ]
     if subject is None:
@@ -91,6 +96,11 @@ def _joined(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |\n"
 
 
+def _begun_as_sentence(text: str) -> str:
+    """With a capital, unless it begins with a symbol of one letter."""
+    return text[:1].upper() + text[1:] if text[1:2].isalpha() else text
+
+
 def _cell(text: str) -> str:
     return text.replace("|", "\\|")
 
@@ -103,7 +113,7 @@ def _change(line: Line, unchanged: Line) -> str:
     both = np.isfinite(before) & np.isfinite(after)
     if not both.any():
         return f"no pose; {more:+d} refused"
-    change = f"{(after - before)[both].mean():+.2f} mm, max {after[both].max():.1f}"
+    change = f"{(after - before)[both].mean():+z.2f} mm, max {after[both].max():.1f}".replace("-", "−")
     return change if more == 0 else f"{change}; {more:+d} refused"
 
 

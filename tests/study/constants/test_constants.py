@@ -106,7 +106,7 @@ def test_the_table_tells_what_a_change_does() -> None:
     less = {**same, "constant": constant.label, "factor": 0.7}
     more = {**less, "factor": 1.3, "tre_mm": [1.5, 2.0, None], "refused_n": 1}
     row = table_markdown([constant], [same, less, more]).splitlines()[-1]
-    assert row.startswith("| `refine.FINE.cap_mm` | 2 | Of the candidates on fine slices: longest step. |")
+    assert row.startswith("| `FINE.cap_mm` | 2 | Of the candidates on fine slices: longest step. |")
     assert row.endswith("| sweep | none | +0.25 mm, max 2.0; +1 refused |")
 
 
