@@ -19,7 +19,7 @@ from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 
-from dvf_ig.io.swap_journal import JOURNAL, complete_swap
+from dvf_ig.io.writing.swap_journal import JOURNAL, complete_swap
 
 WRITERS = {
     "synth scenario": "synth scenario --preset calm --seconds 8 --seed {n} -o o/scene",

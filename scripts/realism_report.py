@@ -33,7 +33,7 @@ from data_synth.ultrasound.sequence import simulate_sequence
 from data_synth.ultrasound.views import standard_view
 from data_synth.ultrasound.volume import MatrixProbe, simulate_volume
 from dvf_ig.io import read_sequence, write_text
-from dvf_ig.io.atomic import write_bytes
+from dvf_ig.io.writing.atomic import write_bytes
 from dvf_ig.report import png_bytes
 from dvf_ig.report.realism import RealismPictures, bounds_text, realism_figure, realism_html
 

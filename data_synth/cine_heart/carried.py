@@ -6,7 +6,7 @@ from scipy.ndimage import binary_dilation, gaussian_filter1d
 from scipy.sparse import csr_matrix, diags
 
 from dvf_ig.core import FloatArray, IntArray, VolumeSeries
-from dvf_ig.core.mesh import enclosed_volume_mm3
+from dvf_ig.core.space.mesh import enclosed_volume_mm3
 
 from .label_depth import StackDepth
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray
-from dvf_ig.core.mesh import enclosed_volume_mm3
+from dvf_ig.core.space.mesh import enclosed_volume_mm3
 
 Depth = Callable[[FloatArray], FloatArray]
 

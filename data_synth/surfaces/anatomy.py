@@ -26,7 +26,7 @@ from dvf_ig.core import (
     SurfaceSeries,
     read_only_arrays,
 )
-from dvf_ig.core.mesh import enclosed_volume_mm3
+from dvf_ig.core.space.mesh import enclosed_volume_mm3
 
 from .atria import AtrialStub
 from .closing import ClosedSeries, closed_series, refined

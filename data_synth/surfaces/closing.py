@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, InvalidInputError, SurfaceSeries, read_only_arrays
-from dvf_ig.core.mesh import enclosed_volume_mm3
+from dvf_ig.core.space.mesh import enclosed_volume_mm3
 
 WELD_MM = 1e-6
 

@@ -13,7 +13,7 @@ from data_synth.heart.reference import ReferenceMap
 from data_synth.kernels import receive, speckle
 from data_synth.kernels.insonification import Amplitudes, Pulse, TissueFields, insonify, reverberate
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
-from dvf_ig.core.frames import require_same_frame
+from dvf_ig.core.space.frames import require_same_frame
 
 from . import beam
 from .line_tracing import traced_lines

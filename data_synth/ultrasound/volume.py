@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from data_synth.kernels import receive, scan
 from data_synth.threads import THREADS, for_each, in_order
 from dvf_ig.core import FloatArray, Grid, InvalidInputError, Rigid, Volume
-from dvf_ig.core.frames import require_same_frame
+from dvf_ig.core.space.frames import require_same_frame
 
 from . import beam
 from .probe import SectorProbe

@@ -1,7 +1,7 @@
 """R peaks from the trigger output of a monitor or scanner instead of an ECG."""
 
 from dvf_ig.core import InvalidInputError, TriggerTimes
-from dvf_ig.core.trigger import check_trigger_delay
+from dvf_ig.core.timing.trigger import check_trigger_delay
 
 from .lead_off import LeadChange
 from .phase_clock import SAME_BEAT_S

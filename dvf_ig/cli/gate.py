@@ -128,7 +128,7 @@ def _result(tracking: "PhaseTracking", *, with_phase: bool) -> dict[str, Any]:
 def _draw(path: Path, spec: str, signal: "Signal | None", tracking: "PhaseTracking") -> None:
     import numpy as np
 
-    from dvf_ig.io.atomic import write_bytes
+    from dvf_ig.io.writing.atomic import write_bytes
     from dvf_ig.report import gate_png
 
     name = Path(spec.rpartition(":")[2]).name

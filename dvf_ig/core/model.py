@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .arrays import BoolArray, FloatArray, frozen, frozen_floats, read_only_arrays
-from .cycle import CycleTiming
 from .errors import InvalidInputError
-from .frames import check_frame, require_same_frame
-from .mesh import Mesh
+from .space.frames import check_frame, require_same_frame
+from .space.mesh import Mesh
+from .timing.cycle import CycleTiming
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.core.arrays import frozen_floats
-from dvf_ig.core.frames import check_frame, require_same_frame
+from dvf_ig.core.space.frames import check_frame, require_same_frame
 from dvf_ig.kernels import composition as kernel
 
 

@@ -16,7 +16,7 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.core.arrays import check_shape
-from dvf_ig.core.frames import check_frame, require_same_frame
+from dvf_ig.core.space.frames import check_frame, require_same_frame
 from dvf_ig.kernels.dynamic import force_batch
 from dvf_ig.kernels.fixture_field import packed_fixture
 

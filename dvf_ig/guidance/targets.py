@@ -16,7 +16,7 @@ from dvf_ig.core import (
     require_same_frame,
 )
 from dvf_ig.core.arrays import frozen_floats
-from dvf_ig.core.frames import check_frame
+from dvf_ig.core.space.frames import check_frame
 from dvf_ig.kernels.fixture_field import WITHOUT_RATE
 from dvf_ig.kernels.laws import GAUSSIAN, direction_certainty, signed_potential
 

@@ -1,8 +1,5 @@
 """Files to core values and back: the only place that knows LPS/RAS, pixels, bytes and PLUS names."""
 
-from .atomic import output_folder as output_folder
-from .atomic import write_text as write_text
-from .atomic_folder import files_together as files_together
 from .calibration_files import read_hand_eye as read_hand_eye
 from .calibration_files import read_lag as read_lag
 from .calibration_files import read_landmark_map as read_landmark_map
@@ -97,3 +94,6 @@ from .sidecar import write_sidecar as write_sidecar
 from .transform import read_transform as read_transform
 from .transform import write_transform as write_transform
 from .transform import write_transforms as write_transforms
+from .writing.atomic import output_folder as output_folder
+from .writing.atomic import write_text as write_text
+from .writing.atomic_folder import files_together as files_together

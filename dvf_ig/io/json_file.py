@@ -11,8 +11,8 @@ import numpy as np
 
 from dvf_ig.core.errors import OutputError, UnreadableFileError
 
-from .atomic import write_text
 from .reading import read_text
+from .writing.atomic import write_text
 
 
 def write_json(path: Path | str, value: Any) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import OutputError, UnreadableFileError
-from dvf_ig.core.points import Landmarks, Points
+from dvf_ig.core.space.points import Landmarks, Points
 
 from . import limits
 from .json_file import read_json, write_json

@@ -7,7 +7,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.points import Points
+from dvf_ig.core.space.points import Points
 
 from . import limits
 from .landmarks import LANDMARK_ENDINGS, named_points

@@ -8,7 +8,7 @@ from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 
 from .limits import FILE_BYTES, TEXT_BYTES
 from .provenance import file_stamp, record_file, record_folder
-from .swap_journal import complete_swap
+from .writing.swap_journal import complete_swap
 
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 

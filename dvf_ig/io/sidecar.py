@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from dvf_ig.core.errors import OutputError
-
-from .json_file import plain, write_json
-from .provenance import provenance_fields
+from dvf_ig.io.json_file import plain, write_json
+from dvf_ig.io.provenance import provenance_fields
 
 MARK = "dvf_ig"
 MARKUP_COMMENT = f" written by {MARK} "

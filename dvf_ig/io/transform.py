@@ -7,14 +7,14 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import FrameMismatchError, InvalidInputError, OutputError
-from dvf_ig.core.rigid import Rigid, rigidity_defect
+from dvf_ig.core.space.rigid import Rigid, rigidity_defect
 
 from . import limits
-from .atomic import atomic_file, write_text
 from .itk_transform import linear_matrix
 from .json_file import read_json
 from .reading import reading, refuse_lfs_pointer
 from .sidecar import refuse_foreign, write_sidecar
+from .writing.atomic import atomic_file, write_text
 
 CONVENTION = "ITK: maps points of 'from' (fixed image) to 'to' (moving image); LPS, mm"
 

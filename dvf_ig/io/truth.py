@@ -10,19 +10,19 @@ import numpy as np
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.image_map import ImageMap
-from dvf_ig.core.mesh import SurfaceSeries
-from dvf_ig.core.points import Landmarks, Points
-from dvf_ig.core.rigid import Rigid
-from dvf_ig.core.scenario import ScenarioTruth, ToolTruth
+from dvf_ig.core.recordings.scenario import ScenarioTruth, ToolTruth
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.mesh import SurfaceSeries
+from dvf_ig.core.space.points import Landmarks, Points
+from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.io import limits
-from dvf_ig.io.atomic import make_folder, write_bytes, write_text
 from dvf_ig.io.image.timing import timing_document, timing_from_document
 from dvf_ig.io.json_file import read_json, write_json
 from dvf_ig.io.limits import MODEL_BYTES
 from dvf_ig.io.npz import read_npz
 from dvf_ig.io.reading import read_bytes, read_text, reading
 from dvf_ig.io.transform import rigid_from_matrix
+from dvf_ig.io.writing.atomic import make_folder, write_bytes, write_text
 
 SCHEMA = "dvf_ig.truth/1"
 FILES = ("truth.json", "r_peaks.csv", "tool.npz", "surface.npz")

@@ -128,7 +128,7 @@ def _turned(axis: Vector, sine: float, cosine: float, v: Vector) -> Vector:
 
 @inlined
 def _pose_between(p: FloatArray, t_s: float) -> Columns:
-    """Within the motion: docs of `dvf_ig.core.pose_motion`."""
+    """Within the motion: docs of `dvf_ig.core.space.pose_motion`."""
     duration = p[END_S] - p[START_S]
     weight = (t_s - p[START_S]) / duration
     axis, c, s = vector_at(p, AXIS), vector_at(p, CENTER), vector_at(p, SHIFT)
@@ -161,7 +161,7 @@ def pose_at(p: FloatArray, t_s: float) -> Columns:
 
 @inlined
 def _retimed(p: FloatArray, phi: float) -> tuple[float, float]:
-    """Model phase and its slope: docs of `dvf_ig.core.retiming_curve`."""
+    """Model phase and its slope: docs of `dvf_ig.core.timing.retiming_curve`."""
     early = phi <= p[END_SYSTOLE]
     width = p[END_SYSTOLE] if early else 1.0 - p[END_SYSTOLE]
     height = p[MODEL_END_SYSTOLE] if early else 1.0 - p[MODEL_END_SYSTOLE]
@@ -177,7 +177,7 @@ def _retimed(p: FloatArray, phi: float) -> tuple[float, float]:
 
 @inlined
 def phase_at(p: FloatArray, t_s: float) -> Phase:
-    """Model phase, its rate, its standard deviation: docs of `dvf_ig.core.phase_forecast`."""
+    """Model phase, its rate, its standard deviation: docs of `dvf_ig.core.timing.phase_forecast`."""
     rr, phi = p[RR_S], p[PHI]
     target = p[CYCLES] + (t_s - p[R_S]) / rr
     caught = phi + p[CATCH_UP] * (t_s - p[PHASE_SINCE]) / rr

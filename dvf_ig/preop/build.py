@@ -23,7 +23,7 @@ from dvf_ig.core import (
     VolumeSeries,
     untold,
 )
-from dvf_ig.core.frames import require_same_frame
+from dvf_ig.core.space.frames import require_same_frame
 from dvf_ig.preop.spline.phase_fit import axis_solvers, fit_phase, sample_grid
 from dvf_ig.preop.surface.chambers import chambers_from_labels, chambers_from_surfaces
 from dvf_ig.preop.surface.closing import close_surface

@@ -15,7 +15,7 @@ from dvf_ig.core import (
     Volume,
     read_only_arrays,
 )
-from dvf_ig.core.frames import require_same_frame
+from dvf_ig.core.space.frames import require_same_frame
 from dvf_ig.preop.distance.triangle_tree import build_triangle_tree
 from dvf_ig.preop.motion.quality import dice
 from dvf_ig.preop.segment.components import largest_component

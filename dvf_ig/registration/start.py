@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, Landmarks, Points, Rigid, read_only_arrays
-from dvf_ig.core.paired import fit_paired_points
+from dvf_ig.core.space.paired import fit_paired_points
 
 from .pose_chart import rigid_motion
 

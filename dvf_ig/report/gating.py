@@ -8,8 +8,8 @@ import numpy as np
 
 from dvf_ig.cardiac import state_segments
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.phase import PhaseState, PhaseTrack
-from dvf_ig.core.signal import Signal
+from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.core.timing.phase import PhaseState, PhaseTrack
 
 from .style import ESTIMATE, TRUTH, png_bytes
 

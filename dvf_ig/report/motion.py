@@ -12,8 +12,8 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.mesh import SurfaceSeries
-from dvf_ig.core.volume import VolumeSeries
+from dvf_ig.core.space.mesh import SurfaceSeries
+from dvf_ig.core.space.volume import VolumeSeries
 
 from .plane_section import plane_section
 from .style import ESTIMATE, FAINT, ON_GREY, START, TRUTH, without_ticks, write_png

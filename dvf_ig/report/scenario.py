@@ -8,9 +8,9 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.scenario import Preop, Scenario
-from dvf_ig.core.trigger import TriggerTimes
-from dvf_ig.core.volume import Grid, VolumeSeries
+from dvf_ig.core.recordings.scenario import Preop, Scenario
+from dvf_ig.core.space.volume import Grid, VolumeSeries
+from dvf_ig.core.timing.trigger import TriggerTimes
 
 from .style import ON_GREY, TRUTH, png_bytes, without_ticks
 

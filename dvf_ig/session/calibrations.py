@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from dvf_ig.core import ImageMap, InvalidInputError, Points
-from dvf_ig.core.frames import require_same_frame
+from dvf_ig.core.space.frames import require_same_frame
 
 
 def require_lag(lag_s: float) -> None:

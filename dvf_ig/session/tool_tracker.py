@@ -9,7 +9,7 @@ from statistics import median
 import numpy as np
 
 from dvf_ig.core import FloatArray, Points, read_only_arrays
-from dvf_ig.core.rigid import is_rigid
+from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.guidance import Hazard
 
 from .events import ToolPose

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import dvf_ig.core as core
 from dvf_ig.core import CycleTiming, Fan, Grid, InvalidInputError, Landmarks, Mesh, Points, Signal, Volume
-from dvf_ig.core.mesh import enclosed_volume_mm3
+from dvf_ig.core.space.mesh import enclosed_volume_mm3
 
 TETRA = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])

@@ -4,7 +4,7 @@ import ast
 import re
 from pathlib import Path
 
-from dvf_ig.core import pose_motion
+from dvf_ig.core.space import pose_motion
 from dvf_ig.session import heart as session_heart
 from dvf_ig.session import stamp_order, tool_tracker
 from dvf_ig.session.pose import beat_jobs, confirmation, pose_tracker, registration_jobs

@@ -18,7 +18,7 @@ import dvf_ig.io
 from dvf_ig.cli.inspect.command import inspect
 from dvf_ig.core import DvfIgError, OutputError, PoseStream, UnreadableFileError
 from dvf_ig.io import describe, output_folder, read_json, write_json, write_scenario
-from dvf_ig.io.atomic import atomic_file
+from dvf_ig.io.writing.atomic import atomic_file
 
 app = typer.Typer()
 app.command()(inspect)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import CycleTiming, UnreadableFileError, Volume, VolumeSeries
-from dvf_ig.core.volume import Grid
+from dvf_ig.core.space.volume import Grid
 from dvf_ig.io import read_volume, read_volume_series, write_volume, write_volume_series
 from scripts.fuzz_readers import READERS, write_seeds
 

@@ -18,11 +18,11 @@ from typer.testing import CliRunner
 from dvf_ig.cli.calibrate.output import save
 from dvf_ig.cli.gate import gate
 from dvf_ig.core import OutputError
-from dvf_ig.io import atomic_folder as whole
-from dvf_ig.io import swap_journal
-from dvf_ig.io.atomic import atomic_file
-from dvf_ig.io.atomic_folder import atomic_folder, files_together
 from dvf_ig.io.reading import read_text
+from dvf_ig.io.writing import atomic_folder as whole
+from dvf_ig.io.writing import swap_journal
+from dvf_ig.io.writing.atomic import atomic_file
+from dvf_ig.io.writing.atomic_folder import atomic_folder, files_together
 
 NAMES = ("a", "b", "c")
 
@@ -107,7 +107,7 @@ import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
-from dvf_ig.io.atomic_folder import {writer}
+from dvf_ig.io.writing.atomic_folder import {writer}
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job begins with it ignored
 print("on", flush=True)
 for n in range({rounds}):
@@ -141,7 +141,7 @@ def test_killed_at_random_moments(tmp_path: Path, kind: signal.Signals) -> None:
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from dvf_ig.io import atomic_folder as whole
+from dvf_ig.io.writing import atomic_folder as whole
 swap, done = whole._swap, [0]
 def dying(new, place):
     if done[0] == int(sys.argv[2]):

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from dvf_ig.cli.main import app
 from dvf_ig.core import OutputError, PhaseTrack, Rigid
 from dvf_ig.guidance import Hazard, Status, SupervisorState
-from dvf_ig.io.atomic_folder import LISTING
+from dvf_ig.io.writing.atomic_folder import LISTING
 from dvf_ig.replay import Replay, validate
 from dvf_ig.replay.outputs import COLUMNS, NAMES, require_own_outputs, ticks_csv, write_outputs
 from dvf_ig.replay.ticks import Ticks

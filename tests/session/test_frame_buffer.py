@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import FloatArray, InvalidInputError
-from dvf_ig.core.rigid import is_rigid
+from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.session import TrackedFrame
 from dvf_ig.session.ultrasound.frame_buffer import AROUND_S, KEEP_S, FrameBuffer
 

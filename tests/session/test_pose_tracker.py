@@ -8,7 +8,7 @@ from known_patient import DETECTION_S, KnownBeat, Patient, registration, still
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, Rigid, mean_displacement_mm
-from dvf_ig.core.pose_motion import UPDATE_MM_PER_S
+from dvf_ig.core.space.pose_motion import UPDATE_MM_PER_S
 from dvf_ig.registration import Gated, PoseChart
 from dvf_ig.replay.result.pose_summary import drift_mm_per_min, suspensions
 from dvf_ig.session import Refusal, SessionHistory

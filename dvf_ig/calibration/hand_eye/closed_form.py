@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError
-from dvf_ig.core.rigid import nearest_rotation
+from dvf_ig.core.space.rigid import nearest_rotation
 
 from .fit import Chain
 

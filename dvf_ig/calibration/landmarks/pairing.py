@@ -7,7 +7,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, pdist
 
 from dvf_ig.core import FloatArray, InvalidInputError, Points, Rigid
-from dvf_ig.core.paired import fit_paired_points
+from dvf_ig.core.space.paired import fit_paired_points
 
 MOST_TRIPLES = 400
 """Triples of landmarks tried as images of the base triple, those of the most similar side lengths first."""

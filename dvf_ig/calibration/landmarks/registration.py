@@ -15,7 +15,7 @@ from dvf_ig.core import (
     read_only_arrays,
     require_same_frame,
 )
-from dvf_ig.core.paired import fit_paired_points
+from dvf_ig.core.space.paired import fit_paired_points
 
 from .dwells import Dwells
 from .pairing import second_pairing_rms_mm

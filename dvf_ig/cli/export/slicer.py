@@ -26,7 +26,7 @@ def slicer(
     hung on each other as they were tracked. README.md in the folder says how to load each file.
     """
     with command():
-        from dvf_ig.io.atomic_folder import atomic_folder
+        from dvf_ig.io.writing.atomic_folder import atomic_folder
         from dvf_ig.replay.export.slicer_scene import SCENE, write_slicer_scene
 
         found, built, _ = read_source(run, recording, model)

@@ -30,7 +30,7 @@ def blending(
 
         from data_synth.heart.motion import MotionPreset
         from dvf_ig.io import output_folder, write_json
-        from dvf_ig.io.atomic import write_bytes
+        from dvf_ig.io.writing.atomic import write_bytes
         from dvf_ig.report.study.blending import blending_png
         from dvf_ig.study.blending.blend_errors import blending_errors
 

@@ -31,7 +31,7 @@ def distance_maps(
         import numpy as np
 
         from dvf_ig.io import files_together, output_folder, write_json
-        from dvf_ig.io.atomic import write_bytes
+        from dvf_ig.io.writing.atomic import write_bytes
         from dvf_ig.report.study.distance_maps import distance_maps_png
         from dvf_ig.study.distance.maps import WIDE_MM, compare_distance_maps
 

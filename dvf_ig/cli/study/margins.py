@@ -43,7 +43,7 @@ def margins(
 
         from data_synth.scenario.presets import ScenarioSpec, preset_name
         from dvf_ig.io import output_folder, write_json
-        from dvf_ig.io.atomic import write_bytes
+        from dvf_ig.io.writing.atomic import write_bytes
         from dvf_ig.report.study.margins import margins_png
         from dvf_ig.study.hearts.lists import heart_list
         from dvf_ig.study.margins.summary import summarise_margins

@@ -42,7 +42,7 @@ def operators(
         from dataclasses import asdict
 
         from dvf_ig.io import output_folder, write_json
-        from dvf_ig.io.atomic import write_bytes
+        from dvf_ig.io.writing.atomic import write_bytes
         from dvf_ig.report.study.operators import operators_png
         from dvf_ig.study.operators.assumptions import assumptions, paper_figures
         from dvf_ig.study.operators.heart import HEART_SEED, surface_of

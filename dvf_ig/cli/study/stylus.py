@@ -43,7 +43,7 @@ def tracking(
         from dvf_ig.guidance import DEVICES
         from dvf_ig.guidance.blend import BLEND_CODES
         from dvf_ig.io import output_folder, write_json
-        from dvf_ig.io.atomic import write_bytes
+        from dvf_ig.io.writing.atomic import write_bytes
         from dvf_ig.report.study.stylus import tracking_png
         from dvf_ig.study.stylus.holding import beating_surface, held_styli, hold_stylus, pool_hearts
 

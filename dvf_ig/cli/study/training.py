@@ -23,7 +23,7 @@ def training(
     """Convergence and time of three ways to fit a phantom heart's distances, by degree of the splines."""
     with command(lists_inputs=False):
         from dvf_ig.io import files_together, output_folder, write_json
-        from dvf_ig.io.atomic import write_bytes
+        from dvf_ig.io.writing.atomic import write_bytes
         from dvf_ig.report.study.training import training_png
         from dvf_ig.study.training.comparison import curves_of, summarise_training, training_trial
         from dvf_ig.study.trials import Study, run_trials

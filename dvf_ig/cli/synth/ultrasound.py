@@ -159,7 +159,7 @@ def _write_png(image: Any, out: Path) -> None:
 
     from PIL import Image
 
-    from dvf_ig.io.atomic import write_bytes
+    from dvf_ig.io.writing.atomic import write_bytes
 
     buffer = BytesIO()
     Image.fromarray(image).save(buffer, format="PNG")

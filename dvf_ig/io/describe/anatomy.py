@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray
-from dvf_ig.core.cycle import CycleTiming
-from dvf_ig.core.mesh import Mesh
-from dvf_ig.core.points import Landmarks
-from dvf_ig.core.volume import Grid
+from dvf_ig.core.space.mesh import Mesh
+from dvf_ig.core.space.points import Landmarks
+from dvf_ig.core.space.volume import Grid
+from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io.dicom.cine import read_dicom_cine
 from dvf_ig.io.image.volume import image_dimension, read_volume, read_volume_series
 from dvf_ig.io.landmarks import read_landmarks, read_tag_pair

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.image_map import ImageMap
-from dvf_ig.core.phantom import NWireRecording
-from dvf_ig.core.scenario import LatencyRecording, Scenario
-from dvf_ig.core.signal import Signal
-from dvf_ig.core.stream import PoseStream
-from dvf_ig.core.trigger import TriggerTimes
+from dvf_ig.core.recordings.phantom import NWireRecording
+from dvf_ig.core.recordings.scenario import LatencyRecording, Scenario
+from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.io.dicom.cine import is_dicom_folder
 from dvf_ig.io.ecg.beat_annotations import read_annotations
 from dvf_ig.io.ecg.recording import names_ecg, read_ecg

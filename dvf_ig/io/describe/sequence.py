@@ -7,9 +7,9 @@ import numpy as np
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.sequence import TrackedSequence
-from dvf_ig.core.signal import Signal
-from dvf_ig.core.stream import MAX_GAP_S, PoseStream
+from dvf_ig.core.recordings.sequence import TrackedSequence
+from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.core.recordings.stream import MAX_GAP_S, PoseStream
 from dvf_ig.io.plus.ecg_field import ecg_fields, ecg_of_sequence
 from dvf_ig.io.plus.names import split_transform
 from dvf_ig.io.plus.numeric_fields import numeric_fields

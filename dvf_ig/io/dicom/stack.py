@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
-from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.timing.cycle import CycleTiming
 
 from .header import CineImage
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.signal import Signal
+from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
 from dvf_ig.io.reading import read_bytes
 

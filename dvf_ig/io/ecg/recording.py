@@ -8,11 +8,11 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.signal import Signal
+from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
-from dvf_ig.io.atomic import write_text
 from dvf_ig.io.plus.ecg_field import read_ecg_field
 from dvf_ig.io.reading import reading
+from dvf_ig.io.writing.atomic import write_text
 
 from .edf import read_edf
 from .text_table import read_ecg_table

@@ -9,7 +9,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.signal import Signal
+from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io.reading import read_text
 
 from .clock_times import clock_seconds, past_midnight

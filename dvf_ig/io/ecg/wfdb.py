@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError
-from dvf_ig.core.signal import Signal
+from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import refuse_lfs_pointer

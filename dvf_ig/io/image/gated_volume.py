@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import AnyArray, BoolArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.rigid import Rigid
-from dvf_ig.core.tracked_volume import TrackedVolume
-from dvf_ig.core.volume import Grid, Volume
+from dvf_ig.core.recordings.tracked_volume import TrackedVolume
+from dvf_ig.core.space.rigid import Rigid
+from dvf_ig.core.space.volume import Grid, Volume
 from dvf_ig.io.reading import reading
 
 from .volume import image_dimension, read_volume

@@ -6,7 +6,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.volume import Grid, Volume, VolumeSeries
+from dvf_ig.core.space.volume import Grid, Volume, VolumeSeries
 from dvf_ig.io.reading import reading
 
 from .segments import Segment, merged_segments, segment_values, segments_of

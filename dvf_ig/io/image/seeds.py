@@ -8,7 +8,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.points import Points, Seeds
+from dvf_ig.core.space.points import Points, Seeds
 from dvf_ig.io import limits
 from dvf_ig.io.json_file import read_json
 from dvf_ig.io.landmarks import named_points

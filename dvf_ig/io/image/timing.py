@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io.json_file import read_json, write_json
 from dvf_ig.io.reading import reading
 

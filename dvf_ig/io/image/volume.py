@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileError
-from dvf_ig.core.rigid import rigidity_defect
-from dvf_ig.core.volume import Grid, Volume, VolumeSeries
+from dvf_ig.core.space.rigid import rigidity_defect
+from dvf_ig.core.space.volume import Grid, Volume, VolumeSeries
+from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io import limits
-from dvf_ig.io.atomic import atomic_file
 from dvf_ig.io.dicom.cine import is_dicom_folder, read_dicom_cine
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import reading
+from dvf_ig.io.writing.atomic import atomic_file
 
 from .header import ImageHeader
 from .metaimage import read_metaimage_header

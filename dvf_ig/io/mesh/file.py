@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from dvf_ig.core.errors import OutputError, UnreadableFileError
-from dvf_ig.core.mesh import Mesh
+from dvf_ig.core.space.mesh import Mesh
 from dvf_ig.io import limits
-from dvf_ig.io.atomic import write_bytes
 from dvf_ig.io.reading import read_bytes, reading
+from dvf_ig.io.writing.atomic import write_bytes
 
 from .obj import decode_obj, encode_obj
 from .ply import decode_ply, encode_ply

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.mesh import SurfaceSeries
+from dvf_ig.core.space.mesh import SurfaceSeries
+from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io import limits
-from dvf_ig.io.atomic import make_folder, write_bytes
 from dvf_ig.io.image.timing import read_timing, write_timing
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import read_bytes, reading
+from dvf_ig.io.writing.atomic import make_folder, write_bytes
 
 from .file import DECODERS, decode_mesh
 from .raw import RawMesh

@@ -23,13 +23,13 @@ import numpy as np
 import dvf_ig
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileError
-from dvf_ig.core.mesh import SurfaceSeries
 from dvf_ig.core.model import DvfModel
-from dvf_ig.core.scenario import Preop
-from dvf_ig.core.volume import Grid, VolumeSeries
-from dvf_ig.io.atomic import make_folder, write_bytes
+from dvf_ig.core.recordings.scenario import Preop
+from dvf_ig.core.space.mesh import SurfaceSeries
+from dvf_ig.core.space.volume import Grid, VolumeSeries
 from dvf_ig.io.provenance import not_recorded
 from dvf_ig.io.reading import read_bytes
+from dvf_ig.io.writing.atomic import make_folder, write_bytes
 
 from .model_file import model_bytes, parse_model
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray
-from dvf_ig.core.mesh import Mesh
 from dvf_ig.core.model import Chamber
+from dvf_ig.core.space.mesh import Mesh
 
 
 def chamber_arrays(chambers: Sequence[Chamber]) -> dict[str, AnyArray]:

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray
-from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.mesh import Mesh
 from dvf_ig.core.model import DvfModel
-from dvf_ig.io.atomic import write_bytes
+from dvf_ig.core.space.mesh import Mesh
+from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io.limits import MODEL_BYTES
 from dvf_ig.io.npz import read_npz
 from dvf_ig.io.reading import read_bytes, reading
+from dvf_ig.io.writing.atomic import write_bytes
 from dvf_ig.io.yaml_config import validated
 
 from .chambers import chamber_arrays, chambers_of_arrays

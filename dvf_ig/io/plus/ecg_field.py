@@ -25,7 +25,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.signal import Signal
+from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io.reading import reading
 
 from .batch_times import fit_batch_times

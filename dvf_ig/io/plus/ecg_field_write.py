@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.signal import Signal
-from dvf_ig.io.atomic import write_bytes
+from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io.reading import read_bytes
+from dvf_ig.io.writing.atomic import write_bytes
 
 from .raw_sequence import read_raw_sequence
 

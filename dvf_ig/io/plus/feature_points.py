@@ -6,8 +6,8 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.sequence import TrackedSequence
-from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.recordings.sequence import TrackedSequence
+from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
 from dvf_ig.io.reading import read_text, reading
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.image_map import ImageMap
+from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.io.reading import reading
 
 from .xml import parse_xml, read_transforms

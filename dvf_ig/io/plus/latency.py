@@ -9,10 +9,10 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, IntArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.scenario import LatencyRecording
-from dvf_ig.core.sequence import TrackedSequence
-from dvf_ig.core.signal import Trace
-from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.recordings.scenario import LatencyRecording
+from dvf_ig.core.recordings.sequence import TrackedSequence
+from dvf_ig.core.recordings.signal import Trace
+from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 

@@ -8,9 +8,9 @@ import re
 from dataclasses import dataclass
 
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.frames import check_frame
-from dvf_ig.core.sequence import TrackedSequence
-from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.recordings.sequence import TrackedSequence
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.frames import check_frame
 
 _TRANSFORM = re.compile(r"(.+?)To([A-Z].*)")
 _WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")

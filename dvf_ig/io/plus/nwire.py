@@ -9,10 +9,10 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.phantom import NWirePhantom, NWireRecording, Wire
-from dvf_ig.core.rigid import Rigid
-from dvf_ig.core.sequence import TrackedSequence
-from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.recordings.phantom import NWirePhantom, NWireRecording, Wire
+from dvf_ig.core.recordings.sequence import TrackedSequence
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 from dvf_ig.io.transform import rigid_from_matrix

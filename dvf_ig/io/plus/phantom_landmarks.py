@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.points import Landmarks, Points
+from dvf_ig.core.space.points import Landmarks, Points
 from dvf_ig.io.reading import reading
 
 from .xml import numbers, parse_xml

@@ -8,12 +8,12 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, OutputError
-from dvf_ig.core.frames import RAS_FROM_LPS
-from dvf_ig.core.rigid import Rigid
-from dvf_ig.core.sequence import TrackedSequence
-from dvf_ig.core.stream import PoseStream
-from dvf_ig.io.atomic import write_bytes
+from dvf_ig.core.recordings.sequence import TrackedSequence
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.frames import RAS_FROM_LPS
+from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.io.sidecar import SEQUENCE_COMMENT
+from dvf_ig.io.writing.atomic import write_bytes
 
 from .names import join_transform
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.phantom import WireSearch
+from dvf_ig.core.recordings.phantom import WireSearch
 from dvf_ig.io.reading import reading
 
 from .xml import numbers, parse_xml

@@ -4,7 +4,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from dvf_ig.core.model import DvfModel
-from dvf_ig.core.scenario import Preop
+from dvf_ig.core.recordings.scenario import Preop
 from dvf_ig.io.model.model_file import model_bytes
 from dvf_ig.io.scenario.layout import PreopConfig as FolderPreop
 from dvf_ig.io.scenario.write import write_preop

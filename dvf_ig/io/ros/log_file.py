@@ -10,8 +10,8 @@ from typing import IO, Any
 
 from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError
 from dvf_ig.io import limits
-from dvf_ig.io.atomic import atomic_file
 from dvf_ig.io.reading import reading
+from dvf_ig.io.writing.atomic import atomic_file
 
 from .messages import Message, nanoseconds, typestore
 

@@ -8,11 +8,11 @@ import numpy as np
 from pydantic import Field
 
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.image_map import ImageMap
-from dvf_ig.core.points import Landmarks, Points
-from dvf_ig.core.rigid import Rigid
-from dvf_ig.core.scenario import Scenario
-from dvf_ig.core.trigger import TriggerTimes
+from dvf_ig.core.recordings.scenario import Scenario
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.points import Landmarks, Points
+from dvf_ig.core.space.rigid import Rigid
+from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.io.plus.names import split_transform
 from dvf_ig.io.session_file.live_read import LivePatient
 from dvf_ig.io.session_file.schema import FanConfig, PreopConfig

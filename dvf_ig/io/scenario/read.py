@@ -5,7 +5,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.scenario import Scenario
+from dvf_ig.core.recordings.scenario import Scenario
 from dvf_ig.io.file_within import path_within
 from dvf_ig.io.provenance import record_folder
 from dvf_ig.io.session_file.named_files import named_files

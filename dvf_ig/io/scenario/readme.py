@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from dvf_ig.core.scenario import Preop, Scenario
-from dvf_ig.core.signal import Signal
-from dvf_ig.core.trigger import TriggerTimes
+from dvf_ig.core.recordings.scenario import Preop, Scenario
+from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.core.timing.trigger import TriggerTimes
 
 from .layout import TRIGGER
 

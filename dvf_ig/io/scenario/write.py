@@ -5,16 +5,14 @@ from typing import Literal
 
 import numpy as np
 
-from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.phantom import NWireRecording
-from dvf_ig.core.rigid import Rigid
-from dvf_ig.core.scenario import LatencyRecording, Preop, Scenario
-from dvf_ig.core.sequence import TrackedSequence
-from dvf_ig.core.stream import PoseStream
-from dvf_ig.core.trigger import TriggerTimes
-from dvf_ig.io.atomic import make_folder, write_bytes, write_text
-from dvf_ig.io.atomic_folder import atomic_folder
+from dvf_ig.core.recordings.phantom import NWireRecording
+from dvf_ig.core.recordings.scenario import LatencyRecording, Preop, Scenario
+from dvf_ig.core.recordings.sequence import TrackedSequence
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.rigid import Rigid
+from dvf_ig.core.timing.cycle import CycleTiming
+from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.io.ecg.recording import write_ecg_csv
 from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX, write_triggers
 from dvf_ig.io.image.timing import timing_document
@@ -28,6 +26,8 @@ from dvf_ig.io.plus.sequence_write import write_poses, write_sequence
 from dvf_ig.io.session_file.schema import FanConfig
 from dvf_ig.io.transform import write_transform
 from dvf_ig.io.truth import write_truth
+from dvf_ig.io.writing.atomic import make_folder, write_bytes, write_text
+from dvf_ig.io.writing.atomic_folder import atomic_folder
 
 from .layout import (
     CONFIG,

@@ -4,12 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.image_map import ImageMap
-from dvf_ig.core.phantom import NWireRecording, TargetRecording
-from dvf_ig.core.points import Points
-from dvf_ig.core.rigid import Rigid
-from dvf_ig.core.scenario import LatencyRecording
-from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
+from dvf_ig.core.recordings.scenario import LatencyRecording
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.points import Points
+from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.io.calibration_files import read_lag, read_probe, read_tip
 from dvf_ig.io.plus.feature_points import read_target_recording
 from dvf_ig.io.plus.latency import read_latency_recording

@@ -10,9 +10,9 @@ import numpy as np
 
 from dvf_ig.cardiac import RPeak, stream_recording
 from dvf_ig.core.errors import InvalidInputError, NoOverlapError
-from dvf_ig.core.image_map import ImageMap
 from dvf_ig.core.model import DvfModel
-from dvf_ig.core.points import Points
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.points import Points
 from dvf_ig.registration import TouchedPoints, start_from_landmarks
 from dvf_ig.registration.surface_points.touched import require_spread
 from dvf_ig.session.calibrations import require_lag

@@ -2,8 +2,8 @@
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.scenario import Preop
-from dvf_ig.core.volume import Grid
+from dvf_ig.core.recordings.scenario import Preop
+from dvf_ig.core.space.volume import Grid
 
 from .preop import PreopFiles, label_values
 from .problem import Problem, ProblemList

@@ -4,15 +4,15 @@ import numpy as np
 
 from dvf_ig.cardiac import stream_recording
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.image_map import ImageMap
-from dvf_ig.core.phantom import NWireRecording
-from dvf_ig.core.points import Points
-from dvf_ig.core.signal import Signal
-from dvf_ig.core.stream import PoseStream
-from dvf_ig.core.trigger import TriggerTimes
-from dvf_ig.core.volume import VolumeSeries
+from dvf_ig.core.recordings.phantom import NWireRecording
+from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.points import Points
+from dvf_ig.core.space.volume import VolumeSeries
+from dvf_ig.core.timing.cycle import CycleTiming
+from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.registration import start_from_landmarks
 from dvf_ig.registration.lc2.slices import fan_mask_from_images
 

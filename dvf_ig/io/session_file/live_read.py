@@ -5,15 +5,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dvf_ig.core.errors import DvfIgError, InvalidInputError, UnreadableFileError
-from dvf_ig.core.image_map import ImageMap
 from dvf_ig.core.model import DvfModel
-from dvf_ig.core.phantom import NWireRecording, TargetRecording
-from dvf_ig.core.points import Landmarks, Points
-from dvf_ig.core.rigid import Rigid
-from dvf_ig.core.scenario import LatencyRecording, Preop
-from dvf_ig.core.sequence import Fan
-from dvf_ig.core.stream import PoseStream
-from dvf_ig.core.trigger import TriggerTimes
+from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
+from dvf_ig.core.recordings.scenario import LatencyRecording, Preop
+from dvf_ig.core.recordings.sequence import Fan
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.points import Landmarks, Points
+from dvf_ig.core.space.rigid import Rigid
+from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.io.fixtures import RetimingName
 from dvf_ig.io.plus.names import ProbeNames, split_transform
 from dvf_ig.io.yaml_config import validated

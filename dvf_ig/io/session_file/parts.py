@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.image_map import ImageMap
-from dvf_ig.core.phantom import NWireRecording, TargetRecording
-from dvf_ig.core.points import Landmarks, Points
-from dvf_ig.core.rigid import Rigid
-from dvf_ig.core.scenario import LatencyRecording
-from dvf_ig.core.sequence import Fan, TrackedSequence
-from dvf_ig.core.signal import Signal
-from dvf_ig.core.stream import PoseStream
-from dvf_ig.core.trigger import TriggerTimes
+from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
+from dvf_ig.core.recordings.scenario import LatencyRecording
+from dvf_ig.core.recordings.sequence import Fan, TrackedSequence
+from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.points import Landmarks, Points
+from dvf_ig.core.space.rigid import Rigid
+from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.io.ecg.recording import read_ecg
 from dvf_ig.io.ecg.trigger import read_beat_source
 from dvf_ig.io.landmarks import read_landmarks

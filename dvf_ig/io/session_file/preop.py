@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.cycle import CycleTiming
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.mesh import SurfaceSeries
 from dvf_ig.core.model import DvfModel
-from dvf_ig.core.scenario import Preop
-from dvf_ig.core.volume import Volume, VolumeSeries
+from dvf_ig.core.recordings.scenario import Preop
+from dvf_ig.core.space.mesh import SurfaceSeries
+from dvf_ig.core.space.volume import Volume, VolumeSeries
+from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io.dicom.cine import dicom_patient_id, is_dicom_folder
 from dvf_ig.io.image.labels import read_cine_labels
 from dvf_ig.io.image.timing import timing_from_document

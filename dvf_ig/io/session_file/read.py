@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 from dvf_ig.core.errors import DvfIgError, UnreadableFileError
 from dvf_ig.core.model import DvfModel
-from dvf_ig.core.scenario import Scenario
-from dvf_ig.core.sequence import TrackedSequence
-from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.recordings.scenario import Scenario
+from dvf_ig.core.recordings.sequence import TrackedSequence
+from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io.fixtures import FixturesConfig, RetimingName, margin_options, read_fixtures
 from dvf_ig.io.plus.names import ProbeNames
 from dvf_ig.io.reading import reading

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from dvf_ig.core.sequence import Fan
+from dvf_ig.core.recordings.sequence import Fan
 from dvf_ig.io.fixtures import FixtureConfig, MarginChoice, Number, RetimingName
 from dvf_ig.io.yaml_config import KIND, Section
 

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from dvf_ig.core.errors import OutputError
-from dvf_ig.io.atomic import write_text
+from dvf_ig.io.writing.atomic import write_text
 
 from .schema import SCHEMA, SessionDraft
 

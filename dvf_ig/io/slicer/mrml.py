@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
 
-from dvf_ig.io.atomic import write_text
+from dvf_ig.io.writing.atomic import write_text
 
 VERSION = "Slicer5.0.3"
 """The oldest whose nodes these are: sequences came into Slicer itself with 5.0."""

@@ -13,13 +13,13 @@ import numpy as np
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import InvalidInputError, OutputError
-from dvf_ig.core.frames import RAS_FROM_LPS
-from dvf_ig.core.points import Landmarks
-from dvf_ig.core.volume import Grid
-from dvf_ig.io.atomic import write_bytes, write_text
+from dvf_ig.core.space.frames import RAS_FROM_LPS
+from dvf_ig.core.space.points import Landmarks
+from dvf_ig.core.space.volume import Grid
 from dvf_ig.io.json_file import write_json
 from dvf_ig.io.landmarks import markup_document
 from dvf_ig.io.transform import affine_text
+from dvf_ig.io.writing.atomic import write_bytes, write_text
 
 _NRRD_TYPES = {
     "int8": "int8",

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.rigid import is_rigid
+from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.io import limits
 
 from .message import TrackedTool, TrackingData, Transform, rigid_matrix

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import IO, NamedTuple, Protocol
 
 from dvf_ig.core import FloatArray, OutputError
-from dvf_ig.io.atomic import failure_reason
 from dvf_ig.io.ros.live_log import (
     LOST,
     Timed,
@@ -23,6 +22,7 @@ from dvf_ig.io.ros.live_log import (
     work_message,
 )
 from dvf_ig.io.ros.log_file import UNFINISHED, LogWriter, require_log_packages
+from dvf_ig.io.writing.atomic import failure_reason
 from dvf_ig.live.priority import RECORDING, schedule_first
 from dvf_ig.session import Event, GuidanceState, TrackedFrame
 

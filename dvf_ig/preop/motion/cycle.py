@@ -29,7 +29,7 @@ from dvf_ig.core import (
     read_only_arrays,
     untold,
 )
-from dvf_ig.core.frames import require_same_frame
+from dvf_ig.core.space.frames import require_same_frame
 
 from .consistency import LIMIT_MM, Stiffened, inverse_index, made_consistent
 from .demons import DemonsOptions, DisplacementField, match_images_by_demons

@@ -13,7 +13,7 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 
 from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Seeds, Volume
-from dvf_ig.core.frames import require_same_frame
+from dvf_ig.core.space.frames import require_same_frame
 from dvf_ig.preop.conjugate_gradients import conjugate_gradients
 from dvf_ig.preop.motion.image_match import blurred
 

@@ -17,7 +17,7 @@ from dvf_ig.core import (
     VolumeSeries,
     read_only_arrays,
 )
-from dvf_ig.core.mesh import enclosed_volume_mm3
+from dvf_ig.core.space.mesh import enclosed_volume_mm3
 from dvf_ig.preop.segment.components import largest_component
 
 SMOOTHING_VOXELS = 1.0

@@ -13,7 +13,7 @@ from dvf_ig.core import (
     SurfaceSeries,
     VolumeSeries,
 )
-from dvf_ig.core.frames import require_same_frame
+from dvf_ig.core.space.frames import require_same_frame
 from dvf_ig.preop.distance.signed import inside_mask
 
 from .chambers import CHAMBER_SURFACES

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, IntArray, Rigid, read_only_arrays
-from dvf_ig.core.rigid import nearest_rotation
+from dvf_ig.core.space.rigid import nearest_rotation
 from dvf_ig.kernels.boundary import RIGHT, UNKNOWNS
 
 from .options import BoundaryFitOptions

@@ -17,7 +17,7 @@ from dvf_ig.core import (
     Scenario,
     UnreadableFileError,
 )
-from dvf_ig.core.frames import RAS_FROM_LPS
+from dvf_ig.core.space.frames import RAS_FROM_LPS
 from dvf_ig.io import provenance_fields, read_json, read_sequence
 from dvf_ig.replay.calibrations import calibrate
 from dvf_ig.replay.outputs import POSES

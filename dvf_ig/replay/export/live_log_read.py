@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, PoseStream, Signal, TrackedSequence, UnreadableFileError
-from dvf_ig.core.rigid import is_rigid
+from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.live_log import EVENT, LIVE_STREAMS, LOST, STATE, WORK, EventKind, LiveDocument
 from dvf_ig.io.ros.log_file import LogReader

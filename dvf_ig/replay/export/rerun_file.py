@@ -12,7 +12,7 @@ import numpy as np
 from dvf_ig.core import DvfModel, FloatArray, MissingDependencyError, Signal
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.guidance import Hazard, SupervisorState
-from dvf_ig.io.atomic import atomic_file
+from dvf_ig.io.writing.atomic import atomic_file
 from dvf_ig.replay.preconditions import RATE_HZ
 
 from .exported_run import ExportedRun

@@ -17,7 +17,6 @@ from dvf_ig.core import (
     TriggerTimes,
     UnreadableFileError,
 )
-from dvf_ig.io.atomic import make_folder, write_bytes
 from dvf_ig.io.file_within import path_within
 from dvf_ig.io.model.model_file import read_model
 from dvf_ig.io.provenance import not_recorded
@@ -29,6 +28,7 @@ from dvf_ig.io.ros.session_document import SessionDocument, read_document
 from dvf_ig.io.ros.session_topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
 from dvf_ig.io.session_file.preop import PreopFiles, read_preop
 from dvf_ig.io.session_file.read import SessionRecordings
+from dvf_ig.io.writing.atomic import make_folder, write_bytes
 from dvf_ig.io.yaml_config import validated
 
 from .live_log_read import read_live_streams

@@ -30,7 +30,7 @@ from dvf_ig.core import (
     Volume,
     read_only_arrays,
 )
-from dvf_ig.core.frames import RAS_FROM_LPS
+from dvf_ig.core.space.frames import RAS_FROM_LPS
 from dvf_ig.io import write_mesh, write_text, write_volume
 from dvf_ig.io.plus.names import join_transform, split_transform
 from dvf_ig.io.plus.sequence_write import write_transform_sequence

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dvf_ig.io.atomic import write_bytes
+from dvf_ig.io.writing.atomic import write_bytes
 from dvf_ig.report.page import html_page, png_tag, section, table
 from dvf_ig.report.style import png_bytes, svg_bytes
 

@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from dvf_ig.core.arrays import FloatArray, IntArray, read_only_arrays
-from dvf_ig.core.mesh import Mesh
+from dvf_ig.core.space.mesh import Mesh
 from dvf_ig.guidance import Confinement, Evaluator, Gaussian, Law
 
 SHARE_OF_CAP = 0.1

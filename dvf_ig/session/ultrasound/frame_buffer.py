@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, TrackedSequence
-from dvf_ig.core.rigid import is_rigid
+from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.session.events import TrackedFrame
 from dvf_ig.session.stamp_order import StampOrder
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import BoolArray, FloatArray, PoseStream
-from dvf_ig.core.stream import MAX_GAP_S
+from dvf_ig.core.recordings.stream import MAX_GAP_S
 
 POSES = 13
 """One second at 12 Hz: a noise of 1 mm falls to 0.4 mm in the middle, a sweep of 40° in 9 s is bent by less

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import AnyArray, FloatArray, Grid, InvalidInputError, Rigid, Volume
-from dvf_ig.core.rigid import nearest_rotation
+from dvf_ig.core.space.rigid import nearest_rotation
 
 SEED = 1
 """SimpleITK takes 0 as the wall clock."""

@@ -18,7 +18,7 @@ from dvf_ig.calibration import (
     tip_positions,
 )
 from dvf_ig.core import FrameMismatchError, InvalidInputError, Points, PoseStream, QualityGateError, Rigid
-from dvf_ig.core.paired import fit_paired_points
+from dvf_ig.core.space.paired import fit_paired_points
 from dvf_ig.io import read_coordinate_definitions, read_poses
 from dvf_ig.io.plus.phantom_landmarks import read_phantom_landmarks
 

@@ -19,7 +19,7 @@ from data_synth.cine_heart.label_depth import Caps, stack_depth
 from data_synth.heart.tissue import BLOOD, Tissue
 from data_synth.surfaces.anatomy import EPICARDIAL, LV, SurfaceAnatomy
 from dvf_ig.core import CycleTiming, FloatArray, Grid, InvalidInputError, Volume, VolumeSeries
-from dvf_ig.core.mesh import enclosed_volume_mm3
+from dvf_ig.core.space.mesh import enclosed_volume_mm3
 
 PHASES, ES = 10, 4
 GRID = Grid("mr", (60, 50, 7), np.array([-60.0, -50.0, -30.0]), np.array([2.0, 2.0, 10.0]), np.eye(3))

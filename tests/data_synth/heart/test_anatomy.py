@@ -9,7 +9,7 @@ from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
 from data_synth.heart.tissue import FIRST_OUTSIDE, Tissue, bssfp_signal
 from data_synth.mr.cine import MrProtocol, cine_preop
 from dvf_ig.core import FloatArray, InvalidInputError, Preop
-from dvf_ig.core.mesh import enclosed_volume_mm3
+from dvf_ig.core.space.mesh import enclosed_volume_mm3
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from data_synth.surfaces.anatomy import EPICARDIAL, LV, SurfaceAnatomy, depth_gr
 from data_synth.surfaces.closing import closed_series, refined
 from data_synth.surfaces.motion import SurfaceMotion, dense_motion
 from dvf_ig.core import CycleTiming, FloatArray, IntArray, InvalidInputError, SurfaceSeries
-from dvf_ig.core.mesh import enclosed_volume_mm3
+from dvf_ig.core.space.mesh import enclosed_volume_mm3
 
 PHASES = 8
 CENTER = np.array([12.0, -20.0, 30.0])

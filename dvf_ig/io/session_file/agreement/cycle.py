@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.image_map import ImageMap
-from dvf_ig.core.mesh import Mesh
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.mesh import Mesh
 from dvf_ig.io.session_file.parts import SessionParts
 from dvf_ig.io.session_file.preop import PreopFiles
 from dvf_ig.registration.lc2.slices import fan_mask_from_images

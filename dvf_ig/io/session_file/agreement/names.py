@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dvf_ig.core.points import Landmarks
-from dvf_ig.core.scenario import Preop
-from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.recordings.scenario import Preop
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.points import Landmarks
 from dvf_ig.io.session_file.parts import SessionParts
 
 from .finding import Disagreement, Finding, finding

@@ -6,10 +6,10 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.image_map import ImageMap
-from dvf_ig.core.points import Points
-from dvf_ig.core.rigid import Rigid
-from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.points import Points
+from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.io.session_file.parts import SessionParts, StartFiles
 from dvf_ig.registration import start_from_landmarks
 

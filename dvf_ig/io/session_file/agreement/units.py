@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.image_map import ImageMap
-from dvf_ig.core.points import Points
-from dvf_ig.core.scenario import Preop
-from dvf_ig.core.stream import PoseStream
+from dvf_ig.core.recordings.scenario import Preop
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.points import Points
 from dvf_ig.io.session_file.parts import SessionParts
 from dvf_ig.io.session_file.preop import PreopFiles
 from dvf_ig.io.session_file.problem import Use

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .arrays import BoolArray, FloatArray, frozen, frozen_floats, read_only_arrays
-from .errors import InvalidInputError
-from .frames import check_frame
-from .rigid import Rigid
+from dvf_ig.core.arrays import BoolArray, FloatArray, frozen, frozen_floats, read_only_arrays
+from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.space.frames import check_frame
+from dvf_ig.core.space.rigid import Rigid
 
 MAX_GAP_S = 0.25
 """Longest gap between valid samples that is interpolated over."""

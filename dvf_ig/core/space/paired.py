@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from .arrays import FloatArray, frozen_floats
-from .errors import InvalidInputError
+from dvf_ig.core.arrays import FloatArray, frozen_floats
+from dvf_ig.core.errors import InvalidInputError
+
 from .points import Points
 from .rigid import Rigid, nearest_rotation
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from .arrays import FloatArray
+from dvf_ig.core.arrays import FloatArray
+
 from .rigid import Rigid
 
 HEART_RADIUS_MM = 40.0

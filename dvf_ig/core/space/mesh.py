@@ -4,9 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray, IntArray, frozen, frozen_floats, read_only_arrays
-from .cycle import CycleTiming
-from .errors import InvalidInputError
+from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, frozen, frozen_floats, read_only_arrays
+from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.timing.cycle import CycleTiming
+
 from .frames import check_frame
 
 LV_CAVITY = "LV_ENDOCARDIAL"

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import AnyArray, BoolArray, FloatArray, frozen_floats, read_only_arrays
-from .cycle import CycleTiming
-from .errors import InvalidInputError
+from dvf_ig.core.arrays import AnyArray, BoolArray, FloatArray, frozen_floats, read_only_arrays
+from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.timing.cycle import CycleTiming
+
 from .frames import check_frame
 from .rigid import rigidity_defect
 

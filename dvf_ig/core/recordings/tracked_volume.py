@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import InvalidInputError
-from .frames import require_same_frame
-from .rigid import Rigid
-from .volume import Volume
+from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.space.frames import require_same_frame
+from dvf_ig.core.space.rigid import Rigid
+from dvf_ig.core.space.volume import Volume
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,17 +2,18 @@
 
 from dataclasses import dataclass
 
-from .arrays import FloatArray, frozen_floats, read_only_arrays
-from .image_map import ImageMap
-from .mesh import SurfaceSeries
+from dvf_ig.core.arrays import FloatArray, frozen_floats, read_only_arrays
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.mesh import SurfaceSeries
+from dvf_ig.core.space.points import Landmarks, Points
+from dvf_ig.core.space.rigid import Rigid
+from dvf_ig.core.space.volume import Volume, VolumeSeries
+from dvf_ig.core.timing.trigger import TriggerTimes
+
 from .phantom import NWireRecording, TargetRecording
-from .points import Landmarks, Points
-from .rigid import Rigid
 from .sequence import Fan, TrackedSequence
 from .signal import Signal, Trace
 from .stream import PoseStream
-from .trigger import TriggerTimes
-from .volume import Volume, VolumeSeries
 
 LV_BLOOD = "lv_blood"
 """Name of the label of the left ventricle's blood."""

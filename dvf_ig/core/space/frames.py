@@ -9,8 +9,8 @@ import re
 
 import numpy as np
 
-from .arrays import frozen_floats
-from .errors import FrameMismatchError, InvalidInputError
+from dvf_ig.core.arrays import frozen_floats
+from dvf_ig.core.errors import FrameMismatchError, InvalidInputError
 
 RAS_FROM_LPS = frozen_floats(np.diag([-1.0, -1.0, 1.0, 1.0]), "RAS from LPS", (4, 4))
 """Coordinates of PLUS and 3D Slicer from ours and ITK's; its own inverse."""

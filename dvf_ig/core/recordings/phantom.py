@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from .arrays import FloatArray, frozen_floats, read_only_arrays
-from .errors import InvalidInputError
+from dvf_ig.core.arrays import FloatArray, frozen_floats, read_only_arrays
+from dvf_ig.core.errors import InvalidInputError
+
 from .stream import PoseStream
 
 

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import FloatArray, frozen_floats, read_only_arrays
-from .errors import InvalidInputError
+from dvf_ig.core.arrays import FloatArray, frozen_floats, read_only_arrays
+from dvf_ig.core.errors import InvalidInputError
+
 from .points import Points
 from .rigid import Rigid, nearest_rotation
 

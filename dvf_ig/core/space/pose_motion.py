@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .arrays import BoolArray, FloatArray, check_shape, frozen_floats, read_only_arrays
+from dvf_ig.core.arrays import BoolArray, FloatArray, check_shape, frozen_floats, read_only_arrays
+from dvf_ig.core.errors import InvalidInputError
+
 from .displacement import mean_displacement_mm
-from .errors import InvalidInputError
 from .frames import require_same_frame
 from .rigid import Rigid
 

@@ -5,8 +5,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray, IntArray, frozen, frozen_floats, read_only_arrays
-from .errors import InvalidInputError
+from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, frozen, frozen_floats, read_only_arrays
+from dvf_ig.core.errors import InvalidInputError
 
 
 class PhaseState(IntEnum):

@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .arrays import FloatArray, IntArray
-from .errors import InvalidInputError
+from dvf_ig.core.arrays import FloatArray, IntArray
+from dvf_ig.core.errors import InvalidInputError
+
 from .phase import PhaseState
 
 

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .arrays import FloatArray, frozen_floats, read_only_arrays
-from .errors import FrameMismatchError, InvalidInputError
+from dvf_ig.core.arrays import FloatArray, frozen_floats, read_only_arrays
+from dvf_ig.core.errors import FrameMismatchError, InvalidInputError
+
 from .frames import check_frame, require_same_frame
 from .points import Points
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .arrays import FloatArray
-from .errors import InvalidInputError
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import InvalidInputError
 
 
 class CubicPieces(NamedTuple):

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from .arrays import FloatArray, frozen_floats, read_only_arrays
-from .errors import InvalidInputError
+from dvf_ig.core.arrays import FloatArray, frozen_floats, read_only_arrays
+from dvf_ig.core.errors import InvalidInputError
+
 from .frames import check_frame, require_same_frame
 
 

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import BoolArray, FloatArray, frozen, frozen_floats, read_only_arrays
-from .errors import InvalidInputError
+from dvf_ig.core.arrays import BoolArray, FloatArray, frozen, frozen_floats, read_only_arrays
+from dvf_ig.core.errors import InvalidInputError
+
 from .stream import PoseStream
 
 

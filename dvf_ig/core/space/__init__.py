@@ -1,0 +1,1 @@
+"""Where things are: frames, points, poses, surfaces and images."""
