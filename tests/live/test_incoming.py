@@ -59,7 +59,7 @@ def test_closing_within_a_message_is_told():
 
 def test_wrong_messages_end_in_a_message_or_a_refusal():
     found = feed_wrong_messages(2000, seed=7)
-    assert found.clean, found
+    assert not found.foreign, found
     assert found.messages == 2000
     assert found.accepted > 100
     assert {"SIZE", "CHECKSUM", "VALUE", "NOT_FINITE", "TOO_LARGE"} <= set(found.refused)

@@ -4,12 +4,11 @@ import shutil
 import socket
 import subprocess
 import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import until
 
 from dvf_ig.live.igtl import Image, Message, Text, Transform
 from dvf_ig.live.link import Arrival, Inbox, connect, listen
@@ -20,13 +19,6 @@ EXAMPLES = Path("/usr/share/doc/openigtlink-examples/examples")
 INCLUDE = Path("/usr/include/openigtlink")
 POSE = np.array([[0.0, -1.0, 0.0, 12.5], [1.0, 0.0, 0.0, -7.0], [0.0, 0.0, 1.0, 99.0], [0.0, 0.0, 0.0, 1.0]])
 OURS = Message("MrFromTracker", 12.25, Transform(POSE))
-
-
-def until(condition: Callable[[], bool], within_s: float = 5.0) -> None:
-    end = time.monotonic() + within_s
-    while not condition():
-        assert time.monotonic() < end, "it did not happen in time"
-        time.sleep(0.005)
 
 
 def free_port() -> int:

@@ -1,11 +1,9 @@
 """The realism gates: each measured figure lies within its bounds."""
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import SimpleITK
 
@@ -13,14 +11,11 @@ from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
 from data_synth.heart.motion_report import MotionReport
 from data_synth.heart.tissue import Tissue
 from data_synth.realism import gates as realism
-from data_synth.realism.gates import STANDARD, Gate
+from data_synth.realism.gates import Gate
 from data_synth.realism.heart import heart_gates
-from data_synth.realism.media import medium
 from data_synth.realism.motion import EARLY_SYSTOLE, beating_gates, block_matching_gates
 from data_synth.realism.scan import real_pair_gates
 from data_synth.ultrasound.probe import SectorProbe
-from data_synth.ultrasound.sequence import simulate_frame
-from data_synth.ultrasound.volume import MatrixProbe, simulate_volume
 from dvf_ig.core import FloatArray
 
 
@@ -78,26 +73,6 @@ def test_scan_conversion_of_the_real_pair(data_dir: Path) -> None:
         for name in names
     )
     assert failed(real_pair_gates(polar, converted)) == []
-
-
-def test_rates_on_two_cores() -> None:
-    """From the CPU time of one thread, so that what else runs on the machine does not matter."""
-    still = medium(Tissue.LV_MYOCARDIUM, Tissue.LV_BLOOD, absorbing=True, reflecting=True)
-    phases = np.zeros(STANDARD.lines)
-    spent = []
-    for i in range(6):
-        start = time.thread_time()
-        simulate_frame(still, STANDARD, realism.FACING, phases, seed=1, frame=i)
-        spent.append(time.thread_time() - start)
-    assert 2 / np.median(spent[1:]) >= 15.0
-    probe = MatrixProbe()
-    volume_phases = np.zeros((probe.tall, probe.sector.lines))
-    spent = []
-    for _ in range(3):
-        start = time.process_time()
-        simulate_volume(still, probe, realism.FACING, volume_phases, seed=1)
-        spent.append(time.process_time() - start)
-    assert min(spent) / 2 <= 1.0
 
 
 def test_a_gate_that_is_missed_shows() -> None:

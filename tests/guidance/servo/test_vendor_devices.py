@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import until
 
 from dvf_ig.core import Rigid
 from dvf_ig.guidance import Fixtures, FixtureSet, SupervisorState
@@ -17,7 +18,6 @@ from dvf_ig.guidance.devices import ForceDimensionDevice, OpenHapticsDevice, Ven
 from dvf_ig.guidance.servo import Servo, ServoInputs
 
 HERE = Path(__file__).parent
-WITHIN_S = 5.0
 
 
 def compiled(source, folder):
@@ -55,13 +55,6 @@ def number(library, name, kind=ctypes.c_int):
 
 def vector(library, name):
     return (ctypes.c_double * 3).in_dll(ctypes.CDLL(str(library)), name)
-
-
-def within(condition):
-    end = time.monotonic() + WITHIN_S
-    while not condition():
-        assert time.monotonic() < end, "it did not happen in time"
-        time.sleep(0.002)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +122,7 @@ def felt(speak, place, force):
         expected = record.sent_n[-1] @ place.rotation
         return np.linalg.norm(expected) > 0.05 and np.abs(np.array(force) - expected).max() < 0.02
 
-    within(same)
+    until(same)
 
 
 def test_a_force_dimension_device_is_driven_in_metres(dhd, ball, steady_ball):
@@ -155,7 +148,7 @@ def test_a_force_dimension_device_that_breaks_latches(dhd, ball, steady_ball):
     def look(speak, place):
         felt(speak, place, vector(dhd, "fake_force"))
         number(dhd, "fake_broken").value = 1
-        within(lambda: SupervisorState.LATCHED in speak().state)
+        until(lambda: SupervisorState.LATCHED in speak().state)
 
     run_servo(ball, steady_ball, device, [10.0, -20.0, 30.0], look)
     device.close()
@@ -169,7 +162,7 @@ def test_an_openhaptics_device_is_driven_inside_its_frames(hd, touch, ball, stea
         [10.0, -20.0, 30.0],
         lambda speak, place: felt(speak, place, vector(hd, "fake_force")),
     )
-    within(lambda: not any(vector(hd, "fake_force")))
+    until(lambda: not any(vector(hd, "fake_force")))
     assert number(hd, "fake_misuse").value == 0
     assert number(hd, "fake_forces_on").value == 1
     touch.close()
@@ -191,8 +184,8 @@ def test_a_servo_that_falls_silent_leaves_no_force_on_an_openhaptics_device(hd, 
     )
     write(touch.context.ctypes.data, 0, (ctypes.c_double * 3)(0.1, 0.2, 0.3))
     force = vector(hd, "fake_force")
-    within(lambda: list(force) == [0.1, 0.2, 0.3])
-    within(lambda: not any(force))
+    until(lambda: list(force) == [0.1, 0.2, 0.3])
+    until(lambda: not any(force))
     touch.close()
 
 
@@ -201,7 +194,7 @@ def test_a_scheduler_that_stops_or_fails_is_a_lost_device(hd, touch, ball, stead
     def look(speak, place):
         felt(speak, place, vector(hd, "fake_force"))
         number(hd, name).value = value
-        within(lambda: SupervisorState.LATCHED in speak().state)
+        until(lambda: SupervisorState.LATCHED in speak().state)
 
     run_servo(ball, steady_ball, touch, [10.0, -20.0, 30.0], look)
     assert touch.error_code == (value if name == "fake_error" else 0)
