@@ -1,6 +1,7 @@
 """Non-rigid registration of two phases: Gauss–Newton for the free-form deformation between them."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy import ndimage
@@ -102,7 +103,7 @@ def match_images(
     """
     if observable is None:
         observable = observable_axes(start.grid.spacing_mm)
-    bending = Bending.of(start.lattice, np.where(observable, 0.0, options.pitch_mm))
+    bending = _bending(start.lattice, tuple(np.where(observable, 0.0, options.pitch_mm).tolist()))
     levels = [_level(fixed, moving, mask, start.lattice, observable, blur_mm) for blur_mm in options.blurs_mm]
     for attempt in range(STIFFER_ATTEMPTS + 1):
         stiffer = replace(options, stiffness_mm2=options.stiffness_mm2 * STIFFER_FACTOR**attempt)
@@ -113,6 +114,12 @@ def match_images(
         if volume_ratio(found.on_voxels(), found.grid.spacing_mm, mask).min() > MIN_VOLUME_RATIO:
             break
     return found
+
+
+@lru_cache(maxsize=4)
+def _bending(lattice: Lattice, least_pitch_mm: tuple[float, ...]) -> Bending:
+    """The energy on a lattice, which all phases of a cycle share."""
+    return Bending.of(lattice, np.array(least_pitch_mm))
 
 
 def blurred(
