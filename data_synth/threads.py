@@ -9,8 +9,10 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-THREADS = 2
-"""What is used where the caller does not say."""
+from numba import config
+
+THREADS = min(2, int(config.NUMBA_NUM_THREADS))
+"""What is used where the caller does not say: one where NUMBA_NUM_THREADS is 1, as beside other processes."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
