@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 import pytest
-from waiting import until
+from waiting import WITHIN_S, until
 
 from dvf_ig.core import InvalidInputError
 from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
@@ -23,7 +23,7 @@ ECG = EcgFieldConfig(rate_hz=500.0)
 @pytest.fixture
 def pair():
     ours, theirs = socket.socketpair(socket.AF_UNIX)
-    theirs.settimeout(30.0)
+    theirs.settimeout(WITHIN_S)
     yield ours, theirs
     theirs.close()
 
@@ -133,7 +133,7 @@ def test_peers_that_nobody_allowed_are_turned_away():
     inbox = Inbox()
     with listen("127.0.0.1", 0, inbox, allowed=("10.1.2.3",)) as server:
         with socket.create_connection(("127.0.0.1", server.port)) as stranger:
-            stranger.settimeout(3.0)
+            stranger.settimeout(WITHIN_S)
             assert stranger.recv(1) == b""
         assert server.turned_away == 1
         assert not server.peers

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from waiting import until
+from waiting import WITHIN_S, until
 
 from dvf_ig.live.igtl import Image, Message, Text, Transform
 from dvf_ig.live.link import Arrival, Inbox, connect, listen
@@ -60,7 +60,7 @@ def test_pyigtl_client_sends_and_receives():
             np.testing.assert_array_equal(image.content.pixels, pixels)
             assert text.content == Text("0.1 0.2")
             server.send((OURS,))
-            back = client.wait_for_message("MrFromTracker", timeout=3)
+            back = client.wait_for_message("MrFromTracker", timeout=WITHIN_S)
             assert back is not None
             np.testing.assert_allclose(back.matrix, POSE)
         finally:
@@ -77,7 +77,7 @@ def test_pyigtl_server_sends_and_receives():
             (pose,) = taken_from(inbox)
             assert pose.device == "ToolToTracker"
             client.send((OURS,))
-            back = server.wait_for_message("MrFromTracker", timeout=3)
+            back = server.wait_for_message("MrFromTracker", timeout=WITHIN_S)
             assert back is not None
             np.testing.assert_allclose(back.matrix, POSE)
     finally:

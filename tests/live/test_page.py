@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from live_toy import LiveToy
 from toy_session import CENTER
+from waiting import WITHIN_S
 
 from dvf_ig.core import InvalidInputError
 from dvf_ig.live.page import PageFeed, PageServer
@@ -57,7 +58,7 @@ def server(feed):
 
 
 def answer(port: int, method: str, path: str, host: str | None = None) -> tuple[int, str, bytes]:
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=WITHIN_S)
     try:
         connection.putrequest(method, path, skip_host=True)
         connection.putheader("Host", host or f"127.0.0.1:{port}")
@@ -87,7 +88,7 @@ def test_other_names_for_this_machine_are_refused(server, host):
 
 
 def test_events_come_as_they_happen(server, feed):
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=WITHIN_S)
     connection.request("GET", "/events")
     got = connection.getresponse()
     assert got.getheader("Content-Type") == "text/event-stream"

@@ -23,6 +23,7 @@ from toy_session import (
     toy_setup,
     toy_streams,
 )
+from waiting import WITHIN_S
 
 from dvf_ig.core import ImageMap, OutputError, Preop, Rigid, UnreadableFileError
 from dvf_ig.guidance import FixtureOptions, FixtureSet, Gaussian, Hazard, PathTarget, SupervisorState
@@ -243,7 +244,7 @@ def test_full_disk_ends_the_record_and_is_told_but_the_session_goes_on() -> None
     record = SessionRecord(LogWriter(stream, 1000), stream, Path(PART), told.append)
     record.start()
     with Session(toy_setup()) as session:
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + WITHIN_S
         n = 0
         while record.problem is None and time.monotonic() < deadline:
             n += 1
