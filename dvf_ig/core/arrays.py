@@ -49,10 +49,9 @@ def frozen(values: Any, name: str, shape: tuple[int | None, ...], dtype: Any) ->
 
 def check_shape(array: AnyArray, name: str, shape: tuple[int | None, ...]) -> None:
     """Raise InvalidInputError unless `array` has `shape` (None leaves an axis free)."""
-    if array.shape == shape:
-        return
-    fits = array.ndim == len(shape) and all(
-        want is None or want == got for want, got in zip(shape, array.shape, strict=True)
+    fits = array.shape == shape or (
+        array.ndim == len(shape)
+        and all(want is None or want == got for want, got in zip(shape, array.shape, strict=True))
     )
     if not fits:
         needed = "(" + ", ".join("n" if want is None else str(want) for want in shape) + ")"

@@ -6,12 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from edf_files import write_ecg_edf
+from waiting import until
 
 from dvf_ig.core import MissingDependencyError, Signal
 from dvf_ig.live.ecg.gather import gathered
 from dvf_ig.live.ecg.lsl import LslEcg, batches
 from dvf_ig.live.ecg.tail import CsvTail, EdfTail
-from dvf_ig.live.timed import LiveEvent
 from dvf_ig.session import EcgSamples
 
 
@@ -77,9 +77,7 @@ def test_samples_are_gathered_beside_the_session():
     waiting = [[EcgSamples(1.0, np.ones((2, 1)))]]
     reader = SimpleNamespace(read=lambda: waiting.pop() if waiting else [])
     with gathered(reader) as events:
-        found: list[LiveEvent] = []
-        while not found:
-            found = events()
+        found = until(events)
     assert isinstance(found[0].event, EcgSamples)
     assert found[0].event.start_s == 1.0
     assert events() == []

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from toy_session import toy_setup
 from typer.testing import CliRunner
+from waiting import until
 
 from dvf_ig.cli.main import app
 from dvf_ig.cli.serve.setup import LiveSetup
@@ -48,8 +49,7 @@ def test_recording_comes_over_loopback(scenario: Scenario) -> None:
     """The first second of it, as fast as it goes; all that was sent arrives."""
     inbox, stop = Inbox(), threading.Event()
     with listen("127.0.0.1", 0, None) as server, connect("127.0.0.1", server.port, inbox):
-        while not server.peers:
-            stop.wait(0.005)
+        until(lambda: server.peers)
         timer = threading.Timer(0.1, stop.set)
         timer.start()
         sent = play(scenario, server, speed=10.0, origin_s=1000.0, stop=stop)

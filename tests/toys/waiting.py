@@ -2,14 +2,17 @@
 
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
+T = TypeVar("T")
 WITHIN_S = 30.0
 """Spent only by a test that fails."""
 
 
-def until(condition: Callable[[], object], found: Callable[[], str] = lambda: "") -> None:
-    """Come back as soon as it holds; where it does not within WITHIN_S, fail and say what was found."""
+def until(condition: Callable[[], T], found: Callable[[], str] = lambda: "") -> T:
+    """Its first true answer; where there is none within WITHIN_S, fail and say what was found."""
     end = time.monotonic() + WITHIN_S
-    while not condition():
+    while not (answer := condition()):
         assert time.monotonic() < end, f"it did not happen in time; {found()}"
         time.sleep(0.002)
+    return answer

@@ -1,6 +1,7 @@
 """The servo in real time; nothing here depends on how quick the machine is."""
 
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,25 +59,22 @@ class Spoken:
     """A servo with a session that speaks whenever it is asked, at the machine's own time."""
 
     def __init__(self, servo, transform):
-        self.servo, self.transform, self.begin, self.rows = servo, transform, time.monotonic(), []
+        self.servo, self.transform, self.begin = servo, transform, time.monotonic()
 
     def speak(self, **more):
         now = time.monotonic() - self.begin
         self.servo.publish(ServoInputs(self.transform, now, HERE, **({"valid_for_s": 5.0} | more)))
 
     def until(self, condition):
-        record = self.servo.read()
+        """The first ticks that meet the condition; each is read once."""
+        last: Any = None
 
-        def happened():
-            nonlocal record
-            record = self.servo.read()
-            return len(record) and condition(record)
+        def fitting():
+            nonlocal last
+            last = self.servo.read()
+            return last if len(last) and condition(last) else None
 
-        until(
-            happened,
-            lambda: f"last was {record.state[-1:]} {record.hazards[-1:]} {record.status[-1:]}",
-        )
-        return record
+        return until(fitting, lambda: f"last {last.state[-1:]} {last.hazards[-1:]} {last.status[-1:]}")
 
     def until_state(self, state):
         return self.until(lambda record: state in record.state)
