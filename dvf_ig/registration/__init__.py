@@ -44,9 +44,7 @@ from .lc2.lc2 import Lc2 as Lc2
 from .lc2.slices import SliceSet as SliceSet
 from .lc2.slices import TrackedImages as TrackedImages
 from .lc2.slices import fan_mask_from_images as fan_mask_from_images
-from .lc2.slices import normalised_grey as normalised_grey
 from .lc2.slices import prepare_slices as prepare_slices
-from .lc2.slices import root_amplitude as root_amplitude
 from .lc2.slices import slices_of_volume as slices_of_volume
 from .lc2.slices import subsample as subsample
 from .lc2.threads import SliceThreads as SliceThreads

@@ -15,7 +15,7 @@ from dvf_ig.registration.boundary.problem import Boundary
 from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.evidence.checks import VOLUME_LIMITS
 from dvf_ig.registration.lc2.channels import ModelChannels
-from dvf_ig.registration.lc2.slices import SliceSet, joined, root_amplitude, slices_of_volume
+from dvf_ig.registration.lc2.slices import SliceSet, joined, slices_of_volume
 
 from .data import Level, RegistrationData, RegistrationOptions
 from .result import RegistrationResult
@@ -44,10 +44,23 @@ SEARCH = RegistrationOptions(
 """Of gated volumes:"""
 GREY_VOLUMES = "volumes"
 """Kind of images for the calibration of evidence: gated volumes against smoothed grey levels of MR."""
+DYNAMIC_RANGE_DB = 60.0
+"""That 255 grey levels of a volume are taken to stand for, beside grey levels of MR. Tracked frames need no
+such guess (docs/decisions/0039-grey-levels-as-shown.md)."""
+
+Brightness = NDArray[np.float32]
+"""(256,) of grey levels, before they are averaged."""
 
 
-Brightness = Callable[[NDArray[np.uint8]], NDArray[np.float32]]
-"""Of grey levels, before they are averaged: `root_amplitude` or `normalised_grey`."""
+def root_amplitude() -> Brightness:
+    """Square root of the echo amplitude behind log-compressed grey levels."""
+    levels = np.arange(256) / 255.0
+    return np.where(levels > 0, 10 ** (DYNAMIC_RANGE_DB * (levels - 1) / 40), 0).astype(np.float32)
+
+
+def grey_levels() -> Brightness:
+    """Grey levels as shown."""
+    return np.arange(256, dtype=np.float32)
 
 
 @read_only_arrays
@@ -59,14 +72,12 @@ class VolumeTarget:
         channels: by which LC2 explains the ultrasound; of MR, smoothed by VOLUME_SMOOTHING_MM.
         center_mm: (3,) centre of the heart box, in the channels' frame.
         surface: the model's surface at the phases in use, where its labels are known.
-        brightness: of ultrasound that is compared with these channels.
         kind: GREY_VOLUMES, where channels are that; None: no probability and no bound is stated.
     """
 
     channels: ModelChannels
     center_mm: FloatArray
     surface: BoundaryTarget | None = None
-    brightness: Brightness = root_amplitude
     kind: str | None = None
 
 
@@ -108,7 +119,8 @@ def register_volumes(
 
 
 def _level(volumes: Sequence[TrackedVolume], target: VolumeTarget, pitch_mm: float, planes: int) -> Level:
-    slices = prepare_volumes(volumes, pitch_mm=pitch_mm, planes=planes, brightness=target.brightness)
+    brightness = root_amplitude() if target.kind == GREY_VOLUMES else grey_levels()
+    slices = prepare_volumes(volumes, pitch_mm=pitch_mm, planes=planes, brightness=brightness)
     return Level(slices, target.channels, pitch_mm)
 
 
@@ -116,12 +128,14 @@ def _boundary(volumes: Sequence[TrackedVolume], target: VolumeTarget) -> Boundar
     """What the volumes show of the model's surface, where that is known."""
     if target.surface is None:
         return None
-    slices = prepare_volumes(volumes, pitch_mm=BOUNDARY_PITCH_MM, planes=BOUNDARY_PLANES)
+    slices = prepare_volumes(
+        volumes, pitch_mm=BOUNDARY_PITCH_MM, planes=BOUNDARY_PLANES, brightness=root_amplitude()
+    )
     return Boundary(boundary_points(slices), target.surface)
 
 
 def prepare_volumes(
-    volumes: Sequence[TrackedVolume], *, pitch_mm: float, planes: int, brightness: Brightness = root_amplitude
+    volumes: Sequence[TrackedVolume], *, pitch_mm: float, planes: int, brightness: Brightness
 ) -> SliceSet:
     """Average volumes down to about `pitch_mm` and take planes of each along its three axes.
 
@@ -132,17 +146,16 @@ def prepare_volumes(
         volumes: of one transducer, at any number of phases; they share one unknown pose.
         pitch_mm: wanted.
         planes: about this many along each axis.
-        brightness: of the grey levels.
+        brightness: `root_amplitude` or `grey_levels`.
     Raises:
         InvalidInputError: no volume, or nothing insonified.
     """
     if not volumes:
         raise InvalidInputError("no ultrasound volume passed the gate; needed at least one")
-    table = brightness(np.arange(256, dtype=np.uint8))
     edges = np.array([volume.image.grid.spacing_mm for volume in volumes])
     if np.ptp(edges) > CUBE_TOLERANCE * edges.max():
-        return joined([_planes(volume, _cubes(volume, table, pitch_mm, planes)) for volume in volumes])
-    return joined([_planes(volume, _blocks(volume, table, pitch_mm, planes)) for volume in volumes])
+        return joined([_planes(volume, _cubes(volume, brightness, pitch_mm, planes)) for volume in volumes])
+    return joined([_planes(volume, _blocks(volume, brightness, pitch_mm, planes)) for volume in volumes])
 
 
 @read_only_arrays

@@ -6,7 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvf_ig.core import (
     DvfModel,
@@ -27,8 +26,6 @@ from dvf_ig.registration import (
     ModelChannels,
     channels_from_labels,
     channels_from_mr,
-    normalised_grey,
-    root_amplitude,
     target_from_labels,
 )
 
@@ -67,7 +64,6 @@ class Heart:
         center_mm: (3,) centre of the heart box.
         surface: the boundary of blood and wall, which ultrasound shows; None without a cavity.
         beats_update_pose: whether LC2 on these channels is good enough for a single beat to move the pose.
-        brightness: of ultrasound that is compared with these channels.
     """
 
     model: DvfModel
@@ -76,7 +72,6 @@ class Heart:
     center_mm: FloatArray
     surface: BoundaryTarget | None
     beats_update_pose: bool = True
-    brightness: Callable[[NDArray[np.uint8]], NDArray[np.float32]] = root_amplitude
 
 
 def build_heart(
@@ -116,7 +111,7 @@ def build_heart(
         surface = target.result() if target is not None else None
     if preop.mr is not None:
         return Heart(model, channels, channels, center, surface)
-    return Heart(model, channels, channels, center, surface, False, normalised_grey)
+    return Heart(model, channels, channels, center, surface, False)
 
 
 def _require_within(mr: VolumeSeries, model: DvfModel, center_mm: FloatArray) -> None:

@@ -111,10 +111,10 @@ def _target(volumes: Sequence[TrackedVolume], heart: Heart, mr: VolumeSeries | N
     nearest = heart.fine.nearest_phase(phases)
     _tell_distant_phases(phases, heart.fine.fractions[nearest])
     if mr is None:
-        return VolumeTarget(heart.fine, heart.center_mm, heart.surface, heart.brightness)
+        return VolumeTarget(heart.fine, heart.center_mm, heart.surface)
     used = np.unique(nearest).tolist()
     channels = channels_from_mr(mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=used)
-    return VolumeTarget(channels, heart.center_mm, heart.surface, heart.brightness, GREY_VOLUMES)
+    return VolumeTarget(channels, heart.center_mm, heart.surface, GREY_VOLUMES)
 
 
 def _tell_distant_phases(phases: FloatArray, nearest: FloatArray) -> None:

@@ -36,6 +36,7 @@ from dvf_ig.registration import (
     target_errors_mm,
 )
 from dvf_ig.registration.lc2.slices import joined, within
+from dvf_ig.registration.volumes import grey_levels, root_amplitude
 
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
 POSE = Rigid.from_rotation_vector([-0.6, 0.2, 1.1], [40.0, -70.0, 15.0], "tracker", "probe")
@@ -61,9 +62,9 @@ def places(slices: SliceSet) -> FloatArray:
     return np.asarray(np.einsum("sij,rcj->srci", slices.frame_from_pixel, pixels))
 
 
-def root(grey: int) -> float:
-    """Square root of the echo amplitude of a grey level of 60 dB in 255 steps."""
-    return float(10 ** ((grey / 255 - 1) * 60 / 40)) if grey else 0.0
+def test_root_amplitude_is_that_of_60_db() -> None:
+    expected = [10 ** ((grey / 255 - 1) * 60 / 40) for grey in range(1, 256)]
+    np.testing.assert_allclose(root_amplitude(), [0.0, *expected], rtol=1e-6)
 
 
 def on_planes(shape: tuple[int, ...], every: int) -> BoolArray:
@@ -124,12 +125,12 @@ def test_cubes_of_whole_voxels_are_blocks() -> None:
 def test_a_bright_block_is_where_the_tracker_saw_it_on_planes_along_every_axis() -> None:
     grey = np.zeros(SHAPE, dtype=np.uint8)
     grey[8:10, 4:6, 6:8] = 200
-    slices = prepare_volumes([tracked(grey)], pitch_mm=3.0, planes=20)
+    slices = prepare_volumes([tracked(grey)], pitch_mm=3.0, planes=20, brightness=grey_levels())
     bright = slices.images > 0
     assert bright.sum() == 3, "one pixel of one plane along each axis"
     middle = POSE.apply_array(oblique().to_mm(np.array([8.5, 4.5, 6.5])))
     np.testing.assert_allclose(places(slices)[bright], np.tile(middle, (3, 1)), atol=1e-9)
-    np.testing.assert_allclose(slices.images[bright], root(200), rtol=1e-6)
+    np.testing.assert_allclose(slices.images[bright], 200, rtol=1e-6)
     normals = [np.cross(m[:, 0], m[:, 1]) for m in slices.frame_from_pixel[bright.any(axis=(1, 2))]]
     along = np.abs(np.array(normals) @ POSE.rotation @ TURN) / np.linalg.norm(normals, axis=1)[:, None]
     np.testing.assert_allclose(along[np.argmax(along, axis=1).argsort()], np.eye(3), atol=1e-9)
@@ -145,12 +146,12 @@ def test_brightness_follows_place_on_every_pixel() -> None:
     direction = np.array([0.6, -0.3, 0.74])
     ramp = grid.centers_mm() @ direction
     level = (ramp - ramp.min()) / np.ptp(ramp)
-    grey = np.rint(255 + 85 * np.log10(0.2 + 0.8 * level) * 2).clip(0, 255).astype(np.uint8)
-    slices = prepare_volumes([tracked(grey)], pitch_mm=3.0, planes=4)
+    grey = np.rint(255 * (0.2 + 0.8 * level)).astype(np.uint8)
+    slices = prepare_volumes([tracked(grey)], pitch_mm=3.0, planes=4, brightness=grey_levels())
     in_probe = POSE.inverse().apply_array(places(slices)[slices.masks])
-    expected = 0.2 + 0.8 * (in_probe @ direction - ramp.min()) / np.ptp(ramp)
-    # 60 dB in 255 levels: half a level of rounding is 1.4 % of the root amplitude
-    np.testing.assert_allclose(slices.images[slices.masks], expected, rtol=0.014)
+    expected = 255 * (0.2 + 0.8 * (in_probe @ direction - ramp.min()) / np.ptp(ramp))
+    # half a level of rounding
+    np.testing.assert_allclose(slices.images[slices.masks], expected, atol=0.5)
 
 
 def test_what_was_not_insonified_is_no_pixel() -> None:
@@ -159,12 +160,12 @@ def test_what_was_not_insonified_is_no_pixel() -> None:
     first = 7
     mask = np.zeros(SHAPE, dtype=np.uint8)
     mask[first:] = 1
-    slices = prepare_volumes([tracked(grey, mask=mask)], pitch_mm=3.0, planes=20)
+    slices = prepare_volumes([tracked(grey, mask=mask)], pitch_mm=3.0, planes=20, brightness=grey_levels())
     index = oblique().to_index(POSE.inverse().apply_array(places(slices)))
     # the block of voxels 6 and 7 lies half outside and is left out whole
     inside = (index[..., 0] > first + 0.9) & (index > 0).all(axis=-1) & (index < np.array(SHAPE) - 1).all(-1)
     np.testing.assert_array_equal(slices.masks, inside)
-    assert (slices.images[slices.masks] > root(99)).all()
+    assert (slices.images[slices.masks] > 99).all()
     assert not slices.images[~slices.masks].any()
 
 
@@ -176,20 +177,20 @@ def test_volumes_keep_their_own_pose_and_phase() -> None:
     other = Rigid.from_rotation_vector([0.1, 0.9, -0.4], [-30.0, 5.0, 80.0], "tracker", "probe")
     grid = oblique(shape=(24, 16, 13))
     second = TrackedVolume(Volume(grid, larger), Volume(grid, np.ones_like(larger)), other, 0.7)
-    slices = prepare_volumes([tracked(grey), second], pitch_mm=3.0, planes=20)
+    slices = prepare_volumes([tracked(grey), second], pitch_mm=3.0, planes=20, brightness=grey_levels())
     middle = oblique().to_mm(np.array([8.5, 4.5, 6.5]))
     for phase, pose in ((0.35, POSE), (0.7, other)):
         chosen = slices.subset(np.flatnonzero(slices.model_phase == phase))
-        found = places(chosen)[chosen.images > 0.9]
+        found = places(chosen)[chosen.images > 250]
         np.testing.assert_allclose(found, np.tile(pose.apply_array(middle), (3, 1)), atol=1e-9)
 
 
 def seen_ramp(spacing_mm: tuple[float, float, float], pose: Rigid) -> TrackedVolume:
-    """Amplitude that grows along one direction of the tracker's space, on voxels of any edges."""
+    """Grey that grows along one direction of the tracker's space, on voxels of any edges."""
     shape = tuple(round(30.0 / h) for h in spacing_mm)
     grid = Grid("probe", shape, np.array([-7.0, 3.0, 11.0]), np.array(spacing_mm), TURN)
     level = 0.5 + 0.01 * (pose.apply_array(grid.centers_mm()) @ RAMP - RAMP_MM)
-    grey = np.rint(255 * (1 + 40 / 60 * np.log10(level)))
+    grey = np.rint(255 * level)
     return tracked(grey.astype(np.uint8), grid=grid, pose=pose)
 
 
@@ -202,17 +203,17 @@ def test_unequal_voxels_are_seen_where_they_are(spacing: tuple[float, float, flo
     """Each pixel shows the ramp at the place it claims, at one pitch, whatever the voxels' edges."""
     other = POSE.perturbed_left(np.array([0.2, -0.3, 0.1]), np.array([4.0, -2.0, 3.0]), np.zeros(3))
     volumes = [seen_ramp(spacing, POSE), seen_ramp((0.9, 0.9, 0.9), other)]
-    slices = prepare_volumes(volumes, pitch_mm=2.0, planes=5)
-    expected = 0.5 + 0.01 * (places(slices)[slices.masks] @ RAMP - RAMP_MM)
-    # one of 255 levels of 60 dB is 1.4 % of the root amplitude; half of it is rounding
-    np.testing.assert_allclose(slices.images[slices.masks], expected, rtol=0.014)
+    slices = prepare_volumes(volumes, pitch_mm=2.0, planes=5, brightness=grey_levels())
+    expected = 255 * (0.5 + 0.01 * (places(slices)[slices.masks] @ RAMP - RAMP_MM))
+    # half a level of rounding, and voxels of one grey level each that are cut by the cubes
+    np.testing.assert_allclose(slices.images[slices.masks], expected, atol=1.0)
     np.testing.assert_allclose(np.linalg.norm(slices.frame_from_pixel[:, :, :2], axis=1), 2.0, rtol=1e-9)
 
 
 @pytest.mark.parametrize("planes", [2, 4, 6])
 def test_about_so_many_planes_are_taken_along_each_axis(planes: int) -> None:
     grey = np.full((24, 24, 24), 128, dtype=np.uint8)
-    slices = prepare_volumes([tracked(grey)], pitch_mm=1.5, planes=planes)
+    slices = prepare_volumes([tracked(grey)], pitch_mm=1.5, planes=planes, brightness=grey_levels())
     assert len(slices) == 3 * planes
     center = POSE.apply_array(oblique().to_mm(np.full(3, 11.5)))
     # to within half a plane's distance they lie about the middle
@@ -222,12 +223,19 @@ def test_about_so_many_planes_are_taken_along_each_axis(planes: int) -> None:
 def test_misuse_is_refused() -> None:
     grey = np.full(SHAPE, 90, dtype=np.uint8)
     with pytest.raises(InvalidInputError, match="at least one"):
-        prepare_volumes([], pitch_mm=3.0, planes=6)
+        prepare_volumes([], pitch_mm=3.0, planes=6, brightness=grey_levels())
     with pytest.raises(InvalidInputError, match="insonified"):
-        prepare_volumes([tracked(grey, mask=np.zeros(SHAPE, dtype=np.uint8))], pitch_mm=3.0, planes=6)
+        prepare_volumes(
+            [tracked(grey, mask=np.zeros(SHAPE, dtype=np.uint8))],
+            pitch_mm=3.0,
+            planes=6,
+            brightness=grey_levels(),
+        )
     elsewhere = Rigid.from_rotation_vector([0, 0, 0], [0, 0, 0], "room", "probe")
     with pytest.raises(FrameMismatchError):
-        prepare_volumes([tracked(grey), tracked(grey, pose=elsewhere)], pitch_mm=3.0, planes=6)
+        prepare_volumes(
+            [tracked(grey), tracked(grey, pose=elsewhere)], pitch_mm=3.0, planes=6, brightness=grey_levels()
+        )
     with pytest.raises(FrameMismatchError):
         tracked(grey, pose=Rigid.from_rotation_vector([0, 0, 0], [0, 0, 0], "tracker", "plane"))
     with pytest.raises(InvalidInputError, match="uint8"):
@@ -239,7 +247,12 @@ def test_misuse_is_refused() -> None:
 
 def test_a_volume_smaller_than_a_block_is_refused() -> None:
     with pytest.raises(InvalidInputError):
-        prepare_volumes([tracked(np.full((4, 4, 2), 90, dtype=np.uint8))], pitch_mm=4.5, planes=6)
+        prepare_volumes(
+            [tracked(np.full((4, 4, 2), 90, dtype=np.uint8))],
+            pitch_mm=4.5,
+            planes=6,
+            brightness=grey_levels(),
+        )
 
 
 def flat_slices(count: int, rows: int, columns: int, frame: str = "tracker", seed: int = 0) -> SliceSet:

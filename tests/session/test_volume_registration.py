@@ -22,7 +22,7 @@ from dvf_ig.core import (
     TrackedVolume,
     VolumeSeries,
 )
-from dvf_ig.registration import channels_from_mr, normalised_grey
+from dvf_ig.registration import channels_from_mr
 from dvf_ig.session import Heart, model_phase_at, register_gated_volumes
 
 RR_S = 0.6
@@ -114,11 +114,11 @@ def test_volumes_meet_mr_of_the_phases_in_use_smoothed_for_volumes(asked: list[S
 
 
 def test_without_mr_they_meet_the_models_own_channels(asked: list[SimpleNamespace]) -> None:
-    heart = replace(toy_beating_heart(), brightness=normalised_grey)
+    heart = toy_beating_heart()
     register_gated_volumes([at(0.4)], heart, toy_pose(), mr=None, seed=0, clock=clock)
     target = asked[0].target
     assert target.channels is heart.fine
-    assert target.brightness == normalised_grey
+    assert target.kind is None
 
 
 def test_a_phase_that_the_model_lacks_is_told(

@@ -1,8 +1,7 @@
 """Tracked ultrasound slices prepared for registration: amplitude, pitch, fan mask, place and phase."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,6 @@ from dvf_ig.core import (
     require_same_frame,
 )
 
-DYNAMIC_RANGE_DB = 60.0
-"""That a scanner's grey levels stand for."""
-
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,8 +27,7 @@ class SliceSet:
 
     Attributes:
         frame: frame in which the slices lie, e.g. "tracker".
-        images: (s, rows, columns) float32 brightness, as a rule the square root of the echo amplitude; 0
-            outside the mask.
+        images: (s, rows, columns) float32 grey levels as the scanner shows them; 0 outside the mask.
         masks: (s, rows, columns), the insonified sector, eroded.
         frame_from_pixel: (s, 3, 3) mm from (column, row, 1) of this pitch.
         model_phase: (s,) where in the model's cycle each slice was seen, [0, 1).
@@ -80,25 +75,6 @@ def fan_mask_from_images(images: NDArray[np.uint8]) -> BoolArray:
     return np.asarray(images.max(axis=0) > 0)
 
 
-def root_amplitude(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Square root of the echo amplitude behind log-compressed grey levels (60 dB shown in 255 levels)."""
-    return np.asarray(grey_to_root_amplitude().take(grey))
-
-
-def normalised_grey(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Grey levels as shown, 0 to 1."""
-    return np.asarray(grey / np.float32(255.0))
-
-
-@lru_cache(maxsize=1)
-def grey_to_root_amplitude() -> NDArray[np.float32]:
-    """(256,) table of `root_amplitude`."""
-    levels = np.arange(256) / 255.0
-    table = np.where(levels > 0, 10 ** (DYNAMIC_RANGE_DB * (levels - 1) / 40), 0).astype(np.float32)
-    table.setflags(write=False)
-    return np.asarray(table)
-
-
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedImages:
@@ -124,14 +100,12 @@ def prepare_slices(
     probe_from_image: ImageMap,
     *,
     pitch_mm: float,
-    brightness: Callable[[NDArray[np.uint8]], NDArray[np.float32]] = root_amplitude,
 ) -> SliceSet:
-    """Average log-compressed images down to `pitch_mm` and place them in the frame "tracker".
+    """Average images down to `pitch_mm` and place them in the frame "tracker".
 
     Args:
         mask: (rows, columns) insonified sector.
         probe_from_image: calibration of the probe.
-        brightness: of grey levels, before they are averaged: `root_amplitude` or `normalised_grey`.
     Raises:
         InvalidInputError: nothing of the sector is left at this pitch.
     """
@@ -140,7 +114,7 @@ def prepare_slices(
     small_mask = shares > 0.999
     if not small_mask.any():
         raise InvalidInputError(f"no pixel of the ultrasound sector is left at a pitch of {pitch_mm:g} mm")
-    small = np.stack([_block_mean(brightness(f)[None], step_r, step_c)[0] for f in tracked.images])
+    small = np.stack([_block_mean(f[None].astype(np.float32), step_r, step_c)[0] for f in tracked.images])
     small[:, ~small_mask] = 0
     pixel = np.array(
         [[step_c, 0, (step_c - 1) / 2], [0, step_r, (step_r - 1) / 2], [0, 0, 0], [0, 0, 1]], dtype=np.float64
@@ -180,7 +154,7 @@ def slices_of_volume(
     """Planes of a 3-D ultrasound image along its three axes, padded to one size.
 
     Args:
-        values: (nx, ny, nz) root amplitude; NaN where nothing was insonified.
+        values: (nx, ny, nz) grey levels; NaN where nothing was insonified.
         axes_mm: (3, 3) mm per voxel step; origin_mm: (3,).
         every: keep each `every`-th plane along each axis.
         model_phase, t_s: of the whole image.

@@ -1,11 +1,10 @@
 """Registration of gated ultrasound frames to the model."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, NoOverlapError, Rigid
+from dvf_ig.core import NoOverlapError, Rigid
 from dvf_ig.registration import (
     USUAL_PLACEMENT,
     Boundary,
@@ -16,10 +15,9 @@ from dvf_ig.registration import (
     RegistrationResult,
     boundary_points,
     register_rigid,
-    root_amplitude,
 )
 from dvf_ig.registration.evidence.checks import SLICE_LIMITS
-from dvf_ig.session.heart import COARSE_PITCH_MM, FINE_PITCH_MM
+from dvf_ig.session.heart import COARSE_PITCH_MM, FINE_PITCH_MM, Heart
 
 from .gated_frames import GatedFrames, UltrasoundRecording, slices_of, ultrasound_mask
 
@@ -65,7 +63,7 @@ def register_frames(
             coarse,
             fine,
             heart.center_mm,
-            _boundary(recording, frames, mask),
+            _boundary(fine, heart),
             prior,
             _usual_rr_s(recording, frames),
             USUAL_PLACEMENT,
@@ -91,10 +89,6 @@ def _usual_rr_s(recording: UltrasoundRecording, frames: GatedFrames) -> float:
     return float(np.median(np.diff(near))) if len(near) > 1 else recording.heart.model.timing.rr_s
 
 
-def _boundary(recording: UltrasoundRecording, frames: GatedFrames, mask: BoolArray) -> Boundary | None:
-    """Boundary points of the frames with the surface they belong to; None where the model has none."""
-    heart = recording.heart
-    if heart.surface is None:
-        return None
-    linear = replace(recording, heart=replace(heart, brightness=root_amplitude))
-    return Boundary(boundary_points(slices_of(linear, frames, mask, pitch_mm=FINE_PITCH_MM)), heart.surface)
+def _boundary(fine: Level, heart: Heart) -> Boundary | None:
+    """Boundary points of the fine slices with the surface they belong to; None where the model has none."""
+    return None if heart.surface is None else Boundary(boundary_points(fine.slices), heart.surface)

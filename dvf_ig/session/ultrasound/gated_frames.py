@@ -189,7 +189,7 @@ def fan_mask(fan: Fan, rows: int, columns: int) -> BoolArray:
 def slices_of(
     recording: UltrasoundRecording, frames: GatedFrames, mask: BoolArray, *, pitch_mm: float
 ) -> SliceSet:
-    """The used frames in the tracker's frame, with the brightness that the heart's channels need."""
+    """The used frames in the tracker's frame."""
     used = frames.used
     tracked = TrackedImages(
         recording.images[frames.first + used],
@@ -203,5 +203,4 @@ def slices_of(
         mask,
         recording.calibrations.probe_from_image,
         pitch_mm=pitch_mm,
-        brightness=recording.heart.brightness,
     )

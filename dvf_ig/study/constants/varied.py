@@ -8,16 +8,10 @@ from typing import Any
 
 from .listing import Constant, Number
 
-_REMEMBERING = ("dvf_ig.registration.", "dvf_ig.session.")
-"""Beginnings of modules whose functions keep results that depend on constants."""
-
 
 @contextmanager
 def varied(constant: Constant, factor: float) -> Iterator[Number]:
-    """`constant` is `factor` times as large, whole numbers by one at least but not below 1; yields it.
-
-    What registration and session have kept of earlier calls is forgotten before and after.
-    """
+    """`constant` is `factor` times as large, whole numbers by one at least but not below 1; yields it."""
     holder = getattr(sys.modules[constant.module], constant.name)
     value = _scaled(constant.value, factor)
     if isinstance(holder, type):
@@ -25,11 +19,9 @@ def varied(constant: Constant, factor: float) -> Iterator[Number]:
     else:
         new = replace(holder, **{constant.part: value}) if constant.part else value
         undo = _replace_everywhere(constant.name, holder, new)
-    _forget()
     try:
         yield value
     finally:
-        _forget()
         for target, name, before in reversed(undo):
             setattr(target, name, before)
 
@@ -45,13 +37,6 @@ def _scaled_number(value: float, factor: float) -> float:
         less, more = min(round(value * factor), value - 1), max(round(value * factor), value + 1)
         return max(min(value, 1), less) if factor < 1 else more
     return value * factor
-
-
-def _forget() -> None:
-    for module in [m for key, m in sys.modules.items() if key.startswith(_REMEMBERING)]:
-        for kept in list(vars(module).values()):
-            if hasattr(kept, "cache_clear"):
-                kept.cache_clear()
 
 
 Undo = tuple[Any, str, Any]

@@ -44,9 +44,9 @@ from dvf_ig.registration import (
     prepare_slices,
     register_rigid,
     register_volumes,
-    root_amplitude,
     target_from_labels,
 )
+from dvf_ig.registration.volumes import root_amplitude
 from dvf_ig.session.heart import label_map
 
 GATED = (0.0, 0.35, 0.75)
@@ -175,7 +175,7 @@ def _same_image(pair: ImagePair) -> RegistrationProblem:
     preop = _preoperative(pair.spec.seed, pair.spec.motion, pair.spec.heart)
     tracker_from_mr, grid = pair.mr_from_tracker.inverse(), preop.mr.grid
     pose = Rigid("tracker", "mr", tracker_from_mr.rotation, tracker_from_mr.translation_mm)
-    amplitudes = root_amplitude(np.arange(256, dtype=np.uint8))
+    amplitudes = root_amplitude()
     volumes = []
     for phase, channels in zip(GATED, preop.gated.values, strict=True):
         level = channels[..., 0] - channels[..., 0].min()

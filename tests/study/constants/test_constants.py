@@ -2,12 +2,10 @@
 
 import sys
 
-import numpy as np
 import pytest
 
 from dvf_ig.registration.data import RegistrationOptions
 from dvf_ig.registration.evidence import checks
-from dvf_ig.registration.lc2.slices import root_amplitude
 from dvf_ig.registration.pose_chart import DISTINCT_MM
 from dvf_ig.study.constants.listing import registration_constants
 from dvf_ig.study.constants.subjects import Subject, subject_of
@@ -66,13 +64,6 @@ def test_tuples_of_numbers_are_constants_too_and_change_as_a_whole() -> None:
     constant = CONSTANTS["pairs.pair.COARSE_PITCHES"]
     with varied(constant, 1.3) as value:
         assert value == pytest.approx((1.3 * 2.0, 1.3 * 1.4)) == sys.modules[constant.module].COARSE_PITCHES
-
-
-def test_what_was_worked_out_with_the_old_value_is_forgotten() -> None:
-    before = root_amplitude(np.array([100], np.uint8))
-    with varied(CONSTANTS["lc2.slices.DYNAMIC_RANGE_DB"], 0.7):
-        assert root_amplitude(np.array([100], np.uint8)) > before
-    assert root_amplitude(np.array([100], np.uint8)) == before
 
 
 def test_the_hearts_a_constant_was_chosen_on_are_named_without_other_numbers() -> None:
