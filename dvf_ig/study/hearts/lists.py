@@ -44,9 +44,9 @@ class HeartList:
 
 TUNING = HeartList("tuning", range(1001, 1061), range(0), ("002", "003"))
 THRESHOLD = HeartList("threshold", range(2001, 2201), range(0), ("008", "009"))
-REPORTED = HeartList("reported", range(3061, 3181), range(4041, 4121), ("012", "016", "018"))
-"""Until decision 0036, 3001 to 3060: their sweeps were looked at before its tables were fitted. Of the second
-world, 4001 to 4040 until decision 0038, which followed a look at them."""
+REPORTED = HeartList("reported", range(3121, 3241), range(4081, 4161), ("012", "016", "018"))
+"""Hearts looked at before a table was fitted, or a rule chosen, are left behind: 3001 to 3060 until decision
+0036, 3061 to 3120 until 0039; of the second world 4001 to 4040 until 0038, 4041 to 4080 until 0039."""
 HEART_LISTS = {chosen.name: chosen for chosen in (TUNING, THRESHOLD, REPORTED)}
 
 
