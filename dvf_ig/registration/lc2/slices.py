@@ -27,7 +27,7 @@ class SliceSet:
 
     Attributes:
         frame: frame in which the slices lie, e.g. "tracker".
-        images: (s, rows, columns) float32 grey levels as the scanner shows them; 0 outside the mask.
+        images: (s, rows, columns) float32 brightness: of frames the grey levels as shown; 0 outside the mask.
         masks: (s, rows, columns), the insonified sector, eroded.
         frame_from_pixel: (s, 3, 3) mm from (column, row, 1) of this pitch.
         model_phase: (s,) where in the model's cycle each slice was seen, [0, 1).
@@ -154,7 +154,7 @@ def slices_of_volume(
     """Planes of a 3-D ultrasound image along its three axes, padded to one size.
 
     Args:
-        values: (nx, ny, nz) grey levels; NaN where nothing was insonified.
+        values: (nx, ny, nz) brightness; NaN where nothing was insonified.
         axes_mm: (3, 3) mm per voxel step; origin_mm: (3,).
         every: keep each `every`-th plane along each axis.
         model_phase, t_s: of the whole image.
