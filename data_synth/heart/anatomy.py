@@ -1,7 +1,7 @@
 """The four-chamber phantom: the standard heart in closed form, or one person's."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,6 @@ from .warp import TABLE_MM, PlacedWarp
 
 RR_S = 0.86
 """RR interval of the standard heart's pre-operative acquisition (about 70 per minute)."""
-
-_AT_REST = ("reference", "resting_motion")
-"""Of an anatomy, what no mismatch changes."""
 
 TURN_DEG, VARIED_TURN_DEG = 8.0, 14.0
 """Largest turn in the thorax about each axis, of the standard and of other hearts."""
@@ -90,6 +87,7 @@ class PhantomAnatomy:
         kind: of heart; never "varied".
         pump: how it beats; None: as the standard heart.
         warp: W; None: the standard heart.
+        resting: the same heart without mismatch, which lends what no mismatch changes; None: this one.
     """
 
     shapes: PhantomShapes
@@ -101,6 +99,7 @@ class PhantomAnatomy:
     kind: HeartKind = "standard"
     pump: PumpFunction | None = None
     warp: PlacedWarp | None = None
+    resting: "PhantomAnatomy | None" = None
 
     @property
     def rr_s(self) -> float:
@@ -125,11 +124,15 @@ class PhantomAnatomy:
 
     @cached_property
     def reference(self) -> ReferenceMap:
+        if self.resting is not None:
+            return self.resting.reference
         return build_reference(self.shapes, _wide(self.box_mm), REFERENCE_SPACING_MM)
 
     @cached_property
     def resting_motion(self) -> PhantomMotion:
         """χ of the pre-operative anatomy."""
+        if self.resting is not None:
+            return self.resting.resting_motion
         return self._motion(self.shapes.standard)
 
     @cached_property
@@ -173,10 +176,8 @@ class PhantomAnatomy:
 
         They share what was worked out of the heart at rest.
         """
-        field = random_mismatch(self.box_mm, mismatch_mm, np.random.default_rng(_seed_sequences(seed)[2]))
-        other = replace(self, mismatch=field, seeds=replace(self.seeds, mismatch=seed))
-        vars(other).update({name: own for name, own in vars(self).items() if name in _AT_REST})
-        return other
+        seeds = replace(self.seeds, mismatch=seed)
+        return _under_mismatch(self if self.resting is None else self.resting, mismatch_mm, seeds)
 
     def placed(self, points: FloatArray) -> FloatArray:
         """(n, 3) positions of points of the standard heart's frame."""
@@ -216,21 +217,30 @@ def phantom_anatomy(
     """
     spec = heart or HeartSpec()
     seeds = spec.seeds(seed)
+    return _under_mismatch(_at_rest(spec.kind, motion, seeds.anatomy, seeds.motion), mismatch_mm, seeds)
+
+
+def _under_mismatch(resting: PhantomAnatomy, mismatch_mm: float, seeds: HeartSeeds) -> PhantomAnatomy:
+    rng = np.random.default_rng(_seed_sequences(seeds.mismatch)[2])
+    field = random_mismatch(resting.box_mm, mismatch_mm, rng)
+    return replace(resting, mismatch=field, seeds=seeds, resting=resting)
+
+
+@lru_cache(maxsize=2)
+def _at_rest(kind: HeartKind, motion: MotionPreset, anatomy_seed: int, motion_seed: int) -> PhantomAnatomy:
+    """The heart without mismatch: what images of one heart share, and costs most of their time."""
     scale = preset_scale(motion)
-    shape_seed, place_seed, _ = _seed_sequences(seeds.anatomy)
-    place_rng, mismatch_rng = (
-        np.random.default_rng(place_seed),
-        np.random.default_rng(_seed_sequences(seeds.mismatch)[2]),
-    )
-    if spec.kind == "standard":
+    shape_seed, place_seed, _ = _seed_sequences(anatomy_seed)
+    place_rng = np.random.default_rng(place_seed)
+    seeds = HeartSeeds(anatomy_seed, motion_seed, mismatch=0, speckle=0)
+    if kind == "standard":
         shape, pose = heart_shape(np.random.default_rng(shape_seed)), _place_in_thorax(place_rng, TURN_DEG)
         shapes = PhantomShapes(shape, pose, pose.apply_array(CENTER_MM))
         vertices, triangles = outline(shapes.organ, shapes.center_mm)
-        field = random_mismatch(_box(vertices), mismatch_mm, mismatch_rng)
-        return PhantomAnatomy(shapes, scale, field, vertices, triangles, seeds)
-    rng = np.random.default_rng(np.random.SeedSequence([seeds.anatomy, 0x5A2E]))
-    kind = draw_kind(spec.kind, rng)
-    drawn, pose = varied_shape(kind, rng), _place_in_thorax(place_rng, VARIED_TURN_DEG)
+        return PhantomAnatomy(shapes, scale, _no_mismatch(vertices), vertices, triangles, seeds)
+    rng = np.random.default_rng(np.random.SeedSequence([anatomy_seed, 0x5A2E]))
+    drawn_kind = draw_kind(kind, rng)
+    drawn, pose = varied_shape(drawn_kind, rng), _place_in_thorax(place_rng, VARIED_TURN_DEG)
     center = pose.apply_array(CENTER_MM)
     standard, triangles = outline(PhantomShapes(drawn.heart, pose, center).organ, center)
     warp = PlacedWarp(drawn.warp, pose, _wide(_wide(_box(standard))))
@@ -241,11 +251,15 @@ def phantom_anatomy(
         warp.forward(center[None])[0],
         tabulated(warp.inverse, _wide(_box(vertices)), TABLE_MM),
     )
-    motion_rng = np.random.default_rng(np.random.SeedSequence([seeds.motion, 0xBEA7]))
-    pump = draw_pump_function(kind, drawn.heart.lv_cavity, motion_rng)
-    field = random_mismatch(_box(vertices), mismatch_mm, mismatch_rng)
+    motion_rng = np.random.default_rng(np.random.SeedSequence([motion_seed, 0xBEA7]))
+    pump = draw_pump_function(drawn_kind, drawn.heart.lv_cavity, motion_rng)
     scale *= pump.contractility
-    return PhantomAnatomy(shapes, scale, field, vertices, triangles, seeds, kind, pump, warp)
+    none = _no_mismatch(vertices)
+    return PhantomAnatomy(shapes, scale, none, vertices, triangles, seeds, drawn_kind, pump, warp)
+
+
+def _no_mismatch(vertices_mm: FloatArray) -> SmoothField:
+    return random_mismatch(_box(vertices_mm), 0.0, np.random.default_rng(0))
 
 
 def _seed_sequences(seed: int) -> list[np.random.SeedSequence]:
