@@ -44,23 +44,6 @@ SEARCH = RegistrationOptions(
 """Of gated volumes:"""
 GREY_VOLUMES = "volumes"
 """Kind of images for the calibration of evidence: gated volumes against smoothed grey levels of MR."""
-DYNAMIC_RANGE_DB = 60.0
-"""That 255 grey levels of a volume are taken to stand for, beside grey levels of MR. Tracked frames need no
-such guess (docs/decisions/0039-grey-levels-as-shown.md)."""
-
-Brightness = NDArray[np.float32]
-"""(256,) of grey levels, before they are averaged."""
-
-
-def root_amplitude() -> Brightness:
-    """Square root of the echo amplitude behind log-compressed grey levels."""
-    levels = np.arange(256) / 255.0
-    return np.where(levels > 0, 10 ** (DYNAMIC_RANGE_DB * (levels - 1) / 40), 0).astype(np.float32)
-
-
-def grey_levels() -> Brightness:
-    """Grey levels as shown."""
-    return np.arange(256, dtype=np.float32)
 
 
 @read_only_arrays
@@ -119,25 +102,19 @@ def register_volumes(
 
 
 def _level(volumes: Sequence[TrackedVolume], target: VolumeTarget, pitch_mm: float, planes: int) -> Level:
-    brightness = root_amplitude() if target.kind == GREY_VOLUMES else grey_levels()
-    slices = prepare_volumes(volumes, pitch_mm=pitch_mm, planes=planes, brightness=brightness)
-    return Level(slices, target.channels, pitch_mm)
+    return Level(prepare_volumes(volumes, pitch_mm=pitch_mm, planes=planes), target.channels, pitch_mm)
 
 
 def _boundary(volumes: Sequence[TrackedVolume], target: VolumeTarget) -> Boundary | None:
     """What the volumes show of the model's surface, where that is known."""
     if target.surface is None:
         return None
-    slices = prepare_volumes(
-        volumes, pitch_mm=BOUNDARY_PITCH_MM, planes=BOUNDARY_PLANES, brightness=root_amplitude()
-    )
+    slices = prepare_volumes(volumes, pitch_mm=BOUNDARY_PITCH_MM, planes=BOUNDARY_PLANES)
     return Boundary(boundary_points(slices), target.surface)
 
 
-def prepare_volumes(
-    volumes: Sequence[TrackedVolume], *, pitch_mm: float, planes: int, brightness: Brightness
-) -> SliceSet:
-    """Average volumes down to about `pitch_mm` and take planes of each along its three axes.
+def prepare_volumes(volumes: Sequence[TrackedVolume], *, pitch_mm: float, planes: int) -> SliceSet:
+    """Average grey levels, as shown, down to about `pitch_mm` and take planes of each along its three axes.
 
     Where all voxels are cubes of one size, the nearest whole number of them is averaged; others, and volumes
     that differ, are averaged over cubes of `pitch_mm`, each voxel by its share inside the cube.
@@ -146,7 +123,6 @@ def prepare_volumes(
         volumes: of one transducer, at any number of phases; they share one unknown pose.
         pitch_mm: wanted.
         planes: about this many along each axis.
-        brightness: `root_amplitude` or `grey_levels`.
     Raises:
         InvalidInputError: no volume, or nothing insonified.
     """
@@ -154,14 +130,14 @@ def prepare_volumes(
         raise InvalidInputError("no ultrasound volume passed the gate; needed at least one")
     edges = np.array([volume.image.grid.spacing_mm for volume in volumes])
     if np.ptp(edges) > CUBE_TOLERANCE * edges.max():
-        return joined([_planes(volume, _cubes(volume, brightness, pitch_mm, planes)) for volume in volumes])
-    return joined([_planes(volume, _blocks(volume, brightness, pitch_mm, planes)) for volume in volumes])
+        return joined([_planes(volume, _cubes(volume, pitch_mm, planes)) for volume in volumes])
+    return joined([_planes(volume, _blocks(volume, pitch_mm, planes)) for volume in volumes])
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Averaged:
-    """Brightness averaged over blocks of `edge` voxels, NaN where one of them was not insonified.
+    """Grey levels averaged over blocks of `edge` voxels, NaN where one of them was not insonified.
 
     Filled in on every `every`-th plane along each axis (`kernels.pool.on_a_plane`).
     """
@@ -171,24 +147,24 @@ class _Averaged:
     every: int
 
 
-def _blocks(volume: TrackedVolume, table: NDArray[np.float32], pitch_mm: float, planes: int) -> _Averaged:
+def _blocks(volume: TrackedVolume, pitch_mm: float, planes: int) -> _Averaged:
     """Over the nearest whole number of voxels, which are cubes."""
     grid = volume.image.grid
     step = max(1, round(pitch_mm / float(grid.spacing_mm[0])))
     small: NDArray[np.float32] = np.empty([n // step for n in grid.shape], dtype=np.float32)
     every = _every(small, planes)
-    pool_blocks(volume.image.values, _insonified(volume), table, step, every, small)
+    pool_blocks(volume.image.values, _insonified(volume), step, every, small)
     return _Averaged(small, np.full(3, float(step)), every)
 
 
-def _cubes(volume: TrackedVolume, table: NDArray[np.float32], pitch_mm: float, planes: int) -> _Averaged:
+def _cubes(volume: TrackedVolume, pitch_mm: float, planes: int) -> _Averaged:
     """Over cubes of exactly `pitch_mm`."""
     grid = volume.image.grid
     edge = pitch_mm / grid.spacing_mm
     counts = [int(n / e + 1e-9) for n, e in zip(grid.shape, edge, strict=True)]  # 6 · 0.1 is 0.6
     small: NDArray[np.float32] = np.empty(counts, dtype=np.float32)
     every = _every(small, planes)
-    pool_cubes(volume.image.values, _insonified(volume), table, edge, every, small)
+    pool_cubes(volume.image.values, _insonified(volume), edge, every, small)
     return _Averaged(small, edge, every)
 
 

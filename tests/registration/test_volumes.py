@@ -36,7 +36,6 @@ from dvf_ig.registration import (
     target_errors_mm,
 )
 from dvf_ig.registration.lc2.slices import joined, within
-from dvf_ig.registration.volumes import grey_levels, root_amplitude
 
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
 POSE = Rigid.from_rotation_vector([-0.6, 0.2, 1.1], [40.0, -70.0, 15.0], "tracker", "probe")
@@ -62,11 +61,6 @@ def places(slices: SliceSet) -> FloatArray:
     return np.asarray(np.einsum("sij,rcj->srci", slices.frame_from_pixel, pixels))
 
 
-def test_root_amplitude_is_that_of_60_db() -> None:
-    expected = [10 ** ((grey / 255 - 1) * 60 / 40) for grey in range(1, 256)]
-    np.testing.assert_allclose(root_amplitude(), [0.0, *expected], rtol=1e-6)
-
-
 def on_planes(shape: tuple[int, ...], every: int) -> BoolArray:
     """What of a volume lies on planes that are looked at."""
     return np.asarray((np.indices(shape) % every == every // 2).any(axis=0))
@@ -77,14 +71,13 @@ def test_blocks_are_averaged_as_the_twin_says(step: int, every: int) -> None:
     rng = np.random.default_rng(step)
     grey = rng.integers(0, 256, SHAPE).astype(np.uint8)
     mask = (rng.random(SHAPE) > 0.01).astype(np.uint8) * 7
-    table = rng.random(256).astype(np.float32)
     small = tuple(n // step for n in SHAPE)
     cut = tuple(slice(0, n * step) for n in small)
     blocks = (small[0], step, small[1], step, small[2], step)
-    mean = table[grey][cut].astype(np.float64).reshape(blocks).mean(axis=(1, 3, 5))
+    mean = grey[cut].astype(np.float64).reshape(blocks).mean(axis=(1, 3, 5))
     whole = (mask[cut] > 0).reshape(blocks).all(axis=(1, 3, 5)) & on_planes(small, every)
     out = np.full(small, -1.0, dtype=np.float32)
-    pool_blocks(grey, mask, table, step, every, out)
+    pool_blocks(grey, mask, step, every, out)
     assert 0 < whole.sum() < whole.size
     np.testing.assert_allclose(out, np.where(whole, mean, np.nan), rtol=2e-6)
 
@@ -97,17 +90,16 @@ def test_cubes_are_averaged_as_the_twin_says(edge: tuple[float, float, float], e
     rng = np.random.default_rng(3)
     grey = rng.integers(0, 256, SHAPE).astype(np.uint8)
     mask = (rng.random(SHAPE) > 0.01).astype(np.uint8) * 5
-    table = rng.random(256).astype(np.float32)
     counts = [int(n / e + 1e-9) for n, e in zip(SHAPE, edge, strict=True)]
     weights = []
     for n, m, e in zip(SHAPE, counts, edge, strict=True):
         low, voxel = e * np.arange(m)[:, None], np.arange(n)
         weights.append(np.clip(np.minimum(low + e, voxel + 1) - np.maximum(low, voxel), 0, None) / e)
-    mean = np.einsum("ia,jb,kc,abc->ijk", *weights, table[grey], optimize=True)
+    mean = np.einsum("ia,jb,kc,abc->ijk", *weights, grey, optimize=True)
     seen = np.einsum("ia,jb,kc,abc->ijk", *weights, mask > 0, optimize=True) > 1 - 1e-6
     seen &= on_planes(tuple(counts), every)
     out = np.full(counts, -1.0, dtype=np.float32)
-    pool_cubes(grey, mask, table, np.array(edge), every, out)
+    pool_cubes(grey, mask, np.array(edge), every, out)
     assert 0 < seen.sum() < seen.size
     np.testing.assert_allclose(out, np.where(seen, mean, np.nan), rtol=2e-6)
 
@@ -115,17 +107,17 @@ def test_cubes_are_averaged_as_the_twin_says(edge: tuple[float, float, float], e
 def test_cubes_of_whole_voxels_are_blocks() -> None:
     rng = np.random.default_rng(5)
     grey, mask = rng.integers(0, 256, SHAPE).astype(np.uint8), np.ones(SHAPE, dtype=np.uint8)
-    table, small = rng.random(256).astype(np.float32), tuple(n // 3 for n in SHAPE)
+    small = tuple(n // 3 for n in SHAPE)
     blocks, cubes = np.zeros(small, dtype=np.float32), np.zeros(small, dtype=np.float32)
-    pool_blocks(grey, mask, table, 3, 1, blocks)
-    pool_cubes(grey, mask, table, np.full(3, 0.3 / 0.1), 1, cubes)
+    pool_blocks(grey, mask, 3, 1, blocks)
+    pool_cubes(grey, mask, np.full(3, 0.3 / 0.1), 1, cubes)
     np.testing.assert_allclose(cubes, blocks, rtol=2e-6)
 
 
 def test_a_bright_block_is_where_the_tracker_saw_it_on_planes_along_every_axis() -> None:
     grey = np.zeros(SHAPE, dtype=np.uint8)
     grey[8:10, 4:6, 6:8] = 200
-    slices = prepare_volumes([tracked(grey)], pitch_mm=3.0, planes=20, brightness=grey_levels())
+    slices = prepare_volumes([tracked(grey)], pitch_mm=3.0, planes=20)
     bright = slices.images > 0
     assert bright.sum() == 3, "one pixel of one plane along each axis"
     middle = POSE.apply_array(oblique().to_mm(np.array([8.5, 4.5, 6.5])))
@@ -147,7 +139,7 @@ def test_brightness_follows_place_on_every_pixel() -> None:
     ramp = grid.centers_mm() @ direction
     level = (ramp - ramp.min()) / np.ptp(ramp)
     grey = np.rint(255 * (0.2 + 0.8 * level)).astype(np.uint8)
-    slices = prepare_volumes([tracked(grey)], pitch_mm=3.0, planes=4, brightness=grey_levels())
+    slices = prepare_volumes([tracked(grey)], pitch_mm=3.0, planes=4)
     in_probe = POSE.inverse().apply_array(places(slices)[slices.masks])
     expected = 255 * (0.2 + 0.8 * (in_probe @ direction - ramp.min()) / np.ptp(ramp))
     # half a level of rounding
@@ -160,7 +152,7 @@ def test_what_was_not_insonified_is_no_pixel() -> None:
     first = 7
     mask = np.zeros(SHAPE, dtype=np.uint8)
     mask[first:] = 1
-    slices = prepare_volumes([tracked(grey, mask=mask)], pitch_mm=3.0, planes=20, brightness=grey_levels())
+    slices = prepare_volumes([tracked(grey, mask=mask)], pitch_mm=3.0, planes=20)
     index = oblique().to_index(POSE.inverse().apply_array(places(slices)))
     # the block of voxels 6 and 7 lies half outside and is left out whole
     inside = (index[..., 0] > first + 0.9) & (index > 0).all(axis=-1) & (index < np.array(SHAPE) - 1).all(-1)
@@ -177,7 +169,7 @@ def test_volumes_keep_their_own_pose_and_phase() -> None:
     other = Rigid.from_rotation_vector([0.1, 0.9, -0.4], [-30.0, 5.0, 80.0], "tracker", "probe")
     grid = oblique(shape=(24, 16, 13))
     second = TrackedVolume(Volume(grid, larger), Volume(grid, np.ones_like(larger)), other, 0.7)
-    slices = prepare_volumes([tracked(grey), second], pitch_mm=3.0, planes=20, brightness=grey_levels())
+    slices = prepare_volumes([tracked(grey), second], pitch_mm=3.0, planes=20)
     middle = oblique().to_mm(np.array([8.5, 4.5, 6.5]))
     for phase, pose in ((0.35, POSE), (0.7, other)):
         chosen = slices.subset(np.flatnonzero(slices.model_phase == phase))
@@ -203,7 +195,7 @@ def test_unequal_voxels_are_seen_where_they_are(spacing: tuple[float, float, flo
     """Each pixel shows the ramp at the place it claims, at one pitch, whatever the voxels' edges."""
     other = POSE.perturbed_left(np.array([0.2, -0.3, 0.1]), np.array([4.0, -2.0, 3.0]), np.zeros(3))
     volumes = [seen_ramp(spacing, POSE), seen_ramp((0.9, 0.9, 0.9), other)]
-    slices = prepare_volumes(volumes, pitch_mm=2.0, planes=5, brightness=grey_levels())
+    slices = prepare_volumes(volumes, pitch_mm=2.0, planes=5)
     expected = 255 * (0.5 + 0.01 * (places(slices)[slices.masks] @ RAMP - RAMP_MM))
     # half a level of rounding, and voxels of one grey level each that are cut by the cubes
     np.testing.assert_allclose(slices.images[slices.masks], expected, atol=1.0)
@@ -213,7 +205,7 @@ def test_unequal_voxels_are_seen_where_they_are(spacing: tuple[float, float, flo
 @pytest.mark.parametrize("planes", [2, 4, 6])
 def test_about_so_many_planes_are_taken_along_each_axis(planes: int) -> None:
     grey = np.full((24, 24, 24), 128, dtype=np.uint8)
-    slices = prepare_volumes([tracked(grey)], pitch_mm=1.5, planes=planes, brightness=grey_levels())
+    slices = prepare_volumes([tracked(grey)], pitch_mm=1.5, planes=planes)
     assert len(slices) == 3 * planes
     center = POSE.apply_array(oblique().to_mm(np.full(3, 11.5)))
     # to within half a plane's distance they lie about the middle
@@ -223,19 +215,16 @@ def test_about_so_many_planes_are_taken_along_each_axis(planes: int) -> None:
 def test_misuse_is_refused() -> None:
     grey = np.full(SHAPE, 90, dtype=np.uint8)
     with pytest.raises(InvalidInputError, match="at least one"):
-        prepare_volumes([], pitch_mm=3.0, planes=6, brightness=grey_levels())
+        prepare_volumes([], pitch_mm=3.0, planes=6)
     with pytest.raises(InvalidInputError, match="insonified"):
         prepare_volumes(
             [tracked(grey, mask=np.zeros(SHAPE, dtype=np.uint8))],
             pitch_mm=3.0,
             planes=6,
-            brightness=grey_levels(),
         )
     elsewhere = Rigid.from_rotation_vector([0, 0, 0], [0, 0, 0], "room", "probe")
     with pytest.raises(FrameMismatchError):
-        prepare_volumes(
-            [tracked(grey), tracked(grey, pose=elsewhere)], pitch_mm=3.0, planes=6, brightness=grey_levels()
-        )
+        prepare_volumes([tracked(grey), tracked(grey, pose=elsewhere)], pitch_mm=3.0, planes=6)
     with pytest.raises(FrameMismatchError):
         tracked(grey, pose=Rigid.from_rotation_vector([0, 0, 0], [0, 0, 0], "tracker", "plane"))
     with pytest.raises(InvalidInputError, match="uint8"):
@@ -251,7 +240,6 @@ def test_a_volume_smaller_than_a_block_is_refused() -> None:
             [tracked(np.full((4, 4, 2), 90, dtype=np.uint8))],
             pitch_mm=4.5,
             planes=6,
-            brightness=grey_levels(),
         )
 
 

@@ -1,4 +1,4 @@
-"""Averages of blocks of voxels, of what a table says of their grey levels."""
+"""Averages of grey levels over blocks of voxels."""
 
 import math
 from math import ceil, floor
@@ -20,17 +20,15 @@ def on_a_plane(i: int, j: int, k: int, every: int) -> bool:
 
 
 @inlined
-def _block_sum(
-    grey: NDArray[np.uint8], mask: NDArray[np.uint8], table: NDArray[np.float32], low: Corner, step: int
-) -> np.float32:
-    """Σ `table[grey]` over one block; NaN from the first voxel outside the mask on."""
+def _block_sum(grey: NDArray[np.uint8], mask: NDArray[np.uint8], low: Corner, step: int) -> np.float32:
+    """Σ `grey` over one block; NaN from the first voxel outside the mask on."""
     total = np.float32(0.0)
     for a in range(low[0], low[0] + step):
         for b in range(low[1], low[1] + step):
             for c in range(low[2], low[2] + step):
                 if mask[a, b, c] == 0:
                     return np.float32(math.nan)
-                total += table[grey[a, b, c]]
+                total += np.float32(grey[a, b, c])
     return total
 
 
@@ -38,16 +36,14 @@ def _block_sum(
 def pool_blocks(
     grey: NDArray[np.uint8],
     mask: NDArray[np.uint8],
-    table: NDArray[np.float32],
     step: int,
     every: int,
     out: NDArray[np.float32],
 ) -> None:
-    """Mean of `table[grey]` over each block of step³ voxels; NaN where one of them lies outside the mask.
+    """Mean of `grey` over each block of step³ voxels; NaN where one of them lies outside the mask.
 
     Args:
         grey, mask: (nx, ny, nz).
-        table: (256,).
         every: as in `on_a_plane`; NaN elsewhere.
         out: (nx // step, ny // step, nz // step).
     """
@@ -58,23 +54,21 @@ def pool_blocks(
                 out[i, j, k] = np.nan
                 if on_a_plane(i, j, k, every):
                     low = (i * step, j * step, k * step)
-                    out[i, j, k] = _block_sum(grey, mask, table, low, step) / count
+                    out[i, j, k] = _block_sum(grey, mask, low, step) / count
 
 
 @kernel
 def pool_cubes(
     grey: NDArray[np.uint8],
     mask: NDArray[np.uint8],
-    table: NDArray[np.float32],
     edge: NDArray[np.float64],
     every: int,
     out: NDArray[np.float32],
 ) -> None:
-    """Mean of `table[grey]` over boxes of any size, each voxel weighted by its share inside; NaN as above.
+    """Mean of `grey` over boxes of any size, each voxel weighted by its share inside; NaN as above.
 
     Args:
         grey, mask: (nx, ny, nz).
-        table: (256,).
         edge: (3,) of a box in voxels along each axis; a multiple of one voxel may be off by rounding.
         every: as in `on_a_plane`; NaN elsewhere.
         out: (mx, my, mz), with m·edge at most n along each axis. Box i lies between i·edge and (i + 1)·edge,
@@ -98,6 +92,6 @@ def pool_cubes(
                         wy = wx * (min(y1, b + 1.0) - max(y0, float(b)))
                         for c in range(floor(z0 + least), ceil(z1 - least)):
                             whole = whole and mask[a, b, c] != 0
-                            total += wy * (min(z1, c + 1.0) - max(z0, float(c))) * table[grey[a, b, c]]
+                            total += wy * (min(z1, c + 1.0) - max(z0, float(c))) * grey[a, b, c]
                 if whole:
                     out[i, j, k] = total / (edge[0] * edge[1] * edge[2])

@@ -1,8 +1,8 @@
 """Boundary points between blood and wall in tracked ultrasound slices, with their normals.
 
-A boundary is where the smoothed grey level u (of gated volumes: root amplitude) rises fastest along its own
-gradient (Canny 1986), found to a part of a pixel, with relative contrast c = σ|∇u|/u above a threshold. A
-step from a to b has c = 0.8 (b − a)/(b + a) there: about 0.35 between blood and muscle 24 of 60 dB apart.
+A boundary is where the smoothed grey level u rises fastest along its own gradient (Canny 1986), found to a
+part of a pixel, with relative contrast c = σ|∇u|/u above a threshold. A step from a to b has
+c = 0.8 (b − a)/(b + a) there: about 0.35 between blood and muscle 24 of 60 dB apart.
 """
 
 from dataclasses import dataclass

@@ -78,9 +78,9 @@ SLICE_LIMITS = Limits(z_score=3.8, split_half_mm=2.5, phase_mm=3.0, half_volume_
 sweeps below 2 mm, tuning seeds 1001 and 1002, 14 fields of mismatch), half as much again for parts of the
 cycle: each alone is against the pose; what they say together is in `assessment`."""
 VOLUME_LIMITS = Limits(z_score=5.5, split_half_mm=2.0, phase_mm=2.2, half_volume_mm=2.5, boundary_mm=3.0)
-"""For gated 3-D images of hearts that vary. Chosen on threshold hearts 2001–2030; on 2001–2087 5 of 154 good
-poses (below 2 mm, calm and poor images) stand above one of them, 9 are refused with what the checks say
-together, in `assessment`, and 30 of 34 above 3 mm, disturbed trials included. Thirds of the cycle of good
+"""For gated 3-D images of hearts that vary. Chosen on threshold hearts 2001–2030; on 2001–2087 1 of 161 good
+poses (below 2 mm, calm and poor images) stands above one of them, 5 are refused with what the checks say
+together, in `assessment`, and 27 of 29 above 3 mm, disturbed trials included. Thirds of the cycle of good
 poses lie up to 2.0 mm apart, so that a motion other than the model's shows from there on."""
 
 

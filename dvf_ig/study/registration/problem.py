@@ -46,7 +46,6 @@ from dvf_ig.registration import (
     register_volumes,
     target_from_labels,
 )
-from dvf_ig.registration.volumes import root_amplitude
 from dvf_ig.session.heart import label_map
 
 GATED = (0.0, 0.35, 0.75)
@@ -89,7 +88,7 @@ class _PreOperative:
     surface: BoundaryTarget
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def _preoperative(seed: int, motion: MotionPreset, heart: HeartSpec) -> _PreOperative:
     data = image_pair(PairSpec(seed, motion, heart=heart)).preop
     if data.mr is None:
@@ -171,17 +170,17 @@ def _retiming_error(pair: ImagePair, rr_s: float) -> FloatArray:
 
 
 def _same_image(pair: ImagePair) -> RegistrationProblem:
-    """The pipeline alone: "ultrasound" with the model's own channel as root amplitude, through a tracker."""
+    """The pipeline alone: "ultrasound" with the model's own channel as grey levels, through a tracker.
+
+    Rounded with dither (Roberts 1962): without noise, plain rounding draws contours that LC2 would match.
+    """
     preop = _preoperative(pair.spec.seed, pair.spec.motion, pair.spec.heart)
     tracker_from_mr, grid = pair.mr_from_tracker.inverse(), preop.mr.grid
     pose = Rigid("tracker", "mr", tracker_from_mr.rotation, tracker_from_mr.translation_mm)
-    amplitudes = root_amplitude()
-    volumes = []
+    volumes, rng = [], child_rng(pair.spec.seed, "dither")
     for phase, channels in zip(GATED, preop.gated.values, strict=True):
         level = channels[..., 0] - channels[..., 0].min()
-        grey = (
-            np.searchsorted(amplitudes, level * (amplitudes[-1] / level.max())).clip(0, 255).astype(np.uint8)
-        )
+        grey = np.floor(level * (255 / level.max()) + rng.random(level.shape)).astype(np.uint8)
         mask = Volume(grid, np.ones(grid.shape, dtype=np.uint8))
         volumes.append(TrackedVolume(Volume(grid, grey), mask, pose, phase))
     # blood is bright in MR: the boundaries that ultrasound shows do not exist here
