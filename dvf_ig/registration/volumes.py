@@ -139,7 +139,7 @@ def prepare_volumes(volumes: Sequence[TrackedVolume], *, pitch_mm: float, planes
 class _Averaged:
     """Grey levels averaged over blocks of `edge` voxels, NaN where one of them was not insonified.
 
-    Filled in on every `every`-th plane along each axis (`kernels.pool.on_a_plane`).
+    Filled in on every `every`-th plane along each axis (`kernels.grid.pool.on_a_plane`).
     """
 
     values: NDArray[np.float32]

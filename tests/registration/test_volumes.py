@@ -217,11 +217,7 @@ def test_misuse_is_refused() -> None:
     with pytest.raises(InvalidInputError, match="at least one"):
         prepare_volumes([], pitch_mm=3.0, planes=6)
     with pytest.raises(InvalidInputError, match="insonified"):
-        prepare_volumes(
-            [tracked(grey, mask=np.zeros(SHAPE, dtype=np.uint8))],
-            pitch_mm=3.0,
-            planes=6,
-        )
+        prepare_volumes([tracked(grey, mask=np.zeros(SHAPE, dtype=np.uint8))], pitch_mm=3.0, planes=6)
     elsewhere = Rigid.from_rotation_vector([0, 0, 0], [0, 0, 0], "room", "probe")
     with pytest.raises(FrameMismatchError):
         prepare_volumes([tracked(grey), tracked(grey, pose=elsewhere)], pitch_mm=3.0, planes=6)
@@ -236,11 +232,7 @@ def test_misuse_is_refused() -> None:
 
 def test_a_volume_smaller_than_a_block_is_refused() -> None:
     with pytest.raises(InvalidInputError):
-        prepare_volumes(
-            [tracked(np.full((4, 4, 2), 90, dtype=np.uint8))],
-            pitch_mm=4.5,
-            planes=6,
-        )
+        prepare_volumes([tracked(np.full((4, 4, 2), 90, dtype=np.uint8))], pitch_mm=4.5, planes=6)
 
 
 def flat_slices(count: int, rows: int, columns: int, frame: str = "tracker", seed: int = 0) -> SliceSet:

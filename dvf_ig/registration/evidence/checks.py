@@ -81,7 +81,7 @@ VOLUME_LIMITS = Limits(z_score=5.5, split_half_mm=2.0, phase_mm=2.2, half_volume
 """For gated 3-D images of hearts that vary. Chosen on threshold hearts 2001–2030; on 2001–2087 1 of 161 good
 poses (below 2 mm, calm and poor images) stands above one of them, 5 are refused with what the checks say
 together, in `assessment`, and 27 of 29 above 3 mm, disturbed trials included. Thirds of the cycle of good
-poses lie up to 2.0 mm apart, so that a motion other than the model's shows from there on."""
+poses lie up to 2.1 mm apart, so that a motion other than the model's shows from there on."""
 
 
 def wrong_pose_z_score(metric: Lc2, chart: PoseChart, rng: np.random.Generator) -> float:

@@ -90,6 +90,7 @@ class _PreOperative:
 
 @lru_cache(maxsize=2)
 def _preoperative(seed: int, motion: MotionPreset, heart: HeartSpec) -> _PreOperative:
+    """Two are kept: the trials of a heart by turns have its own MR and one of other noise."""
     data = image_pair(PairSpec(seed, motion, heart=heart)).preop
     if data.mr is None:
         raise TypeError("the phantom's pre-operative data hold MR")
