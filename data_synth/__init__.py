@@ -64,7 +64,6 @@ from .second_world.gated_volumes import second_world_pair as second_world_pair
 from .second_world.recording import SecondWorldRecording as SecondWorldRecording
 from .second_world.recording import SecondWorldSpec as SecondWorldSpec
 from .second_world.recording import second_world_recording as second_world_recording
-from .second_world.recording import second_world_scenario as second_world_scenario
 from .seeds import child_rng as child_rng
 from .seeds import child_seed as child_seed
 from .signals.ecg import EcgSpec as EcgSpec

@@ -113,11 +113,6 @@ class SecondWorldRecording:
         return self.room.drawn
 
 
-def second_world_scenario(spec: SecondWorldSpec, progress: Report | None = None) -> Scenario:
-    """The scenario of `second_world_recording`."""
-    return second_world_recording(spec, progress=progress).scenario
-
-
 def second_world_recording(
     spec: SecondWorldSpec, heart: RestingHeart | None = None, progress: Report | None = None
 ) -> SecondWorldRecording:

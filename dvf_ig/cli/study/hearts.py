@@ -146,6 +146,8 @@ def _table(groups: "list[HeartGroup]") -> list[tuple[str, ...]]:
         "TRE median mm": lambda g: _estimate(g.tre_median_mm),
         "TRE p95 mm": lambda g: _estimate(g.tre_p95_mm),
         "per-target p95 mm": lambda g: _estimate(g.target_p95_mm),
+        "least for a rigid pose, median mm": lambda g: _estimate(g.floor_median_mm),
+        "least for a rigid pose, p95 mm": lambda g: _estimate(g.floor_p95_mm),
         "above 3 mm refused": lambda g: _share(g.bad_refused),
         "below 2 mm refused": lambda g: _share(g.good_refused),
         "chi² of 6, mean": lambda g: _estimate(g.chi2_mean),

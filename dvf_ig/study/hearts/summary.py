@@ -46,6 +46,8 @@ class HeartGroup:
         tre_median_mm, tre_p95_mm: over hearts, of each heart's mean error over its targets.
         target_p95_mm, target_max_mm: 95th percentile over hearts of each heart's 95th percentile over its
             targets, and of its largest.
+        floor_median_mm, floor_p95_mm: over hearts, of the error that no rigid registration removes; without a
+            value in the first world, which does not tell it.
         bad_refused: of hearts with an error above FAILURE_MM; good_refused: of those below SUCCESS_MM.
         chi2_mean: of the squared error by the stated covariance, 6 where that is right.
         region_covers: of hearts whose true pose lies in the stated 95 % region.
@@ -70,6 +72,8 @@ class HeartGroup:
     tre_p95_mm: Estimate
     target_p95_mm: Estimate
     target_max_mm: Estimate
+    floor_median_mm: Estimate
+    floor_p95_mm: Estimate
     bad_refused: Share
     good_refused: Share
     chi2_mean: Estimate
@@ -149,6 +153,7 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
     stated = [line for line in done if line["success_probability"] is not None]
     bounded = [line for line in done if line.get("tre_bound_mm") is not None]
     placed = [line for line in done if line["chi2"] is not None]
+    floored = [line for line in done if line.get("floor_mm") is not None]
     bad = [line for line in done if line["tre_mm"] > FAILURE_MM]
     good = [line for line in done if line["tre_mm"] < SUCCESS_MM]
     region = float(chi2.ppf(COVERAGE, 6))
@@ -165,6 +170,8 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
         tre_p95_mm=_over_hearts(done, "tre_mm", _p95),
         target_p95_mm=_over_hearts(done, "tre_p95_mm", _p95),
         target_max_mm=_over_hearts(done, "tre_max_mm", _p95),
+        floor_median_mm=_over_hearts(floored, "floor_mm", np.median),
+        floor_p95_mm=_over_hearts(floored, "floor_mm", _p95),
         bad_refused=_share(bad, _is_refused),
         good_refused=_share(good, _is_refused),
         chi2_mean=_over_hearts(placed, "chi2", np.mean),

@@ -49,6 +49,7 @@ def _measured(done: RegisteredHeart) -> Line:
     errors = target_errors_mm(result.target_from_source, done.known.truth, done.known.targets)
     return {
         "start_mm": float(target_errors_mm(done.start, done.known.truth, done.known.targets).mean()),
+        "floor_mm": done.floor_mm,
         "tre_mm": float(errors.mean()),
         "tre_p95_mm": float(np.percentile(errors, 95)),
         "tre_max_mm": float(errors.max()),

@@ -55,6 +55,13 @@ def test_a_pose_outside_what_was_calibrated_has_no_probability_and_is_counted() 
     assert group.bound_covers.of == 1
 
 
+def test_what_no_rigid_pose_removes_is_told_where_it_is_known() -> None:
+    (known,) = summarise_hearts([line(1, 1.0, floor_mm=0.4), line(2, 1.2, floor_mm=0.6)])
+    assert known.floor_median_mm.value == pytest.approx(0.5)
+    (unknown,) = summarise_hearts([line(1, 1.0, floor_mm=None)])
+    assert unknown.floor_median_mm.value is None
+
+
 def test_trials_of_one_heart_count_once_in_an_interval() -> None:
     (apart,) = summarise_hearts([line(heart, 1.0 + heart % 2) for heart in range(20)])
     (together,) = summarise_hearts([line(heart // 4, 1.0 + heart // 4 % 2) for heart in range(20)])
