@@ -5,7 +5,6 @@
 
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import core
 from numba.extending import intrinsic
@@ -77,8 +76,3 @@ def sleep_until(t_ns: int, timespec: Any) -> int:
 def wake_exactly() -> None:
     """Ask Linux not to add its usual 50 µs to this thread's sleeps (no effect on real-time threads)."""
     _prctl(_SET_TIMER_SLACK, 1, 0, 0, 0)
-
-
-def new_timespec() -> Any:
-    """What the functions above work in; one a thread."""
-    return np.zeros(2, dtype=np.int64)

@@ -16,8 +16,6 @@ Source: Hannaford and Ryu 2002 (observer and controller in the time domain); Ryu
 reference energy); surface motion and the trapezoid as the reference are this project's.
 """
 
-import math
-
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels.compiled import kernel
 
@@ -101,9 +99,3 @@ def note_sent(p: FloatArray, sent: FloatArray) -> None:
     for k in range(3):
         p[SENT + 3 * at + k] = sent[k]
     p[SENT_COUNT] += 1.0
-
-
-@kernel
-def is_finite3(v: FloatArray) -> bool:
-    """Whether all three numbers are finite."""
-    return math.isfinite(v[0] + v[1] + v[2])
