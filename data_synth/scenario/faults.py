@@ -26,6 +26,8 @@ def describe_faults(preset: Preset) -> tuple[str, ...]:
             preset.other_probe_mm > 0 or preset.other_probe_deg > 0,
             "The probe's calibration recordings are of another probe.",
         ),
+        (preset.looks.for_s > 0, "The operator turns the image to the tool now and then."),
+        (preset.tool_echo.shown, "The ultrasound images show the tool."),
         (image.clutter > 0, "Clutter covers the ultrasound images."),
         (image.shadows > 0, "Parts of the ultrasound images lie in shadow."),
         (image.dynamic_range_db < 50, "The ultrasound images have little dynamic range."),

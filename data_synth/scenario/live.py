@@ -4,7 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from data_synth.heart.tissue import Tissue
 from data_synth.operator.contact import tool_truth
 from data_synth.operator.contact_sites import contact_sites
 from data_synth.operator.hand import perpendicular
@@ -17,23 +19,36 @@ from data_synth.signals.tracker_failure import TrackerFailureSpec, split_at_rest
 from data_synth.ultrasound.image_failure import with_failure
 from data_synth.ultrasound.image_faults import degraded
 from data_synth.ultrasound.sequence import simulate_sequence
-from dvf_ig.core import FloatArray, PoseStream, Rigid, ToolTruth, TrackedSequence
+from data_synth.ultrasound.tool_echo import with_tool
+from dvf_ig.core import BoolArray, FloatArray, Points, PoseStream, Rigid, ToolTruth, TrackedSequence
 
 from .world import ANTERIOR_LEFT, World
 
 TICK_HZ = 1000.0
 LINE_OVERHEAD = 1.1
 SOUND_MM_S = 1.54e6
+_ALONG_RAY = np.linspace(0.1, 1.0, 19)
+_HIDING = (int(Tissue.LUNG), int(Tissue.BONE))
 
 Report = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolTask:
-    """Where the tool goes, mr_from_tool, and what its tip truly meets at every millisecond."""
+    """Where the tool goes, mr_from_tool, and what its tip truly meets at every millisecond.
+
+    Attributes:
+        tip: one point in frame "tool"; the shaft goes from there to the frame's origin.
+    """
 
     mr_from_tool: PosePath
     contact: ToolTruth
+    tip: Points
+
+    def tip_mm(self, t_s: FloatArray) -> FloatArray:
+        """(n, 3) places of the tip, frame "mr"."""
+        rotations, places = self.mr_from_tool(t_s)
+        return np.asarray(rotations @ self.tip.xyz_mm[0] + places)
 
 
 def tool_task(world: World) -> ToolTask:
@@ -48,7 +63,7 @@ def tool_task(world: World) -> ToolTask:
     ticks_s = np.arange(round(spec.seconds * TICK_HZ)) / TICK_HZ
     met = tool_truth(world.surface, world.clock, ticks_s, tip(ticks_s))
     contact = replace(met, tip_mr_mm=met.tip_mr_mm + breath(ticks_s))
-    return ToolTask(moved(heart_from_tool, breath), contact)
+    return ToolTask(moved(heart_from_tool, breath), contact, world.truth.tip_in_tool)
 
 
 def tracked_tool(world: World, task: ToolTask) -> tuple[PoseStream, PoseStream | None]:
@@ -63,7 +78,7 @@ def tracked_tool(world: World, task: ToolTask) -> tuple[PoseStream, PoseStream |
 
 
 def tracked_ultrasound(
-    world: World, mr_from_plane: PosePath, contact: ToolTruth, report: Report
+    world: World, mr_from_plane: PosePath, task: ToolTask, report: Report
 ) -> TrackedSequence:
     """Images stamped on the video clock, each with tracker_from_probe as tracked at its stamp.
 
@@ -83,11 +98,12 @@ def tracked_ultrasound(
         seed=child_seed(spec.seeds.speckle, "speckle"),
         progress=lambda done, count: report(done / count),
     )
+    images = _with_tool(images, world, mr_from_plane, task, taken_s)
     images = degraded(images, world.probe, taken_s, options.image, world.rng("image faults"))
     images = with_failure(
         images, world.probe, taken_s, options.image_failure, spec.seconds, world.rng("image failure")
     )
-    tracker = _with_losses(options.probe_tracker, options.probe_failure, world, contact, "probe sight")
+    tracker = _with_losses(options.probe_tracker, options.probe_failure, world, task.contact, "probe sight")
     tracker_from_probe = composed(composed(inverted(world.patient), mr_from_plane), inverted(world.mount))
     stream = tracked(
         tracker_from_probe, "tracker", "probe", stamp_s - tracker.latency_s, stamp_s, tracker,
@@ -95,6 +111,29 @@ def tracked_ultrasound(
     )  # fmt: skip
     stream = with_frozen_poses(stream, options.probe_failure, spec.seconds)
     return TrackedSequence(stamp_s, images, np.ones(len(stamp_s), dtype=np.bool_), {stream.name: stream})
+
+
+def _with_tool(
+    images: NDArray[np.uint8], world: World, mr_from_plane: PosePath, task: ToolTask, taken_s: FloatArray
+) -> NDArray[np.uint8]:
+    """The images with the tool's echo, where the preset shows it."""
+    spec = world.options.tool_echo
+    if not spec.shown:
+        return images
+    rotations, places = composed(inverted(mr_from_plane), task.mr_from_tool)(taken_s)
+    tip = task.tip.xyz_mm[0]
+    shaft = rotations @ (-tip / np.linalg.norm(tip))
+    turns, apex = moved(mr_from_plane, lambda t_s: -world.breathing(t_s))(taken_s)
+    phases = world.clock.model_phase(taken_s)
+
+    def hidden(i: int, points: FloatArray) -> BoolArray:
+        rays = points[:, None] * _ALONG_RAY[:, None]
+        met = world.anatomy.tissue((rays @ turns[i].T + apex[i]).reshape(-1, 3), float(phases[i]))
+        return np.asarray(np.isin(met.reshape(rays.shape[:2]), _HIDING).any(axis=1))
+
+    return with_tool(
+        images, world.probe, rotations @ tip + places, shaft, hidden, spec, world.rng("tool echo")
+    )
 
 
 def _image_times(world: World, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

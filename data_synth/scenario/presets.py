@@ -6,6 +6,7 @@ from typing import get_args
 from data_synth.heart.heart_spec import STANDARD_HEART, HeartSeeds, HeartSpec
 from data_synth.heart.motion import MotionPreset
 from data_synth.operator.probe_path import SweepSpec
+from data_synth.operator.tool_in_view import LookSpec
 from data_synth.operator.tool_path import ToolSpec
 from data_synth.phantoms.nwire import NWireSpec
 from data_synth.phantoms.watertank import WaterTankSpec
@@ -17,6 +18,7 @@ from data_synth.signals.tracker_failure import ClockRestartSpec, TrackerFailureS
 from data_synth.ultrasound.image_failure import ImageFailureSpec
 from data_synth.ultrasound.image_faults import ImageSpec
 from data_synth.ultrasound.image_probe import CalibratedImage
+from data_synth.ultrasound.tool_echo import ToolEchoSpec
 from dvf_ig.core import InvalidInputError
 
 from .displacement import Displacement
@@ -36,6 +38,8 @@ class Preset:
         probe_failure, tool_failure: one failure of each sensor in the live part.
         tool_clock: the clock of the tool's tracker restarts in the live part.
         image_failure: images stop showing the heart.
+        tool_echo: how images show the tool.
+        looks: the operator turns the image to the tool now and then.
         patient_shift: mr_from_tracker changes; the displacement is that of the heart's centre.
         probe_slip: probe_from_image changes; the displacement is that of the image's middle.
         other_probe_mm, other_probe_deg: the calibration recordings are of a probe whose image lies this far
@@ -75,6 +79,8 @@ class Preset:
     tool_failure: TrackerFailureSpec = field(default_factory=TrackerFailureSpec)
     tool_clock: ClockRestartSpec = field(default_factory=ClockRestartSpec)
     image_failure: ImageFailureSpec = field(default_factory=ImageFailureSpec)
+    tool_echo: ToolEchoSpec = field(default_factory=ToolEchoSpec)
+    looks: LookSpec = field(default_factory=LookSpec)
     patient_shift: Displacement = field(default_factory=Displacement)
     probe_slip: Displacement = field(default_factory=Displacement)
     other_probe_mm: float = 0.0
@@ -132,6 +138,14 @@ PRESETS: dict[str, Preset] = {
     "frozen-tool": Preset(tool_failure=TrackerFailureSpec(frozen_s=20.0)),
     "tool-clock-restart": Preset(tool_clock=ClockRestartSpec(back_s=10.0)),
     "late-ecg": Preset(ecg=EcgSpec(latency_s=0.3)),
+    "tool-in-view": Preset(tool_echo=ToolEchoSpec(shown=True), looks=LookSpec(for_s=3.0)),
+    "tool-elsewhere": Preset(
+        tool_echo=ToolEchoSpec(shown=True),
+        looks=LookSpec(for_s=3.0),
+        other_probe_mm=6.0,
+        other_probe_deg=4.0,
+    ),
+    "tool-unseen": Preset(looks=LookSpec(for_s=3.0)),
 }
 """calm: about 72 beats/min with mild variability, low noise, short drop-outs. Every other one is calm except:
 tachycardia: the rate climbs from 60 to 120 beats/min between 8 and 52 s.
@@ -149,6 +163,9 @@ frozen-ultrasound: from half-way on one image is repeated; stamps and poses go o
 frozen-tool: half-way the tool's pose freezes, bit for bit and with status OK, for 20 s.
 tool-clock-restart: half-way the clock of the tool's tracker restarts 10 s back.
 late-ecg: the ECG is stamped 0.3 s late from the beginning.
+tool-in-view: images show the tool, and the operator turns them to it for 3 s every 8 s.
+tool-elsewhere: the same with the calibrations of wrong-calibration.
+tool-unseen: the same looks, at a tool that images do not show.
 """
 
 

@@ -11,6 +11,7 @@ from data_synth.heart.heart_spec import HeartSpec
 from data_synth.mr.cine import cine_preop
 from data_synth.operator.hand import reframed
 from data_synth.operator.probe_path import ReplayedPath, central_view, sweeping_path
+from data_synth.operator.tool_in_view import looking_at
 from data_synth.phantoms.nwire import nwire_recording
 from data_synth.phantoms.pivot import pivot_recording
 from data_synth.phantoms.watertank import watertank_recording
@@ -191,8 +192,11 @@ def _assembled(
     _report_progress(progress, 0.3)
     task = tool_task(world)
     _report_progress(progress, 0.4)
+    looks = world.options.looks
+    if looks.for_s > 0:
+        sweep = looking_at(sweep, task.tip_mm, looks, world.rng("looks at the tool"))
     ultrasound = tracked_ultrasound(
-        world, sweep, task.contact, lambda done: _report_progress(progress, 0.4 + 0.57 * done)
+        world, sweep, task, lambda done: _report_progress(progress, 0.4 + 0.57 * done)
     )
     options, center = world.options, anatomy.box_mm.mean(axis=0)
     tool, tool_after_restart = tracked_tool(world, task)

@@ -3,6 +3,7 @@
     ECG      R peaks ─► phase φ, its σ and state ─► T_d, retiming          heart_clock
     frames   gate ─► register, compare every beat ─► pose and its age      pose_tracker, ultrasound_source
     tool     newest pose ─► predicted tip                                  tool_tracker
+             tip where frames should show it ─► calibrations in doubt      tip_watch
     force    pose and phase ─► fixtures ─► supervisor                      guidance
 
 A session is pushed events and asked for its state at moments in order. It knows no file, no network and no
@@ -40,6 +41,7 @@ from .source_clock import SourceClocks
 from .state import GuidanceState
 from .tool_tracker import ToolReading, ToolTracker
 from .ultrasound.frame_buffer import FrameBuffer
+from .ultrasound.tip_watch import TipWatch
 from .ultrasound.ultrasound_source import ArrivedUltrasound, UltrasoundSource
 
 REMEMBERED = 200
@@ -90,6 +92,7 @@ class Session:
         self._clock = HeartClock(setup.beat_source)
         self._sources = SourceClocks(setup.beat_source)
         self._tool = ToolTracker(setup.calibrations.tip)
+        self._tip = TipWatch(self._frames, setup.calibrations, setup.fan)
         fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
         self._fixtures = FixturesOverTime(fixtures)
         self._margins = MarginTracker(setup.fixtures, setup.device)
@@ -133,6 +136,7 @@ class Session:
             self._clock.push(event)
         elif isinstance(event, ToolPose):
             self._tool.push(event)
+            self._tip.push(event)
         elif isinstance(event, TrackedFrame):
             first = not self._frames.any
             if self._frames.push(event) and first:
@@ -177,6 +181,7 @@ class Session:
             pose_age_s=age_s,
             tre_bound_mm=nan if confirmation is None else confirmation.bound_mm(now_s),
             doubt=self._pose.monitor.doubt,
+            tip_seen=self._tip.seen,
             registration=self.history.attempts[-1] if self.history.attempts else None,
             model_phase=self._place.item(MODEL_PHASE),
             tool=tool,
@@ -219,6 +224,7 @@ class Session:
             peak = replace(peak, detected_at_s=max(peak.detected_at_s, stepped_s))
             self.history.peaks.append(peak)
             self._pose.add_peak(peak)
+            self._pose.add_tip(self._tip.after_beat(peak.t_s, peak.detected_at_s), peak.detected_at_s)
 
     def _update_transform(self, now_s: float) -> None:
         """A new value where the pose, its confirmation or the phase's forecast has changed."""

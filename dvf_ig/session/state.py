@@ -7,7 +7,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, PhaseReading, read_only_arrays
 from dvf_ig.guidance import PoseAndPhase, RearmAnswer, Status, SupervisedForce, SupervisorState
-from dvf_ig.registration import PoseEstimate
+from dvf_ig.registration import PoseEstimate, TipSighting
 
 from .calibrations import CalibrationsInUse
 from .pose.doubt import Doubt
@@ -26,6 +26,7 @@ class GuidanceState:
         pose_age_s: time since a heart beat confirmed the pose; infinite before the first.
         tre_bound_mm: 95 % bound on the error of the pose in use over the heart; NaN before the first.
         doubt: why the pose is suspended; None while it is not.
+        tip_seen: where ultrasound shows the tool's tip; None where it does not.
         registration: the last one that ended, with its evidence; None before the first.
         model_phase: place in the model's cycle; NaN where the phase is not locked.
         tool: the tool's tip, or why it is not known.
@@ -49,6 +50,7 @@ class GuidanceState:
     pose_age_s: float
     tre_bound_mm: float
     doubt: Doubt | None
+    tip_seen: TipSighting | None
     registration: Attempt | None
     model_phase: float
     tool: ToolReading

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import Rigid, Stop
-from dvf_ig.registration import BeatMeasurement, PoseEstimate
+from dvf_ig.registration import BeatMeasurement, PoseEstimate, TipSighting
 from dvf_ig.session import BeatEvaluation
 from dvf_ig.session.pose.refusal import Refusal, Refused
 from dvf_ig.session.pose.registration_monitor import (
@@ -263,3 +263,37 @@ def test_where_ecg_and_images_disagree_only_a_registration_brings_the_pose_back(
 def test_a_refused_registration_changes_nothing_before_there_is_a_pose() -> None:
     monitor = RegistrationMonitor(CENTER, landmarks=None)
     assert monitor.after_refusal(Stop.POOR_MATCH).in_use is None
+
+
+def sighted(off_mm: float) -> TipSighting:
+    return TipSighting(off_mm, 90.0, 5.0, 12)
+
+
+def test_a_tool_that_is_seen_elsewhere_takes_the_pose_away_until_it_is_not() -> None:
+    monitor = in_use()
+    assert monitor.after_tip(None).in_use is not None
+    assert monitor.after_tip(sighted(1.0)).in_use is not None
+    suspended = monitor.after_tip(sighted(5.0))
+    assert suspended.in_use is None
+    assert suspended.doubt is not None
+    assert suspended.doubt.sentence.startswith(
+        "ultrasound shows the tool 5.0 mm from where its tip should be"
+    )
+    # neither a registration nor beats bring a pose back
+    after, refused = suspended.after_registration(at(0.0), 0)
+    assert refused == Refused(Refusal.TIP_ELSEWHERE, 5.0)
+    for _ in range(2 * CONFIRMING_BEATS):
+        after = after.after_beat(measured(1.0))
+    assert after.in_use is None
+    recovered = after.after_tip(sighted(0.5))
+    for _ in range(CONFIRMING_BEATS):
+        recovered = recovered.after_beat(measured(1.0))
+    assert recovered.in_use is not None
+
+
+def test_a_first_pose_is_refused_while_the_tool_is_seen_elsewhere() -> None:
+    monitor, refused = (
+        RegistrationMonitor(CENTER, landmarks=None).after_tip(sighted(4.0)).after_registration(at(0.0), 0)
+    )
+    assert refused == Refused(Refusal.TIP_ELSEWHERE, 4.0)
+    assert monitor.pending is None

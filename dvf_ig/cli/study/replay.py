@@ -75,6 +75,7 @@ def _table(rows: "list[PresetSummary]") -> list[tuple[str, ...]]:
         "at a stretch",
         "withheld s",
         "latched s",
+        "tip seen, elsewhere",
     )
     return [head, *(_row(row) for row in rows)]
 
@@ -92,6 +93,7 @@ def _row(row: "PresetSummary") -> tuple[str, ...]:
         _number(row.hazard_longest_s, "{:.2f}"),
         _number(row.withheld_s, "{:.1f}"),
         _number(row.latched_s, "{:.1f}"),
+        f"{row.tip_seen}, {row.tip_elsewhere}",
     )
 
 

@@ -27,6 +27,21 @@ def update_fields(replay: Replay) -> dict[str, Any]:
     }
 
 
+def tip_field(replay: Replay) -> dict[str, float] | None:
+    """Where ultrasound last showed the tool's tip, and in how many beats; None where it never did."""
+    sightings = replay.history.sightings
+    if not sightings:
+        return None
+    last = sightings[-1]
+    return {
+        "off_mm": last.off_mm,
+        "contrast_grey": last.contrast_grey,
+        "ratio": last.ratio,
+        "seen_beats": len(sightings),
+        "elsewhere_beats": sum(seen.elsewhere for seen in sightings),
+    }
+
+
 def _withheld_s(ticks: Ticks) -> float:
     """Seconds after the first pose in which none could be used: suspended, or confirmed by no beat."""
     posed = np.isfinite(ticks.mr_from_tracker[:, 0, 0])

@@ -12,7 +12,7 @@ from dvf_ig.replay.engine import Replay
 from .errors import ERROR_FIELDS, error_fields, margin_fields
 from .evidence import attempt_fields
 from .no_force import no_force_of
-from .pose_fields import age_fields, bound_fields, update_fields
+from .pose_fields import age_fields, bound_fields, tip_field, update_fields
 from .schema import SCHEMA, validate
 
 
@@ -49,6 +49,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
         **update_fields(replay),
         "supervisor": asdict(summarise_supervision(ticks.t_s, ticks.supervisor, force)),
         "pose_age_s": age_fields(ticks),
+        "tip_in_image": tip_field(replay),
         "registrations": [attempt_fields(a) for a in replay.attempts],
         "tre_bound_mm": bound_fields(replay),
         **dict.fromkeys(ERROR_FIELDS),

@@ -16,6 +16,10 @@ class DoubtCause(Enum):
         "since {since_s:.1f} s ultrasound matches the model worse than the same views did before: the "
         "heart may be deformed, or something lies before it"
     )
+    TIP_ELSEWHERE = (
+        "ultrasound shows the tool {mm:.1f} mm from where its tip should be; calibrate the probe and the "
+        "tool's tip again"
+    )
     PHASE_OFFSET = "ECG and ultrasound disagree on the phase"
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import Rigid
-from dvf_ig.registration import RegistrationResult
+from dvf_ig.registration import RegistrationResult, TipSighting
 from dvf_ig.session.ultrasound.beat_evaluation import BeatEvaluation
 from dvf_ig.session.ultrasound.gated_frames import GatedFrames
 
@@ -71,6 +71,7 @@ class SessionHistory:
         attempts: registrations.
         beats: beats that were compared with a pose.
         updates: the pose to use from each time on.
+        sightings: of the tool's tip in the images, after each beat in which it was seen.
     """
 
     def __init__(self, longest: int | None = None) -> None:
@@ -78,6 +79,7 @@ class SessionHistory:
         self.attempts: deque[Attempt] = deque(maxlen=longest)
         self.beats: deque[BeatEvaluation] = deque(maxlen=longest)
         self.updates: deque[PoseUpdate] = deque(maxlen=longest)
+        self.sightings: deque[TipSighting] = deque(maxlen=longest)
 
     def set_refused(self, asked_s: float, refused: Refused | None) -> None:
         """Change why the registration that was asked for at `asked_s` is not used."""

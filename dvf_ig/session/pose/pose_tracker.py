@@ -14,7 +14,7 @@ from math import inf
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import PoseMotion, Rigid, Stop
-from dvf_ig.registration import PoseEstimate
+from dvf_ig.registration import PoseEstimate, TipSighting
 from dvf_ig.session.events import Landmark
 from dvf_ig.session.ultrasound.beat_evaluation import BeatEvaluation, ComparableBeat, as_of, evaluation_of
 from dvf_ig.session.ultrasound.ultrasound_source import RegistrationRequest, UltrasoundSource
@@ -95,6 +95,17 @@ class PoseTracker:
         """A landmark was touched."""
         self._landmarks.add(landmark)
         self.monitor = replace(self.monitor, landmarks=self._landmarks.fit)
+
+    def add_tip(self, seen: TipSighting | None, now_s: float) -> None:
+        """Where images up to now show the tool's tip; None where they do not."""
+        if seen is not None:
+            self.history.sightings.append(seen)
+        before = self.monitor
+        self.monitor = before.after_tip(seen)
+        self._record_update(before, now_s)
+        if before.in_use and not self.monitor.in_use:
+            self._registrations.cancel()
+            self._next_start_s = now_s + RECOVER_S
 
     def step(self) -> None:
         """Do what is to be done at `next_s`."""

@@ -12,6 +12,10 @@ class Refusal(Enum):
         "the touched landmarks lie {mm:.1f} mm from where the images put them; check the "
         "probe's calibration, or touch the landmarks again"
     )
+    TIP_ELSEWHERE = (
+        "ultrasound shows the tool {mm:.1f} mm from where its tip should be; calibrate the probe and the "
+        "tool's tip again"
+    )
     MOVED = "patient or probe moved by {mm:.1f} mm; suspended until heart beats confirm it"
     BEAT_DISAGREES = (
         "ultrasound of a later beat matches best {mm:.1f} mm from this pose; check the probe's "

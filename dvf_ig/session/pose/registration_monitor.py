@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, Stop, mean_displacement_mm, read_only_arrays
-from dvf_ig.registration import BeatMeasurement, PoseEstimate, ShiftDetector, SimilarityWatch
+from dvf_ig.registration import BeatMeasurement, PoseEstimate, ShiftDetector, SimilarityWatch, TipSighting
 from dvf_ig.session.ultrasound.beat_evaluation import BeatEvaluation
 
 from .doubt import Doubt, DoubtCause
@@ -84,6 +84,8 @@ class RegistrationMonitor:
             disagree, or the images have changed as no pose explains.
         shift: the last beats against the pose under test.
         similarity: that of beats since the pose came into use.
+        tip_off_mm: how far from its place ultrasound shows the tool, where that speaks against the
+            calibrations; no pose comes into use then. None where it does not, or is not seen.
         contradicting: beats in a row whose log-likelihood ratio exceeds SUSPEND_LOG_RATIO.
         doubt: why the pose is suspended; None while it is in use, or before the first.
     """
@@ -99,6 +101,7 @@ class RegistrationMonitor:
     needs_registration: bool = False
     shift: ShiftDetector = field(default_factory=ShiftDetector)
     similarity: SimilarityWatch = field(default_factory=SimilarityWatch.new)
+    tip_off_mm: float | None = None
     contradicting: int = 0
     doubt: Doubt | None = None
 
@@ -116,6 +119,8 @@ class RegistrationMonitor:
         self, found: PoseEstimate, beats: float
     ) -> tuple["RegistrationMonitor", Refused | None]:
         """The next state, and why the registration is not in use yet; its middle is so many beats old."""
+        if self.tip_off_mm is not None:
+            return self, Refused(Refusal.TIP_ELSEWHERE, self.tip_off_mm)
         if self.suspended or self.estimate is None:
             return replace(self, needs_registration=False)._with_pending(found)
         off_mm = mean_displacement_mm(found.pose, self.estimate.pose, self.center_mm)
@@ -138,6 +143,17 @@ class RegistrationMonitor:
         if self.refusals + 1 >= SUSPENDING_REFUSALS:
             return self._suspended(Doubt(DoubtCause.REFUSED))
         return replace(self, estimate=_less_certain(self.estimate), refusals=self.refusals + 1)
+
+    def after_tip(self, seen: TipSighting | None) -> "RegistrationMonitor":
+        """The next state after images that could have shown the tool's tip.
+
+        Where they show it elsewhere, image calibration, lag or tip is wrong, and every pose with them.
+        """
+        off_mm = None if seen is None or not seen.elsewhere else seen.off_mm
+        watched = replace(self, tip_off_mm=off_mm)
+        if off_mm is None or self.in_use is None:
+            return watched
+        return watched._suspended(Doubt(DoubtCause.TIP_ELSEWHERE, distance_mm=off_mm))
 
     def _suspended(self, doubt: Doubt) -> "RegistrationMonitor":
         return replace(self, suspended=True, consistent_beats=0, refusals=0, contradicting=0, doubt=doubt)
@@ -189,7 +205,7 @@ class RegistrationMonitor:
 
     def _retested(self, tested: PoseEstimate, measurement: BeatMeasurement) -> "RegistrationMonitor":
         """The next state of a suspended pose, or of a registration that waits."""
-        if self.needs_registration:
+        if self.needs_registration or self.tip_off_mm is not None:
             return self
         shift = self.shift.test
         statistic = 0.0 if shift is None or not measurement.informative else shift.statistic

@@ -24,6 +24,7 @@ class PresetSummary:
         hazard_s: largest time with a force on a pose more than 5 mm off; hazard_longest_s: at a stretch.
         withheld_s: time in which the pose was suspended or unconfirmed.
         latched_s: time in which the operator had to re-arm.
+        tip_seen: replays in which images showed the tool's tip; tip_elsewhere: of them beside its place.
     """
 
     preset: str
@@ -39,6 +40,8 @@ class PresetSummary:
     hazard_longest_s: float | None
     withheld_s: float | None
     latched_s: float | None
+    tip_seen: int
+    tip_elsewhere: int
 
 
 def summarise_replays(lines: Sequence[Line], presets: Sequence[str]) -> list[PresetSummary]:
@@ -66,6 +69,10 @@ def _summary(preset: str, lines: Sequence[Line]) -> PresetSummary:
         hazard_longest_s=max((x["hazard_longest_s"] for x in scored), default=None),
         withheld_s=_median([x["withheld_s"] for x in scored]),
         latched_s=_median([x["supervisor"]["latched_s"] for x in scored]),
+        tip_seen=sum(x["tip_in_image"] is not None for x in scored),
+        tip_elsewhere=sum(
+            x["tip_in_image"] is not None and x["tip_in_image"]["elsewhere_beats"] > 0 for x in scored
+        ),
     )
 
 

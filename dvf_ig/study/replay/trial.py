@@ -17,6 +17,7 @@ KEPT = (
     "valid_ticks",
     "ticks",
     "supervisor",
+    "tip_in_image",
     "seconds",
 )
 """Fields of a replay's result that a line keeps."""

@@ -72,6 +72,9 @@ CHANGED = {
     "frozen-tool": {"tool"},
     "tool-clock-restart": {"tool"},
     "late-ecg": {"ecg clock"},
+    "tool-in-view": {"probe", "images"},
+    "tool-elsewhere": {"probe", "images", "nwire", "latency"},
+    "tool-unseen": {"probe"},
 }
 """The ball's images are black and all alike: in themselves, repeated or gone they are the same."""
 

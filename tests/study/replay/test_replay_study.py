@@ -19,6 +19,7 @@ def line(number: int, tre_mm: float | None, hazard_s: float) -> dict[str, Any]:
         "valid_ticks": 800,
         "ticks": 1000,
         "supervisor": {"latched_s": 0.0},
+        "tip_in_image": None,
     }
 
 

@@ -1,0 +1,140 @@
+"""What a scan shows of a metal tool: a bright echo where it meets the shaft, ringing and a shadow behind it.
+
+Applied to compressed images, whose grey is a linear scale of decibels: the echo adds as power, and the shadow
+subtracts. Of a shaft that crosses the image a short piece is shown, as long as the beam is thick; a shaft
+within the image is a line that ends at the tip.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d, map_coordinates
+
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError
+
+from .probe import FWHM_PER_SIGMA, SectorProbe
+
+_SHAFT_STEP_MM = 0.25
+_GLINT_STEPS = 4.0
+_LEAST_SHARE = 1e-3
+"""Of the echo of a shaft in the middle of the beam, below which nothing is drawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class ToolEchoSpec:
+    """A straight tool of metal.
+
+    Attributes:
+        shown: whether images show it at all.
+        level_db: echo of a shaft across the beam, re myocardium's scatter.
+        along_db: how much weaker a shaft along the beam is: it reflects away from the probe.
+        glint_db: standard deviation of the echo along the shaft, redrawn with every image.
+        ringing_mm: depth over which the echo rings on to 1/e of its amplitude.
+        shadow_db: two-way loss behind it.
+        length_mm: of the shaft from the tip on that may be seen.
+    """
+
+    shown: bool = False
+    level_db: float = 20.0
+    along_db: float = 18.0
+    glint_db: float = 3.0
+    ringing_mm: float = 1.2
+    shadow_db: float = 15.0
+    length_mm: float = 80.0
+
+    def __post_init__(self) -> None:
+        if min(self.along_db, self.glint_db, self.ringing_mm, self.shadow_db) < 0 or self.length_mm <= 0:
+            raise InvalidInputError("a value of the tool's echo is negative; needed 0 or more")
+
+
+def with_tool(
+    images: NDArray[np.uint8],
+    probe: SectorProbe,
+    tip_mm: FloatArray,
+    shaft: FloatArray,
+    hidden: Callable[[int, FloatArray], BoolArray],
+    spec: ToolEchoSpec,
+    rng: np.random.Generator,
+) -> NDArray[np.uint8]:
+    """(n, rows, columns) images with the tool in those that meet it.
+
+    Args:
+        tip_mm: (n, 3) the tip at each image, frame "plane".
+        shaft: (n, 3) unit vector from the tip up the shaft, frame "plane".
+        hidden: (number of the image, (k, 3) points in frame "plane") to (k,) points that lung or bone hides.
+    """
+    line, sample = probe.pixel_lookup()
+    seen = line >= 0
+    at = np.stack([line[seen], sample[seen]])
+    floor_db = probe.top_db - probe.dynamic_range_db
+    per_db = 255.0 / probe.dynamic_range_db
+    out = images.copy()
+    for i, shown in enumerate(out):
+        points, share = _in_view(probe, tip_mm[i], shaft[i], spec)
+        clear = ~hidden(i, points)
+        if not clear.any():
+            continue
+        echo, loss_db = _scan_lines(probe, points[clear], share[clear], shaft[i], spec, rng)
+        grey = shown[seen].astype(np.float64)
+        level = floor_db + grey / per_db - map_coordinates(loss_db, at, order=1)
+        power = np.where(grey > 0, 10 ** (level / 10), 0.0) + map_coordinates(echo, at, order=1) ** 2
+        level = 10 * np.log10(power + 1e-12)
+        shown[seen] = np.clip((level - floor_db) * per_db + 0.5, 0, 255)
+    return out
+
+
+def _in_view(
+    probe: SectorProbe, tip_mm: FloatArray, up: FloatArray, spec: ToolEchoSpec
+) -> tuple[FloatArray, FloatArray]:
+    """(k, 3) points of the shaft in the beams, and (k,) how much of their echo the beam's thickness shows."""
+    points = tip_mm + np.arange(0.0, spec.length_mm, _SHAFT_STEP_MM)[:, None] * up
+    depth = np.hypot(points[:, 0], points[:, 1]) - probe.face_radius_mm
+    sigma_mm = probe.elevation_fwhm_mm(np.maximum(depth, 1.0)) / FWHM_PER_SIGMA
+    share = np.exp(-0.5 * (points[:, 2] / sigma_mm) ** 2)
+    inside = (depth > 1.0) & (depth < probe.depth_mm) & (share > _LEAST_SHARE)
+    inside &= np.abs(np.arctan2(points[:, 0], points[:, 1])) <= probe.half_angle_rad
+    return points[inside], share[inside]
+
+
+def _scan_lines(
+    probe: SectorProbe,
+    points: FloatArray,
+    share: FloatArray,
+    up: FloatArray,
+    spec: ToolEchoSpec,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """(lines, samples) amplitude of the echo, and loss in dB."""
+    glint = gaussian_filter1d(rng.standard_normal(len(points)), _GLINT_STEPS)
+    glint_db = spec.glint_db * glint * np.sqrt(2 * _GLINT_STEPS * np.sqrt(np.pi))
+    depth = np.hypot(points[:, 0], points[:, 1]) - probe.face_radius_mm
+    angle = np.arctan2(points[:, 0], points[:, 1])
+    number = (angle + probe.half_angle_rad) / (2 * probe.half_angle_rad) * (probe.lines - 1)
+    beam = points / np.linalg.norm(points, axis=1)[:, None]
+    level_db = spec.level_db - spec.along_db * (beam @ up) ** 2 + glint_db
+    cell = (np.rint(number).astype(int), (depth / probe.step_mm).astype(int))
+    met, echo = np.zeros((2, probe.lines, probe.samples))
+    np.maximum.at(met, cell, share)
+    np.maximum.at(echo, cell, share * 10 ** (level_db / 20))
+    return _shown(probe, echo, float(depth.mean()), spec), _loss_db(probe, met, spec)
+
+
+def _shown(probe: SectorProbe, echo: FloatArray, depth_mm: float, spec: ToolEchoSpec) -> FloatArray:
+    """Amplitudes along the shaft as wide as the beam, and ringing on in depth; peaks keep their height."""
+    pitch_mm = depth_mm * 2 * probe.half_angle_rad / (probe.lines - 1)
+    lateral = float(probe.lateral_fwhm_mm(depth_mm)) / FWHM_PER_SIGMA / pitch_mm
+    axial = probe.axial_fwhm_mm / FWHM_PER_SIGMA / probe.step_mm
+    wide = gaussian_filter1d(gaussian_filter1d(echo, lateral, axis=0), axial, axis=1)
+    if wide.max() > 0:
+        wide *= echo.max() / wide.max()
+    decay = np.exp(-probe.step_mm / max(spec.ringing_mm, 1e-6))
+    for k in range(1, wide.shape[1]):
+        np.maximum(wide[:, k], decay * wide[:, k - 1], out=wide[:, k])
+    return wide
+
+
+def _loss_db(probe: SectorProbe, met: FloatArray, spec: ToolEchoSpec) -> FloatArray:
+    """Loss behind what the beams have met, blurred as the beams are."""
+    return np.asarray(gaussian_filter1d(spec.shadow_db * np.maximum.accumulate(met, axis=1), 1.0, axis=0))
