@@ -71,10 +71,9 @@ from .tracking.pose_estimate import measure_beat as measure_beat
 from .tracking.shift_detector import ShiftDetector as ShiftDetector
 from .tracking.shift_detector import ShiftTest as ShiftTest
 from .tracking.similarity_watch import SimilarityWatch as SimilarityWatch
-from .tracking.tip_in_image import BESIDE_MM as BESIDE_MM
-from .tracking.tip_in_image import IN_PLANE_MM as IN_PLANE_MM
 from .tracking.tip_in_image import TipPatches as TipPatches
 from .tracking.tip_in_image import TipSighting as TipSighting
+from .tracking.tip_in_image import TipView as TipView
 from .tracking.tip_in_image import patch_around as patch_around
 from .tracking.tip_in_image import sighting as sighting
 from .tracking.tip_in_image import tip_view as tip_view

@@ -224,7 +224,9 @@ class Session:
             peak = replace(peak, detected_at_s=max(peak.detected_at_s, stepped_s))
             self.history.peaks.append(peak)
             self._pose.add_peak(peak)
-            self._pose.add_tip(self._tip.after_beat(peak.t_s, peak.detected_at_s), peak.detected_at_s)
+            seen = self._tip.after_beat(peak.t_s, peak.detected_at_s)
+            if seen is not None:
+                self._pose.add_tip(seen, peak.detected_at_s)
 
     def _update_transform(self, now_s: float) -> None:
         """A new value where the pose, its confirmation or the phase's forecast has changed."""

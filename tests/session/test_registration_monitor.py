@@ -12,6 +12,7 @@ from dvf_ig.session.pose.refusal import Refusal, Refused
 from dvf_ig.session.pose.registration_monitor import (
     CONFIRMING_BEATS,
     CONSISTENT_LOG_RATIO,
+    ELSEWHERE_BEATS,
     SUSPEND_LOG_RATIO,
     SUSPEND_LOG_RATIO_ALONE,
     RegistrationMonitor,
@@ -266,14 +267,21 @@ def test_a_refused_registration_changes_nothing_before_there_is_a_pose() -> None
 
 
 def sighted(off_mm: float) -> TipSighting:
-    return TipSighting(off_mm, 90.0, 5.0, 12)
+    return TipSighting(off_mm, 0.0, 90.0, 5.0, 12)
+
+
+def elsewhere(monitor: RegistrationMonitor, off_mm: float) -> RegistrationMonitor:
+    for _ in range(ELSEWHERE_BEATS):
+        assert monitor.tip_off_mm is None
+        monitor = monitor.after_tip(sighted(off_mm))
+    return monitor
 
 
 def test_a_tool_that_is_seen_elsewhere_takes_the_pose_away_until_it_is_not() -> None:
     monitor = in_use()
-    assert monitor.after_tip(None).in_use is not None
     assert monitor.after_tip(sighted(1.0)).in_use is not None
-    suspended = monitor.after_tip(sighted(5.0))
+    assert monitor.after_tip(sighted(5.0)).in_use is not None
+    suspended = elsewhere(monitor, 5.0)
     assert suspended.in_use is None
     assert suspended.doubt is not None
     assert suspended.doubt.sentence.startswith(
@@ -291,9 +299,15 @@ def test_a_tool_that_is_seen_elsewhere_takes_the_pose_away_until_it_is_not() -> 
     assert recovered.in_use is not None
 
 
+def test_single_sightings_elsewhere_do_not_count() -> None:
+    monitor = in_use()
+    for off_mm in [5.0] * (ELSEWHERE_BEATS - 1) + [0.5] + [5.0] * (ELSEWHERE_BEATS - 1):
+        monitor = monitor.after_tip(sighted(off_mm))
+    assert monitor.in_use is not None
+
+
 def test_a_first_pose_is_refused_while_the_tool_is_seen_elsewhere() -> None:
-    monitor, refused = (
-        RegistrationMonitor(CENTER, landmarks=None).after_tip(sighted(4.0)).after_registration(at(0.0), 0)
-    )
+    unposed = elsewhere(RegistrationMonitor(CENTER, landmarks=None), 4.0)
+    monitor, refused = unposed.after_registration(at(0.0), 0)
     assert refused == Refused(Refusal.TIP_ELSEWHERE, 4.0)
     assert monitor.pending is None

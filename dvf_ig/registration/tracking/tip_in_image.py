@@ -1,17 +1,18 @@
 """Where ultrasound shows the tip of the tool, against where tracker and calibrations put it.
 
 A tool of metal is a bright echo. Where the tracked tip lies in the image plane the image should be bright
-there; with a wrong image calibration, tip or lag it is bright elsewhere. The heart's own bright edges are
-there as well when the tip touches it, so images that pass beside the tip are what others are held against:
+there; with a wrong image calibration, tip or lag it is bright elsewhere, or in images whose plane should lie
+beside the tip. The heart's own bright edges are there as well when the tip touches it, so images that pass
+further beside are what others are held against:
 
-    a_b(q), c_b(q)   mean grey level, q mm from where the tip should be, over the images of beat b whose plane
-                     the tip lies within IN_PLANE_MM of, or BESIDE_MM away from
-    e(q) = mean over beats of a_b − mean over beats of c_b
-    T = max e / SE                                                    one beat counts once
+    z              distance of the tip from the plane of an image
+    g_b(q, z)      mean grey level, q mm from where the tip should be, over images of beat b with the tip at z
+    e(q, z) = mean over beats of g_b(q, z) − mean over beats of g_b(q, z′), |z′ − z| in BESIDE_MM
+    T(z) = max over q of e / SE                                       one beat counts once
 
-The tool is seen where max e and T are large: tissue has no such contrast between the two. Then the nearest
-place that is nearly as bright as the brightest says how far off it is: a shaft that lies in the image is a
-line that ends at the tip. What is off across the image, or towards the shaft along it, does not show.
+The tool is seen where e and T are large: tissue has no such contrast between the two. The nearest place,
+within the images and beside them, that is nearly as bright as the brightest says how far off it is: a shaft
+is a line that ends at the tip. What is off along it towards the hand does not show.
 
 Source: this project; Welch 1947 for SE, pooled over places.
 """
@@ -22,29 +23,34 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from dvf_ig.core import AnyArray, BoolArray, FloatArray, ImageMap, read_only_arrays
+from dvf_ig.core import AnyArray, BoolArray, FloatArray, ImageMap, IntArray, read_only_arrays
 
 PATCH_MM, STEP_MM = 10.0, 0.5
 """Half the edge of what is looked at around the tip, and its raster."""
-IN_PLANE_MM = 1.5
-"""How far the tip is at most from the plane of an image that should show it."""
+PLANE_MM = 2.0
+"""Images whose plane passes the tip alike to within half of this are taken together."""
+SEARCHED_MM = 6.0
+"""How far beside the plane that should hold the tip it is looked for."""
 BESIDE_MM = (5.0, 15.0)
-"""How far it is from the plane of those that should not."""
+"""How far beside those pass that a plane is held against."""
 SMOOTHING_MM = 1.0
 """Standard deviation of the Gaussian on the patches: the width of the echo."""
 LEAST_INSIDE = 0.6
 """Share of a patch that must lie in the sector."""
-LEAST_IN_PLANE, LEAST_BESIDE = 4, 3
-"""Beats of both kinds, without which nothing is said."""
-REMEMBERED_BEATS = 20
-"""Of each kind: what is said is of the last half minute in which the tool was in view."""
-SEEN_GREY, SEEN_RATIO = 60.0, 3.5
-"""Least contrast in grey levels of 255, and over its standard error, of a tool that is seen. In 40 s of
-tuning seeds 101–114 one that is not shown reaches 51 and 2.7 beside its place, 64 and 4.9 in it, where the
-heart's edge lies; one that is shown 96 to 143 and 4.6 to 7.6, in poor images 60 to 79. With calibrations 6 mm
-and 4° off it is 63 to 93 and 3.7 to 5.0 in three of five seeds, and not met in two."""
+LEAST_IN_PLANE, LEAST_BESIDE = 6, 3
+"""Beats in a plane, and beside it, without which nothing is said of it. With four, the shaft that crosses
+planes beside the tip is taken for it (poor images, tuning seed 101)."""
+REMEMBERED_BEATS = 30
+"""Beats with the tool near the image."""
+SEEN_GREY, SEEN_RATIO = 70.0, 4.0
+"""Least contrast in grey levels of 255, and over its standard error, of a tool that is seen. In 40 s
+of tuning seeds 101–115 one that is not shown reaches 61 and 3.4 beside its place, in another 53 and 4.3. One
+that is shown has 97 to 131 and 3.8 to 8.6, in poor images 73 to 94 and 6 to 7 or stays unseen; with
+calibrations 6 mm and 4° off 89 to 119 and 4.3 to 7.3."""
+BEAM_MM = 2.0
+"""Half of a beam's thickness: so far beside its plane an image shows the tool as if within."""
 NEARLY = 0.7
-"""Places of so much of the largest contrast belong to the tool."""
+"""Places and planes of so much of the largest contrast belong to the tool."""
 ELSEWHERE_MM = 3.0
 """A tool that is seen so far from where it should be speaks against the calibrations."""
 
@@ -62,28 +68,49 @@ class TipView:
     pixel: FloatArray
     beside_mm: float
 
+    @property
+    def near(self) -> bool:
+        """Whether the image takes part in the comparison."""
+        return abs(self.beside_mm) <= SEARCHED_MM + BESIDE_MM[1]
+
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TipPatches:
-    """What the last beats showed around the tip.
+    """What the last beats showed around the tip, one row a beat and plane.
 
     Attributes:
-        in_plane, beside: (n, k, k) mean grey levels of a beat each, NaN outside the sector, oldest first.
+        beat: (n,) running number; beside_mm: (n,) of the tip from the plane, in steps of PLANE_MM.
+        grey: (n, k, k) smoothed grey levels, NaN outside the sector.
     """
 
-    in_plane: FloatArray
-    beside: FloatArray
+    beat: IntArray
+    beside_mm: FloatArray
+    grey: FloatArray
 
     @classmethod
     def none(cls) -> "TipPatches":
         """Of a session that has seen nothing."""
         size = len(_raster())
-        return cls(np.empty((0, size, size)), np.empty((0, size, size)))
+        return cls(np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, size, size)))
 
-    def after(self, in_plane: Sequence[FloatArray], beside: Sequence[FloatArray]) -> "TipPatches":
-        """With the patches (k, k) of one more beat's images, none or more of each kind."""
-        return TipPatches(_with(self.in_plane, in_plane), _with(self.beside, beside))
+    def after(self, images: Sequence[tuple[float, FloatArray]]) -> "TipPatches":
+        """With one more beat.
+
+        Args:
+            images: at least one: how far the tip lies beside it, and its patch (k, k).
+        """
+        number = int(self.beat[-1]) + 1 if len(self.beat) else 0
+        plane = PLANE_MM * np.round(np.array([beside_mm for beside_mm, _ in images]) / PLANE_MM)
+        patches = np.stack([patch for _, patch in images])
+        planes = np.unique(plane)
+        grey = np.stack([_smoothed(patches[plane == one].mean(axis=0)) for one in planes])
+        kept = self.beat > number - REMEMBERED_BEATS
+        return TipPatches(
+            np.append(self.beat[kept], np.full(len(planes), number)),
+            np.append(self.beside_mm[kept], planes),
+            np.concatenate([self.grey[kept], grey]),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,12 +118,15 @@ class TipSighting:
     """A tool that is seen.
 
     Attributes:
-        off_mm: from where the tip should be to the nearest place that belongs to the tool, in the image.
+        off_mm: from where the tip should be to the nearest place that belongs to the tool.
+        beside_mm: how far beside the plane that should hold the tip it is seen, signed; `off_mm` counts what
+            of it is beyond BEAM_MM.
         contrast_grey: of the brightest place; ratio: to its standard error.
         beats: in which it is seen.
     """
 
     off_mm: float
+    beside_mm: float
     contrast_grey: float
     ratio: float
     beats: int
@@ -123,48 +153,71 @@ def patch_around(
         image: (rows, columns) grey levels; sector: (rows, columns) pixels that were insonified.
     """
     offset = _raster()
-    row, column = np.meshgrid(offset, offset, indexing="ij")
-    at = np.stack([view.pixel[1] + row / scale_mm_per_px[1], view.pixel[0] + column / scale_mm_per_px[0]])
-    inside = map_coordinates(sector.astype(np.float32), at, order=1, cval=0.0) > 0.99
+    rows = view.pixel[1] + offset / scale_mm_per_px[1]
+    columns = view.pixel[0] + offset / scale_mm_per_px[0]
+    part = tuple(
+        slice(max(0, int(np.floor(at[0]))), max(0, int(np.ceil(at[-1])) + 1)) for at in (rows, columns)
+    )
+    seen, grey = sector[part].astype(np.float32), image[part].astype(np.float32)
+    if not seen.any():
+        return None
+    at = np.stack(np.meshgrid(rows - part[0].start, columns - part[1].start, indexing="ij"))
+    inside = map_coordinates(seen, at, order=1, cval=0.0) > 0.99
     if inside.mean() < LEAST_INSIDE or not inside[len(offset) // 2, len(offset) // 2]:
         return None
-    grey = map_coordinates(image.astype(np.float32), at, order=1, mode="nearest")
-    return np.asarray(np.where(inside, grey, np.nan), dtype=np.float64)
+    return np.asarray(np.where(inside, map_coordinates(grey, at, order=1, mode="nearest"), np.nan))
 
 
 def sighting(patches: TipPatches) -> TipSighting | None:
     """Where the tool is seen; None where it is not, or too few beats could have shown it."""
-    seen, beside = patches.in_plane, patches.beside
-    if len(seen) < LEAST_IN_PLANE or len(beside) < LEAST_BESIDE:
+    planes = np.arange(-SEARCHED_MM, SEARCHED_MM + 0.5 * PLANE_MM, PLANE_MM)
+    found = [one for one in (_in_plane(patches, float(plane)) for plane in planes) if one is not None]
+    brightest = max((one.contrast_grey for one in found), default=0.0)
+    if brightest < SEEN_GREY:
         return None
+    nearest = min((one for one in found if one.contrast_grey >= NEARLY * brightest), key=_distance)
+    return nearest if nearest.ratio >= SEEN_RATIO else None
+
+
+def _distance(seen: TipSighting) -> tuple[float, float]:
+    return seen.off_mm, abs(seen.beside_mm)
+
+
+def _in_plane(patches: TipPatches, plane_mm: float) -> TipSighting | None:
+    """The brightest place of one plane; None of too few beats."""
+    seen = patches.grey[patches.beside_mm == plane_mm]
+    apart_mm = np.abs(patches.beside_mm - plane_mm)
+    others = (apart_mm >= BESIDE_MM[0]) & (apart_mm <= BESIDE_MM[1])
+    beats = np.unique(patches.beat[others])
+    if len(seen) < LEAST_IN_PLANE or len(beats) < LEAST_BESIDE:
+        return None
+    beside = np.stack([patches.grey[others & (patches.beat == beat)].mean(axis=0) for beat in beats])
     known = np.isfinite(seen).all(axis=0) & np.isfinite(beside).all(axis=0)
     if not known.any():
         return None
-    seen, beside = _smoothed(seen), _smoothed(beside)
     contrast = np.where(known, seen.mean(axis=0) - beside.mean(axis=0), -np.inf)
     variance = seen.var(axis=0, ddof=1) / len(seen) + beside.var(axis=0, ddof=1) / len(beside)
     largest = float(contrast.max())
-    ratio = largest / max(float(np.sqrt(variance[known].mean())), 1e-12)
-    if largest < SEEN_GREY or ratio < SEEN_RATIO:
+    if largest <= 0.0:
         return None
     offset = _raster()
-    away_mm = np.hypot(offset[:, None], offset)
-    return TipSighting(float(away_mm[contrast >= NEARLY * largest].min()), largest, ratio, len(seen))
+    within_mm = np.hypot(offset[:, None], offset)[contrast >= NEARLY * largest].min()
+    beyond_mm = max(abs(plane_mm) - BEAM_MM, 0.0)
+    return TipSighting(
+        off_mm=float(np.hypot(within_mm, beyond_mm)),
+        beside_mm=plane_mm,
+        contrast_grey=largest,
+        ratio=largest / max(float(np.sqrt(variance[known].mean())), 1e-12),
+        beats=len(seen),
+    )
 
 
 def _raster() -> FloatArray:
     return np.asarray(np.arange(-PATCH_MM, PATCH_MM + 0.5 * STEP_MM, STEP_MM))
 
 
-def _with(before: FloatArray, images: Sequence[FloatArray]) -> FloatArray:
-    """A pixel of a beat is known where all its images know it."""
-    if not images:
-        return before
-    return np.concatenate([before, np.mean(images, axis=0)[None]])[-REMEMBERED_BEATS:]
-
-
-def _smoothed(patches: FloatArray) -> FloatArray:
-    """Places outside the sector count as the patch's mean."""
-    level = np.nanmean(patches, axis=(1, 2), keepdims=True)
-    filled = np.where(np.isfinite(patches), patches, level)
-    return np.asarray(gaussian_filter(filled, (0.0, SMOOTHING_MM / STEP_MM, SMOOTHING_MM / STEP_MM)))
+def _smoothed(patch: FloatArray) -> FloatArray:
+    """(k, k) by a Gaussian, to which places outside the sector count as the patch's mean; they stay NaN."""
+    known = np.isfinite(patch)
+    filled = np.where(known, patch, patch[known].mean() if known.any() else 0.0)
+    return np.asarray(np.where(known, gaussian_filter(filled, SMOOTHING_MM / STEP_MM), np.nan))

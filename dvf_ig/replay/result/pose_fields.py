@@ -1,5 +1,6 @@
 """What `result.json` says of the pose: its updates, its age, and the bounds that registrations stated."""
 
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -33,12 +34,14 @@ def tip_field(replay: Replay) -> dict[str, float] | None:
     if not sightings:
         return None
     last = sightings[-1]
+    rows = [len(list(row)) for elsewhere, row in groupby(seen.elsewhere for seen in sightings) if elsewhere]
     return {
         "off_mm": last.off_mm,
+        "beside_mm": last.beside_mm,
         "contrast_grey": last.contrast_grey,
         "ratio": last.ratio,
         "seen_beats": len(sightings),
-        "elsewhere_beats": sum(seen.elsewhere for seen in sightings),
+        "elsewhere_beats": max(rows, default=0),
     }
 
 

@@ -96,10 +96,9 @@ class PoseTracker:
         self._landmarks.add(landmark)
         self.monitor = replace(self.monitor, landmarks=self._landmarks.fit)
 
-    def add_tip(self, seen: TipSighting | None, now_s: float) -> None:
-        """Where images up to now show the tool's tip; None where they do not."""
-        if seen is not None:
-            self.history.sightings.append(seen)
+    def add_tip(self, seen: TipSighting, now_s: float) -> None:
+        """Images up to now show the tool's tip."""
+        self.history.sightings.append(seen)
         before = self.monitor
         self.monitor = before.after_tip(seen)
         self._record_update(before, now_s)

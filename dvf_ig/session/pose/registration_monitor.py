@@ -53,6 +53,8 @@ REFUSAL_SIGMA_MM = 1.0
 REFUSAL_EVIDENCE = 6.0
 """What one of them takes from SHIFT_LIMIT: twice the logarithm of 19, for a registration that does what it
 should refuses 95 % of wrong poses and 5 % of good ones."""
+ELSEWHERE_BEATS = 3
+"""Sightings of the tool in a row, beside its place, that speak against the calibrations."""
 
 
 def confirms(measurement: BeatMeasurement) -> bool:
@@ -84,8 +86,8 @@ class RegistrationMonitor:
             disagree, or the images have changed as no pose explains.
         shift: the last beats against the pose under test.
         similarity: that of beats since the pose came into use.
-        tip_off_mm: how far from its place ultrasound shows the tool, where that speaks against the
-            calibrations; no pose comes into use then. None where it does not, or is not seen.
+        tip_seen: where ultrasound last showed the tool's tip; None before.
+        tip_elsewhere: sightings of it in a row that lie beside its place.
         contradicting: beats in a row whose log-likelihood ratio exceeds SUSPEND_LOG_RATIO.
         doubt: why the pose is suspended; None while it is in use, or before the first.
     """
@@ -101,9 +103,16 @@ class RegistrationMonitor:
     needs_registration: bool = False
     shift: ShiftDetector = field(default_factory=ShiftDetector)
     similarity: SimilarityWatch = field(default_factory=SimilarityWatch.new)
-    tip_off_mm: float | None = None
+    tip_seen: TipSighting | None = None
+    tip_elsewhere: int = 0
     contradicting: int = 0
     doubt: Doubt | None = None
+
+    @property
+    def tip_off_mm(self) -> float | None:
+        """How far from its place ultrasound shows the tool, so that no pose comes into use; None else."""
+        seen = self.tip_seen
+        return None if seen is None or self.tip_elsewhere < ELSEWHERE_BEATS else seen.off_mm
 
     @property
     def under_test(self) -> PoseEstimate | None:
@@ -144,13 +153,13 @@ class RegistrationMonitor:
             return self._suspended(Doubt(DoubtCause.REFUSED))
         return replace(self, estimate=_less_certain(self.estimate), refusals=self.refusals + 1)
 
-    def after_tip(self, seen: TipSighting | None) -> "RegistrationMonitor":
-        """The next state after images that could have shown the tool's tip.
+    def after_tip(self, seen: TipSighting) -> "RegistrationMonitor":
+        """The next state after images that show the tool's tip.
 
         Where they show it elsewhere, image calibration, lag or tip is wrong, and every pose with them.
         """
-        off_mm = None if seen is None or not seen.elsewhere else seen.off_mm
-        watched = replace(self, tip_off_mm=off_mm)
+        watched = replace(self, tip_seen=seen, tip_elsewhere=self.tip_elsewhere + 1 if seen.elsewhere else 0)
+        off_mm = watched.tip_off_mm
         if off_mm is None or self.in_use is None:
             return watched
         return watched._suspended(Doubt(DoubtCause.TIP_ELSEWHERE, distance_mm=off_mm))

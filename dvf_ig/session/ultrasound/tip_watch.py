@@ -1,16 +1,17 @@
 """The tool's tip in the ultrasound that has arrived, beat by beat: a check of calibrations on the patient."""
 
 from collections import deque
+from itertools import takewhile
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, Fan, FloatArray, PoseStream, TrackedSequence
+from dvf_ig.core import Fan, FloatArray, PoseStream, TrackedSequence
+from dvf_ig.core.recordings.stream import MAX_GAP_S
 from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.registration import (
-    BESIDE_MM,
-    IN_PLANE_MM,
     TipPatches,
     TipSighting,
+    TipView,
     fan_mask_from_images,
     patch_around,
     sighting,
@@ -23,7 +24,7 @@ from .frame_buffer import FrameBuffer
 from .gated_frames import fan_mask
 
 KEEP_S = 5.0
-"""Tool poses older than this are forgotten: longer than a heart beat."""
+"""Images older than this are not looked at any more: longer than a heart beat."""
 
 
 class TipWatch:
@@ -44,7 +45,7 @@ class TipWatch:
         """Images of up to then have been looked at."""
         self._patches = TipPatches.none()
         self.seen: TipSighting | None = None
-        """Where the images up to the last beat show the tip; None where they do not."""
+        """Where the last images near the tip show it; None where they do not."""
 
     def push(self, pose: ToolPose) -> None:
         """Take one pose; one that is not later than all before is dropped."""
@@ -57,19 +58,25 @@ class TipWatch:
         Args:
             until_s: event time of its end.
             known_s: frames and tool poses that were recorded later are not looked at.
+        Returns:
+            where they show the tip, with those before; None where they do not, or none passed near it.
         """
-        while self._tool and self._tool[0].t_s < until_s - KEEP_S:
-            self._tool.popleft()
         from_s, self._looked_s = max(self._looked_s, until_s - KEEP_S), until_s
-        tool = self._tool_until(known_s)
+        while self._tool and self._tool[0].t_s < from_s - MAX_GAP_S:
+            self._tool.popleft()
+        tool = self._tool_until(min(known_s, until_s + MAX_GAP_S))
         found = self._frames.between(from_s - max(0.0, self._calibrations.lag_s), known_s)
         if tool is not None and found is not None:
-            self._patches = self._patches.after(*self._looked_at(found[0], tool, from_s, until_s))
-        self.seen = sighting(self._patches)
-        return self.seen
+            images = self._looked_at(found[0], tool, from_s, until_s)
+            if images:
+                self._patches = self._patches.after(images)
+                self.seen = sighting(self._patches)
+                return self.seen
+        return None
 
-    def _tool_until(self, known_s: float) -> PoseStream | None:
-        poses = [pose for pose in self._tool if pose.t_s <= known_s]
+    def _tool_until(self, last_s: float) -> PoseStream | None:
+        """Of those that are remembered; what a beat needs is little, and each is checked."""
+        poses = list(takewhile(lambda pose: pose.t_s <= last_s, self._tool))
         if not poses:
             return None
         matrices, valid = np.tile(np.eye(4), (len(poses), 1, 1)), np.zeros(len(poses), dtype=np.bool_)
@@ -81,37 +88,27 @@ class TipWatch:
 
     def _looked_at(
         self, ultrasound: TrackedSequence, tool: PoseStream, from_s: float, until_s: float
-    ) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Patches of the images whose plane holds the tip, and of those beside which it lies."""
-        in_plane: list[FloatArray] = []
-        beside: list[FloatArray] = []
-        images, calibrations = ultrasound.images, self._calibrations
-        if images is None:
-            return in_plane, beside
-        event_s = ultrasound.t_s + calibrations.lag_s
+    ) -> list[tuple[float, FloatArray]]:
+        """How far the tip lies beside each image near it, and the patch around it."""
+        images, scale = ultrasound.images, self._calibrations.probe_from_image.scale_mm_per_px
+        views = self._views(ultrasound, tool, from_s, until_s)
+        if images is None or not views:
+            return []
+        sector = fan_mask_from_images(images) if self._fan is None else fan_mask(self._fan, *images.shape[1:])
+        patches = [(view.beside_mm, patch_around(images[i], sector, view, scale)) for i, view in views]
+        return [(beside_mm, patch) for beside_mm, patch in patches if patch is not None]
+
+    def _views(
+        self, ultrasound: TrackedSequence, tool: PoseStream, from_s: float, until_s: float
+    ) -> list[tuple[int, TipView]]:
+        """Images near the tip whose event lies in (from_s, until_s]."""
+        event_s = ultrasound.t_s + self._calibrations.lag_s
         (probe,) = ultrasound.poses.values()
         turns, places, tracked = probe.at_many(event_s)
         tool_turns, tool_places, seen = tool.at_many(event_s)
         usable = ultrasound.image_valid & tracked & seen & (event_s > from_s) & (event_s <= until_s)
-        tip = calibrations.tip.xyz_mm[0]
-        sector: BoolArray | None = None
-        for i in np.flatnonzero(usable):
-            tip_tracker_mm = tool_turns[i] @ tip + tool_places[i]
-            view = tip_view((tip_tracker_mm - places[i]) @ turns[i], calibrations.probe_from_image)
-            off_mm = abs(view.beside_mm)
-            if off_mm <= IN_PLANE_MM:
-                kind = in_plane
-            elif BESIDE_MM[0] <= off_mm <= BESIDE_MM[1]:
-                kind = beside
-            else:
-                continue
-            if sector is None:
-                sector = (
-                    fan_mask_from_images(images)
-                    if self._fan is None
-                    else fan_mask(self._fan, *images.shape[1:])
-                )
-            patch = patch_around(images[i], sector, view, calibrations.probe_from_image.scale_mm_per_px)
-            if patch is not None:
-                kind.append(patch)
-        return in_plane, beside
+        tip_tracker_mm = tool_turns @ self._calibrations.tip.xyz_mm[0] + tool_places
+        tip_probe_mm = np.einsum("nji,nj->ni", turns, tip_tracker_mm - places)
+        image = self._calibrations.probe_from_image
+        views = [(int(i), tip_view(tip_probe_mm[i], image)) for i in np.flatnonzero(usable)]
+        return [(i, view) for i, view in views if view.near]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from dvf_ig.session.pose.registration_monitor import ELSEWHERE_BEATS
 from dvf_ig.study.trials import Line
 
 
@@ -24,7 +25,8 @@ class PresetSummary:
         hazard_s: largest time with a force on a pose more than 5 mm off; hazard_longest_s: at a stretch.
         withheld_s: time in which the pose was suspended or unconfirmed.
         latched_s: time in which the operator had to re-arm.
-        tip_seen: replays in which images showed the tool's tip; tip_elsewhere: of them beside its place.
+        tip_seen: replays in which images showed the tool's tip; tip_elsewhere: of them
+            for so long beside its place that no pose was used.
     """
 
     preset: str
@@ -71,7 +73,8 @@ def _summary(preset: str, lines: Sequence[Line]) -> PresetSummary:
         latched_s=_median([x["supervisor"]["latched_s"] for x in scored]),
         tip_seen=sum(x["tip_in_image"] is not None for x in scored),
         tip_elsewhere=sum(
-            x["tip_in_image"] is not None and x["tip_in_image"]["elsewhere_beats"] > 0 for x in scored
+            x["tip_in_image"] is not None and x["tip_in_image"]["elsewhere_beats"] >= ELSEWHERE_BEATS
+            for x in scored
         ),
     )
 

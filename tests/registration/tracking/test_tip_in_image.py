@@ -26,14 +26,18 @@ def tissue(rng: np.random.Generator) -> FloatArray:
 
 
 def beats(
-    tool: FloatArray, count: int = 8, beside: int = 6, rng: np.random.Generator | None = None
+    tool: FloatArray,
+    count: int = 8,
+    beside: int = 6,
+    rng: np.random.Generator | None = None,
+    plane_mm: float = 0.0,
 ) -> TipPatches:
-    """So many beats of one image of each kind, brighter by `tool` where the plane holds the tip."""
+    """So many beats of one image in a plane, which shows the tool, and one 10 mm beside it."""
     drawn = rng or np.random.default_rng(1)
     patches = TipPatches.none()
     for k in range(max(count, beside)):
-        seen = [np.minimum(tissue(drawn) + tool, 255.0)] if k < count else []
-        patches = patches.after(seen, [tissue(drawn)] if k < beside else [])
+        images = [(plane_mm, np.minimum(tissue(drawn) + tool, 255.0))] if k < count else []
+        patches = patches.after(images + ([(plane_mm - 10.0, tissue(drawn))] if k < beside else []))
     return patches
 
 
@@ -62,6 +66,24 @@ def test_a_shaft_in_the_image_ends_where_the_tip_should_be() -> None:
     assert beyond.off_mm == pytest.approx(6.0, abs=1.0)
 
 
+@pytest.mark.parametrize(("plane_mm", "off_mm"), [(2.0, 0.0), (-4.0, 2.0), (6.0, 4.0)])
+def test_a_tool_that_other_planes_show_is_beside_its_place(plane_mm: float, off_mm: float) -> None:
+    """By what is more than the thickness of the beam."""
+    found = sighting(beats(spot(0.0, 0.0), plane_mm=plane_mm))
+    assert found is not None
+    assert found.beside_mm == plane_mm
+    assert found.off_mm == pytest.approx(off_mm)
+
+
+def test_planes_between_two_steps_count_for_the_nearer() -> None:
+    patches, rng = TipPatches.none(), np.random.default_rng(5)
+    for _ in range(LEAST_IN_PLANE):
+        shown = [(x, tissue(rng) + spot(0.0, 0.0)) for x in (-0.9, 0.4)]
+        patches = patches.after([*shown, (9.3, tissue(rng))])
+    assert set(patches.beside_mm) == {0.0, 10.0}
+    assert sighting(patches) is not None
+
+
 def test_nothing_is_said_of_a_tool_that_is_not_shown() -> None:
     for seed in range(20):
         assert sighting(beats(np.zeros(ROW.shape), rng=np.random.default_rng(seed))) is None
@@ -78,11 +100,11 @@ def test_old_beats_are_forgotten() -> None:
     patches = beats(spot(-6.0, 0.0))
     rng = np.random.default_rng(3)
     for _ in range(REMEMBERED_BEATS):
-        patches = patches.after([tissue(rng) + spot(0.0, 0.0)], [tissue(rng)])
+        patches = patches.after([(0.0, tissue(rng) + spot(0.0, 0.0)), (10.0, tissue(rng))])
     found = sighting(patches)
     assert found is not None
     assert not found.elsewhere
-    assert len(patches.in_plane) == REMEMBERED_BEATS
+    assert len(np.unique(patches.beat)) == REMEMBERED_BEATS
 
 
 def test_the_tip_s_place_in_the_image() -> None:
