@@ -25,6 +25,7 @@ def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         *_phase_rows(result),
         *_pose_rows(result),
         *_update_rows(result),
+        *_tip_rows(result),
         *_force_rows(result),
         _supervisor_row(result),
         ("time", _time(result), ""),
@@ -110,6 +111,16 @@ def _update_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     for begin_s, end_s in result["doubts_s"]:
         text += f"; suspended from {begin_s:.1f} to {end_s:.1f} s"
     return [("pose updates", text, "")]
+
+
+def _tip_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Where ultrasound shows the tool, if it does."""
+    seen = result["tip_in_image"]
+    if seen is None:
+        return []
+    return [
+        ("tip in the image", f"{seen['off_mm']:.1f} mm from its place, {seen['seen_beats']} sightings", "")
+    ]
 
 
 def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
