@@ -26,7 +26,7 @@ from dvf_ig.session.pose.refusal import Refusal
 pytestmark = pytest.mark.usefixtures("known_ultrasound")
 
 UNTIL_S = 40.0
-MM_PER_PX, OFF_PX = 4.0, 2.0
+MM_PER_PX, OFF_PX = 4.0, 1.5
 PLACE_PX = np.array([11.5, 11.5])
 """Of the tip in every image: column and row."""
 

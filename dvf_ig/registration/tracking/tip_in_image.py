@@ -27,6 +27,8 @@ from dvf_ig.core import AnyArray, BoolArray, FloatArray, ImageMap, IntArray, rea
 
 PATCH_MM, STEP_MM = 10.0, 0.5
 """Half the edge of what is looked at around the tip, and its raster."""
+REACH_MM = 8.0
+"""How far within an image the tip is looked for; beyond are other echoes as often as the tool's."""
 PLANE_MM = 2.0
 """Images whose plane passes the tip alike to within half of this are taken together."""
 SEARCHED_MM = 6.0
@@ -38,15 +40,15 @@ SMOOTHING_MM = 1.0
 LEAST_INSIDE = 0.6
 """Share of a patch that must lie in the sector."""
 LEAST_IN_PLANE, LEAST_BESIDE = 6, 3
-"""Beats in a plane, and beside it, without which nothing is said of it. With four, the shaft that crosses
-planes beside the tip is taken for it (poor images, tuning seed 101)."""
-REMEMBERED_BEATS = 30
-"""Beats with the tool near the image."""
-SEEN_GREY, SEEN_RATIO = 70.0, 4.0
-"""Least contrast in grey levels of 255, and over its standard error, of a tool that is seen. In 40 s
-of tuning seeds 101–115 one that is not shown reaches 61 and 3.4 beside its place, in another 53 and 4.3. One
-that is shown has 97 to 131 and 3.8 to 8.6, in poor images 73 to 94 and 6 to 7 or stays unseen; with
-calibrations 6 mm and 4° off 89 to 119 and 4.3 to 7.3."""
+"""Beats in a plane, and beside it, without which nothing is said of it. With four in the plane a shaft that
+crosses one beside the tip is taken for it (poor images, tuning seed 101)."""
+REMEMBERED_BEATS = 15
+"""Of each plane."""
+SEEN_GREY, SEEN_RATIO = 60.0, 3.5
+"""Least contrast in grey levels of 255, and over its standard error, of a tool that is seen. In 40 s of tuning
+seeds 101–115 one that is not shown reaches 42 and 2.7 beside its place; one that is shown 97 to 129 and 4.2 to
+7.9, in poor images 58 to 100 and 5.7 to 9.4; with calibrations 6 mm and 4° off 94 to 119 and 4.7 to 7.3. Looked
+at as well: seeds 1, 2 and, with other limits, 301–320."""
 BEAM_MM = 2.0
 """Half of a beam's thickness: so far beside its plane an image shows the tool as if within."""
 NEARLY = 0.7
@@ -105,12 +107,11 @@ class TipPatches:
         patches = np.stack([patch for _, patch in images])
         planes = np.unique(plane)
         grey = np.stack([_smoothed(patches[plane == one].mean(axis=0)) for one in planes])
-        kept = self.beat > number - REMEMBERED_BEATS
-        return TipPatches(
-            np.append(self.beat[kept], np.full(len(planes), number)),
-            np.append(self.beside_mm[kept], planes),
-            np.concatenate([self.grey[kept], grey]),
-        )
+        beat = np.append(self.beat, np.full(len(planes), number))
+        beside_mm = np.append(self.beside_mm, planes)
+        newer = (beside_mm[:, None] == beside_mm) & (beat[:, None] < beat)
+        kept = newer.sum(axis=1) < REMEMBERED_BEATS
+        return TipPatches(beat[kept], beside_mm[kept], np.concatenate([self.grey, grey])[kept])
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,6 +194,9 @@ def _in_plane(patches: TipPatches, plane_mm: float) -> TipSighting | None:
         return None
     beside = np.stack([patches.grey[others & (patches.beat == beat)].mean(axis=0) for beat in beats])
     known = np.isfinite(seen).all(axis=0) & np.isfinite(beside).all(axis=0)
+    offset = _raster()
+    away_mm = np.hypot(offset[:, None], offset)
+    known &= away_mm <= REACH_MM
     if not known.any():
         return None
     contrast = np.where(known, seen.mean(axis=0) - beside.mean(axis=0), -np.inf)
@@ -200,8 +204,7 @@ def _in_plane(patches: TipPatches, plane_mm: float) -> TipSighting | None:
     largest = float(contrast.max())
     if largest <= 0.0:
         return None
-    offset = _raster()
-    within_mm = np.hypot(offset[:, None], offset)[contrast >= NEARLY * largest].min()
+    within_mm = away_mm[contrast >= NEARLY * largest].min()
     beyond_mm = max(abs(plane_mm) - BEAM_MM, 0.0)
     return TipSighting(
         off_mm=float(np.hypot(within_mm, beyond_mm)),

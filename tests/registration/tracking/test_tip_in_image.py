@@ -10,6 +10,7 @@ from dvf_ig.registration.tracking.tip_in_image import (
     LEAST_BESIDE,
     LEAST_IN_PLANE,
     PATCH_MM,
+    REACH_MM,
     REMEMBERED_BEATS,
     STEP_MM,
 )
@@ -75,6 +76,10 @@ def test_a_tool_that_other_planes_show_is_beside_its_place(plane_mm: float, off_
     assert found.off_mm == pytest.approx(off_mm)
 
 
+def test_echoes_far_from_the_place_are_not_the_tool() -> None:
+    assert sighting(beats(spot(0.0, REACH_MM + 4.0))) is None
+
+
 def test_planes_between_two_steps_count_for_the_nearer() -> None:
     patches, rng = TipPatches.none(), np.random.default_rng(5)
     for _ in range(LEAST_IN_PLANE):
@@ -104,7 +109,7 @@ def test_old_beats_are_forgotten() -> None:
     found = sighting(patches)
     assert found is not None
     assert not found.elsewhere
-    assert len(np.unique(patches.beat)) == REMEMBERED_BEATS
+    assert (patches.beside_mm == 0.0).sum() == REMEMBERED_BEATS
 
 
 def test_the_tip_s_place_in_the_image() -> None:
