@@ -26,7 +26,7 @@ from dvf_ig.session.pose.refusal import Refusal
 pytestmark = pytest.mark.usefixtures("known_ultrasound")
 
 UNTIL_S = 40.0
-MM_PER_PX, OFF_PX = 4.0, 1.5
+MM_PER_PX, OFF_PX = 4.0, 1.8
 PLACE_PX = np.array([11.5, 11.5])
 """Of the tip in every image: column and row."""
 
@@ -55,10 +55,10 @@ def shown(frame: TrackedFrame, off_px: float) -> TrackedFrame:
     return replace(frame, image=image, tracker_from_probe=pose)
 
 
-def states(off_px: float, from_s: float = 0.0) -> list[GuidanceState]:
-    """Seen beside its place by `off_px` from a time on."""
+def states(off_px: float) -> list[GuidanceState]:
+    """Seen beside its place by `off_px`."""
     streams: Streams = toy_streams(UNTIL_S)
-    streams.frames = [shown(f, off_px if f.t_s > from_s else 0.0) for f in frame_events(UNTIL_S)]
+    streams.frames = [shown(frame, off_px) for frame in frame_events(UNTIL_S)]
     with Session(toy_setup()) as session:
         return run(session, streams.merged(), ticks(GUIDED_S, UNTIL_S))
 
@@ -72,12 +72,12 @@ def test_a_tool_in_its_place_changes_nothing() -> None:
 
 
 def test_a_tool_that_is_seen_elsewhere_takes_the_pose_away() -> None:
-    found = states(OFF_PX, GUIDED_S)
+    found = states(OFF_PX)
     assert found[0].transform.pose is not None
     last = found[-1]
     assert last.tip_seen is not None
-    # the nearest place that is nearly as bright, of a spot as wide as a pixel of 4 mm
-    assert last.tip_seen.off_mm == pytest.approx(OFF_PX * MM_PER_PX - 2.0, abs=2.0)
+    # the nearest place that is nearly as bright, of a spot on pixels of 4 mm
+    assert last.tip_seen.off_mm == pytest.approx(OFF_PX * MM_PER_PX - 3.0, abs=1.2)
     assert last.doubt is not None
     assert last.doubt.cause is DoubtCause.TIP_ELSEWHERE
     assert last.supervised.hazards & Hazard.POSE_CONTRADICTED

@@ -45,10 +45,10 @@ crosses one beside the tip is taken for it (poor images, tuning seed 101)."""
 REMEMBERED_BEATS = 15
 """Of each plane."""
 SEEN_GREY, SEEN_RATIO = 60.0, 3.5
-"""Least contrast in grey levels of 255, and over its standard error, of a tool that is seen. In 40 s of tuning
-seeds 101–115 one that is not shown reaches 42 and 2.7 beside its place; one that is shown 97 to 129 and 4.2 to
-7.9, in poor images 58 to 100 and 5.7 to 9.4; with calibrations 6 mm and 4° off 94 to 119 and 4.7 to 7.3. Looked
-at as well: seeds 1, 2 and, with other limits, 301–320."""
+"""Least contrast in grey levels of 255, and over its standard error, of a tool that is seen. In 40 s of
+tuning seeds 101–115 one that is not shown reaches 42 and 2.7 beside its place; one that is shown 97 to 129
+and 4.2 to 7.9, in poor images 58 to 100 and 5.7 to 9.4; with calibrations 6 mm and 4° off 94 to 119 and 4.7
+to 7.3. Looked at as well: seeds 1, 2 and, with other limits, 301–320."""
 BEAM_MM = 2.0
 """Half of a beam's thickness: so far beside its plane an image shows the tool as if within."""
 NEARLY = 0.7
