@@ -75,17 +75,29 @@ def degraded(
     shadow_db = _shadows(angle, depth_mm, probe, t_s, spec, rng)
     clutter = _clutter(line[seen], sample[seen], probe, spec, rng)
     mixing = np.pi * smooth_noise(1, 0.1, 0.6, rng)(t_s)[:, 0]
-    floor_db = probe.top_db - probe.dynamic_range_db
     range_db = min(spec.dynamic_range_db, probe.dynamic_range_db)
     out = np.zeros_like(images)
     for i, image in enumerate(images):
-        grey = image[seen].astype(np.float64)
-        level = floor_db + grey * (probe.dynamic_range_db / 255.0) - shadow_db(i)
-        power = np.where(grey > 0, 10 ** (level / 10), 0.0)
-        power += np.abs(clutter[0] * np.cos(mixing[i]) + clutter[1] * np.sin(mixing[i])) ** 2
-        level = 10 * np.log10(power + 1e-12)
-        out[i][seen] = np.clip((level - probe.top_db + range_db) * (255.0 / range_db) + 0.5, 0, 255)
+        other = np.abs(clutter[0] * np.cos(mixing[i]) + clutter[1] * np.sin(mixing[i])) ** 2
+        out[i][seen] = with_echoes(image[seen], probe, shadow_db(i), other, range_db)
     return out
+
+
+def with_echoes(
+    grey: NDArray[np.uint8], probe: SectorProbe, loss_db: FloatArray, power: FloatArray, range_db: float
+) -> FloatArray:
+    """(n,) grey levels 0 to 255 of pixels after a loss, with the power of other echoes added.
+
+    Args:
+        grey: (n,) as the probe shows them.
+        loss_db: (n,) of what they show; power: (n,) re myocardium's scatter, which is not lost.
+        range_db: dynamic range of the result.
+    """
+    shown = grey.astype(np.float64)
+    level = probe.top_db - probe.dynamic_range_db + shown * (probe.dynamic_range_db / 255.0) - loss_db
+    total = np.where(shown > 0, 10 ** (level / 10), 0.0) + power
+    level = 10 * np.log10(total + 1e-12)
+    return np.asarray(np.clip((level - probe.top_db + range_db) * (255.0 / range_db) + 0.5, 0, 255))
 
 
 def _shadows(

@@ -14,6 +14,7 @@ from scipy.ndimage import gaussian_filter1d, map_coordinates
 
 from dvf_ig.core import BoolArray, FloatArray, InvalidInputError
 
+from .image_faults import with_echoes
 from .probe import FWHM_PER_SIGMA, SectorProbe
 
 _SHAFT_STEP_MM = 0.25
@@ -68,8 +69,6 @@ def with_tool(
     line, sample = probe.pixel_lookup()
     seen = line >= 0
     at = np.stack([line[seen], sample[seen]])
-    floor_db = probe.top_db - probe.dynamic_range_db
-    per_db = 255.0 / probe.dynamic_range_db
     out = images.copy()
     for i, shown in enumerate(out):
         points, share = _in_view(probe, tip_mm[i], shaft[i], spec)
@@ -77,11 +76,8 @@ def with_tool(
         if not clear.any():
             continue
         echo, loss_db = _scan_lines(probe, points[clear], share[clear], shaft[i], spec, rng)
-        grey = shown[seen].astype(np.float64)
-        level = floor_db + grey / per_db - map_coordinates(loss_db, at, order=1)
-        power = np.where(grey > 0, 10 ** (level / 10), 0.0) + map_coordinates(echo, at, order=1) ** 2
-        level = 10 * np.log10(power + 1e-12)
-        shown[seen] = np.clip((level - floor_db) * per_db + 0.5, 0, 255)
+        loss, power = map_coordinates(loss_db, at, order=1), map_coordinates(echo, at, order=1) ** 2
+        shown[seen] = with_echoes(shown[seen], probe, loss, power, probe.dynamic_range_db)
     return out
 
 

@@ -1,5 +1,6 @@
 """Time-stamped poses of one tracked object."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from dvf_ig.core.arrays import BoolArray, FloatArray, frozen, frozen_floats, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.space.frames import check_frame
-from dvf_ig.core.space.rigid import Rigid
+from dvf_ig.core.space.rigid import Rigid, is_rigid
 
 MAX_GAP_S = 0.25
 """Longest gap between valid samples that is interpolated over."""
@@ -64,6 +65,21 @@ class PoseStream:
         object.__setattr__(self, "rotations", rotations)
         object.__setattr__(self, "translations_mm", translations)
         object.__setattr__(self, "valid", valid)
+
+    @classmethod
+    def of_matrices(
+        cls, target: str, source: str, t_s: FloatArray, matrices: Sequence[FloatArray | None]
+    ) -> "PoseStream":
+        """From what a tracker sent: (4, 4) each, or None where it did not report OK.
+
+        Poses with scale, shear or non-finite entries count as not OK.
+        """
+        kept = np.tile(np.eye(4), (len(matrices), 1, 1))
+        valid = np.zeros(len(matrices), dtype=np.bool_)
+        for i, matrix in enumerate(matrices):
+            if matrix is not None and is_rigid(matrix):
+                kept[i], valid[i] = matrix, True
+        return cls(target, source, t_s, kept[:, :3, :3], kept[:, :3, 3], valid)
 
     @property
     def name(self) -> str:

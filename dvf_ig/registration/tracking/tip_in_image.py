@@ -55,6 +55,9 @@ NEARLY = 0.7
 """Places and planes of so much of the largest contrast belong to the tool."""
 ELSEWHERE_MM = 3.0
 """A tool that is seen so far from where it should be speaks against the calibrations."""
+_RASTER_MM = np.arange(-PATCH_MM, PATCH_MM + 0.5 * STEP_MM, STEP_MM)
+_AWAY_MM = np.hypot(_RASTER_MM[:, None], _RASTER_MM)
+"""Rows, and columns, of a patch from its middle; and how far each of its places is from there."""
 
 
 @read_only_arrays
@@ -93,7 +96,7 @@ class TipPatches:
     @classmethod
     def none(cls) -> "TipPatches":
         """Of a session that has seen nothing."""
-        size = len(_raster())
+        size = len(_RASTER_MM)
         return cls(np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, size, size)))
 
     def after(self, images: Sequence[tuple[float, FloatArray]]) -> "TipPatches":
@@ -153,9 +156,8 @@ def patch_around(
     Args:
         image: (rows, columns) grey levels; sector: (rows, columns) pixels that were insonified.
     """
-    offset = _raster()
-    rows = view.pixel[1] + offset / scale_mm_per_px[1]
-    columns = view.pixel[0] + offset / scale_mm_per_px[0]
+    rows = view.pixel[1] + _RASTER_MM / scale_mm_per_px[1]
+    columns = view.pixel[0] + _RASTER_MM / scale_mm_per_px[0]
     part = tuple(
         slice(max(0, int(np.floor(at[0]))), max(0, int(np.ceil(at[-1])) + 1)) for at in (rows, columns)
     )
@@ -164,7 +166,7 @@ def patch_around(
         return None
     at = np.stack(np.meshgrid(rows - part[0].start, columns - part[1].start, indexing="ij"))
     inside = map_coordinates(seen, at, order=1, cval=0.0) > 0.99
-    if inside.mean() < LEAST_INSIDE or not inside[len(offset) // 2, len(offset) // 2]:
+    if inside.mean() < LEAST_INSIDE or not inside[len(_RASTER_MM) // 2, len(_RASTER_MM) // 2]:
         return None
     return np.asarray(np.where(inside, map_coordinates(grey, at, order=1, mode="nearest"), np.nan))
 
@@ -194,9 +196,7 @@ def _in_plane(patches: TipPatches, plane_mm: float) -> TipSighting | None:
         return None
     beside = np.stack([patches.grey[others & (patches.beat == beat)].mean(axis=0) for beat in beats])
     known = np.isfinite(seen).all(axis=0) & np.isfinite(beside).all(axis=0)
-    offset = _raster()
-    away_mm = np.hypot(offset[:, None], offset)
-    known &= away_mm <= REACH_MM
+    known &= _AWAY_MM <= REACH_MM
     if not known.any():
         return None
     contrast = np.where(known, seen.mean(axis=0) - beside.mean(axis=0), -np.inf)
@@ -204,7 +204,7 @@ def _in_plane(patches: TipPatches, plane_mm: float) -> TipSighting | None:
     largest = float(contrast.max())
     if largest <= 0.0:
         return None
-    within_mm = away_mm[contrast >= NEARLY * largest].min()
+    within_mm = _AWAY_MM[contrast >= NEARLY * largest].min()
     beyond_mm = max(abs(plane_mm) - BEAM_MM, 0.0)
     return TipSighting(
         off_mm=float(np.hypot(within_mm, beyond_mm)),
@@ -213,10 +213,6 @@ def _in_plane(patches: TipPatches, plane_mm: float) -> TipSighting | None:
         ratio=largest / max(float(np.sqrt(variance[known].mean())), 1e-12),
         beats=len(seen),
     )
-
-
-def _raster() -> FloatArray:
-    return np.asarray(np.arange(-PATCH_MM, PATCH_MM + 0.5 * STEP_MM, STEP_MM))
 
 
 def _smoothed(patch: FloatArray) -> FloatArray:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, PoseStream, Signal, TrackedSequence, UnreadableFileError
-from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.live_log import EVENT, LIVE_STREAMS, LOST, STATE, WORK, EventKind, LiveDocument
 from dvf_ig.io.ros.log_file import LogReader
@@ -202,11 +201,7 @@ def _sequence(frames: Sequence[TrackedFrame], orientation: str) -> TrackedSequen
 def _stream(source: str, poses: Sequence[tuple[float, FloatArray | None]]) -> PoseStream:
     """What is not rigid counts as not tracked, as in a session."""
     t_s = np.array([one for one, _ in poses])
-    valid = np.array([matrix is not None and is_rigid(matrix) for _, matrix in poses])
-    matrices = np.tile(np.eye(4), (len(poses), 1, 1))
-    for i in np.flatnonzero(valid).tolist():
-        matrices[i] = poses[i][1]
-    return PoseStream("tracker", source, t_s, matrices[:, :3, :3], matrices[:, :3, 3], valid)
+    return PoseStream.of_matrices("tracker", source, t_s, [matrix for _, matrix in poses])
 
 
 def _signal(batches: Sequence[EcgSamples], rate_hz: float, begin_s: float) -> Signal:

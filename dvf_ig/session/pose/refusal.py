@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from enum import Enum
 
+from .doubt import DoubtCause
+
 
 class Refusal(Enum):
     """Each value is the sentence a user reads; `{mm}` stands for the distance that was found."""
@@ -12,10 +14,7 @@ class Refusal(Enum):
         "the touched landmarks lie {mm:.1f} mm from where the images put them; check the "
         "probe's calibration, or touch the landmarks again"
     )
-    TIP_ELSEWHERE = (
-        "ultrasound shows the tool {mm:.1f} mm from where its tip should be; calibrate the probe and the "
-        "tool's tip again"
-    )
+    TIP_ELSEWHERE = DoubtCause.TIP_ELSEWHERE.value
     MOVED = "patient or probe moved by {mm:.1f} mm; suspended until heart beats confirm it"
     BEAT_DISAGREES = (
         "ultrasound of a later beat matches best {mm:.1f} mm from this pose; check the probe's "

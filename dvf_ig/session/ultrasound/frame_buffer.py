@@ -4,8 +4,7 @@ from collections import deque
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, TrackedSequence
-from dvf_ig.core.space.rigid import is_rigid
+from dvf_ig.core import InvalidInputError, PoseStream, TrackedSequence
 from dvf_ig.session.events import TrackedFrame
 from dvf_ig.session.stamp_order import StampOrder
 
@@ -73,7 +72,8 @@ class FrameBuffer:
             return None
         frames = [frame for _, frame in numbered]
         t_s = np.array([frame.t_s for frame in frames])
-        poses = _poses(frames, t_s)
+        matrices = [frame.tracker_from_probe for frame in frames]
+        poses = PoseStream.of_matrices("tracker", "probe", t_s, matrices)
         blank = np.zeros(self._shape or (0, 0), dtype=np.uint8)
         sequence = TrackedSequence(
             t_s=t_s,
@@ -82,14 +82,3 @@ class FrameBuffer:
             poses={poses.name: poses},
         )
         return sequence, numbered[0][0]
-
-
-def _poses(frames: list[TrackedFrame], t_s: FloatArray) -> PoseStream:
-    """tracker_from_probe; poses with scale, shear or non-finite entries count as not tracked."""
-    matrices = np.tile(np.eye(4), (len(frames), 1, 1))
-    valid = np.zeros(len(frames), dtype=np.bool_)
-    for i, frame in enumerate(frames):
-        pose = frame.tracker_from_probe
-        if pose is not None and is_rigid(pose):
-            matrices[i], valid[i] = pose, True
-    return PoseStream("tracker", "probe", t_s, matrices[:, :3, :3], matrices[:, :3, 3], valid)

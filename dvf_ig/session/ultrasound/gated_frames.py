@@ -134,7 +134,7 @@ def gate_recording(
     images, mm = recording.images, recording.calibrations.probe_from_image.scale_mm_per_px
     information = frame_information(
         images[here],
-        _sector(recording, images[here]),
+        sector_of(recording.fan, images[here]),
         (float(mm[1]), float(mm[0])),
         before=images[first - 1] if first else None,
     )
@@ -167,12 +167,11 @@ def ultrasound_mask(recording: UltrasoundRecording, frames: GatedFrames) -> Bool
     Raises:
         InvalidInputError: the recording has no images.
     """
-    return _sector(recording, recording.images[frames.first + frames.used])
+    return sector_of(recording.fan, recording.images[frames.first + frames.used])
 
 
-def _sector(recording: UltrasoundRecording, images: NDArray[np.uint8]) -> BoolArray:
+def sector_of(fan: Fan | None, images: NDArray[np.uint8]) -> BoolArray:
     """(rows, columns) sector, from the scanner's geometry, else from what these images show."""
-    fan = recording.fan
     if fan is not None:
         return fan_mask(fan, *images.shape[1:])
     return fan_mask_from_images(images)

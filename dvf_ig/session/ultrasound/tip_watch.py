@@ -7,12 +7,10 @@ import numpy as np
 
 from dvf_ig.core import Fan, FloatArray, PoseStream, TrackedSequence
 from dvf_ig.core.recordings.stream import MAX_GAP_S
-from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.registration import (
     TipPatches,
     TipSighting,
     TipView,
-    fan_mask_from_images,
     patch_around,
     sighting,
     tip_view,
@@ -21,7 +19,7 @@ from dvf_ig.session.calibrations import CalibrationsInUse
 from dvf_ig.session.events import ToolPose
 
 from .frame_buffer import FrameBuffer
-from .gated_frames import fan_mask
+from .gated_frames import sector_of
 
 KEEP_S = 5.0
 """Images older than this are not looked at any more: longer than a heart beat."""
@@ -65,26 +63,23 @@ class TipWatch:
         while self._tool and self._tool[0].t_s < from_s - MAX_GAP_S:
             self._tool.popleft()
         tool = self._tool_until(min(known_s, until_s + MAX_GAP_S))
+        if tool is None:
+            return None
         found = self._frames.between(from_s - max(0.0, self._calibrations.lag_s), known_s)
-        if tool is not None and found is not None:
-            images = self._looked_at(found[0], tool, from_s, until_s)
-            if images:
-                self._patches = self._patches.after(images)
-                self.seen = sighting(self._patches)
-                return self.seen
-        return None
+        images = [] if found is None else self._looked_at(found[0], tool, from_s, until_s)
+        if not images:
+            return None
+        self._patches = self._patches.after(images)
+        self.seen = sighting(self._patches)
+        return self.seen
 
     def _tool_until(self, last_s: float) -> PoseStream | None:
         """Of those that are remembered; what a beat needs is little, and each is checked."""
         poses = list(takewhile(lambda pose: pose.t_s <= last_s, self._tool))
         if not poses:
             return None
-        matrices, valid = np.tile(np.eye(4), (len(poses), 1, 1)), np.zeros(len(poses), dtype=np.bool_)
-        for i, pose in enumerate(poses):
-            if pose.tracker_from_tool is not None and is_rigid(pose.tracker_from_tool):
-                matrices[i], valid[i] = pose.tracker_from_tool, True
         t_s = np.array([pose.t_s for pose in poses])
-        return PoseStream("tracker", "tool", t_s, matrices[:, :3, :3], matrices[:, :3, 3], valid)
+        return PoseStream.of_matrices("tracker", "tool", t_s, [pose.tracker_from_tool for pose in poses])
 
     def _looked_at(
         self, ultrasound: TrackedSequence, tool: PoseStream, from_s: float, until_s: float
@@ -94,7 +89,7 @@ class TipWatch:
         views = self._views(ultrasound, tool, from_s, until_s)
         if images is None or not views:
             return []
-        sector = fan_mask_from_images(images) if self._fan is None else fan_mask(self._fan, *images.shape[1:])
+        sector = sector_of(self._fan, images)
         patches = [(view.beside_mm, patch_around(images[i], sector, view, scale)) for i, view in views]
         return [(beside_mm, patch) for beside_mm, patch in patches if patch is not None]
 
