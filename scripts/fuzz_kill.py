@@ -8,7 +8,6 @@ that it takes to the end; then the output is looked at as the next command would
 import json
 import os
 import random
-import re
 import shutil
 import signal
 import tempfile
@@ -19,7 +18,8 @@ from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 
-from dvf_ig.io.writing.swap_journal import JOURNAL, complete_swap
+from dvf_ig.io.writing.listing import LISTING, read_listing
+from dvf_ig.io.writing.place import TEMPORARY
 
 WRITERS = {
     "synth scenario": "synth scenario --preset calm --seconds 8 --seed {n} -o o/scene",
@@ -39,7 +39,6 @@ WRITERS = {
     "study": "study retiming --seeds 1 -o o/study",
 }
 """Each writes below the folder "o"."""
-LEFT = re.compile(r"\.[0-9a-f]{8}(\.|$)")
 State = dict[str, tuple[int, int, int]]
 
 
@@ -114,7 +113,7 @@ def _forked(trials: int, rng: random.Random, answer: int) -> bool:
         return True
     os.waitpid(pid, 0)
     lasts_s, new = time.monotonic() - began, set(_state())
-    found = {"kills": 0, "old": 0, "new": 0, "completed by the journal": 0, "mixed": 0, "damaged": 0}
+    found = {"kills": 0, "old": 0, "new": 0, "refused by readers": 0, "mixed": 0, "damaged": 0}
     for number in range(trials):
         old = _put_back()
         if not (pid := os.fork()):
@@ -157,15 +156,14 @@ def _end(pid: int, kind: signal.Signals, rng: random.Random, lasts_s: float) -> 
 
 
 def _swapping() -> bool:
-    return any(JOURNAL in files for _, _, files in os.walk("o"))
+    return any(read_listing(Path(folder)).unfinished for folder, _, _ in os.walk("o"))
 
 
 def _judge(old: State, new: set[str], found: dict[str, int]) -> None:
-    """Count the output as old or new, after what the next command would complete."""
+    """Count the output as old or new, or as both where every reader refuses it."""
     if _swapping():
-        found["completed by the journal"] += 1
-        for place, _, _ in list(os.walk("o")):
-            complete_swap(Path(place))
+        found["refused by readers"] += 1
+        return
     now = _state()
     if now == old:
         found["old"] += 1
@@ -180,7 +178,7 @@ def _state() -> State:
     """Every file of the output and which it is; temporary ones are no output."""
     found: State = {}
     for path in sorted(Path("o").rglob("*")):
-        if path.is_file() and not any(LEFT.match(part) for part in path.parts):
+        if path.is_file() and path.name != LISTING and not any(map(TEMPORARY.fullmatch, path.parts)):
             at = path.stat()
             found[str(path)] = (at.st_ino, at.st_mtime_ns, at.st_size)
     return found

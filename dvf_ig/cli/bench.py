@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
+from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, progress, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.guidance import Continuity
@@ -45,7 +45,9 @@ def bench(
         ),
     ] = None,
     step_mm: Annotated[float, typer.Option("--step-mm", help="Pitch of the phantom's mesh.")] = 1.5,
-    out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for bench.json.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", callback=output_dir, help="Folder for bench.json.")
+    ] = None,
     seed: SeedOption = 1,
     threads: ThreadsOption = None,
     as_json: JsonFlag = False,
@@ -77,7 +79,7 @@ def bench(
         checks = continuity_checks(model, continuity, seed)
         result = {**plain(done), "ratios": done.ratios(), "continuity": plain(checks), "seed": seed}
         if out is not None:
-            with output_folder(out):
+            with output_folder(out, ["bench.json"]):
                 write_json(out / "bench.json", {**result, **provenance_fields()})
         emit(result, [*_rows(done), *_continuity_rows(checks)], as_json=as_json)
         if out is not None:
@@ -103,7 +105,7 @@ def _bench_session(
         factors = {"real_time_factor": done.real_time_factor, "growth_percent": done.growth_percent}
         result = {**plain(done), **factors, "seed": seed, "threads": threads}
         if out is not None:
-            with output_folder(out):
+            with output_folder(out, ["bench.json"]):
                 write_json(out / "bench.json", {**result, **provenance_fields()})
         emit(result, _session_rows(done), as_json=as_json)
         if out is not None:
@@ -137,7 +139,7 @@ def _bench_servo(
             done = bench_servo(model, seconds, seed, report)
         result = {**plain(done), "rows": plain((*done.rows, *cost.rows)), "ratios": cost.ratios, "seed": seed}
         if out is not None:
-            with output_folder(out):
+            with output_folder(out, ["bench.json"]):
                 write_json(out / "bench.json", {**result, **provenance_fields()})
         emit(result, _servo_rows(done, cost), as_json=as_json)
         if out is not None:

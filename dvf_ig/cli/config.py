@@ -16,6 +16,7 @@ from .shell import (
     ReferenceNameOption,
     command,
     emit,
+    output_file,
     warn,
     whole_numbers,
     wrote,
@@ -61,7 +62,7 @@ SessionArgument = Annotated[Path, typer.Argument(help="SESSION.yaml, or a scenar
 
 def init(
     us: Annotated[Path, typer.Option("--us", help="Tracked ultrasound (.igs.mha, .igs.nrrd).")],
-    output: Annotated[Path, typer.Option("-o", "--out", help="SESSION.yaml to write.")],
+    output: Annotated[Path, typer.Option("-o", "--out", callback=output_file, help="SESSION.yaml to write.")],
     ecg: Annotated[
         str | None,
         typer.Option("--ecg", help="wfdb:, edf:, csv: or trigger:FILE; not needed where --us holds it."),
@@ -115,11 +116,12 @@ def init(
     with commented lines for it; where a file cannot be read or does not fit, nothing is written.
     """
     with command():
+        from dvf_ig.io import write_text
         from dvf_ig.io.session_file.draft import GivenFiles
         from dvf_ig.io.session_file.found import found
         from dvf_ig.io.session_file.problem import in_options
         from dvf_ig.io.session_file.verdict import begin_session
-        from dvf_ig.io.session_file.write import session_text, write_session
+        from dvf_ig.io.session_file.write import session_text
 
         given = GivenFiles(
             ultrasound=us,
@@ -148,7 +150,7 @@ def init(
         told = found(verdict.parts)
         wrong = [p for p in (*verdict.unreadable, *verdict.misfits) if p.concerns("register")]
         if not wrong:
-            write_session(output, session_text(draft, told))
+            write_text(output, session_text(draft, told))
         emit(_payload(output, verdict, told), _rows(output, verdict, told, OPTIONS), as_json=as_json)
         if wrong:
             _refuse([in_options(problem.sentence) for problem in wrong])

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .shell import EcgRateOption, JsonFlag, command, emit, progress, warn, wrote
+from .shell import EcgRateOption, JsonFlag, command, emit, output_file, progress, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import PhaseClockOptions, PhaseTracking
@@ -34,20 +34,24 @@ def gate(
         typer.Option("--delay-s", help="trigger:FILE only: how long after R the trigger fires (s)."),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Write the result (JSON), and a picture beside it.")
+        Path | None,
+        typer.Option(
+            "-o", "--out", callback=output_file, help="Write the result (JSON), and a picture beside it."
+        ),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Detect R peaks causally and report where the heart's phase is valid."""
     with command():
-        from dvf_ig.io import files_together, provenance_fields, refuse_foreign, write_json
+        from dvf_ig.io import files_together, provenance_fields, require_outputs, write_json
 
+        if output is not None:
+            require_outputs(output, output.with_suffix(".png"))
         rate_hz = phase_at or VALIDITY_RATE_HZ
         signal, tracking = _track(ecg, rate, rate_hz, predictor, delay_s)
         result = _result(tracking, with_phase=phase_at is not None)
         if output is not None:
             picture = output.with_suffix(".png")
-            refuse_foreign(picture)
             with files_together(output.parent, (output.name, picture.name)) as new:
                 write_json(new / output.name, {**result, **provenance_fields()})
                 _draw(new / picture.name, ecg, signal, tracking)

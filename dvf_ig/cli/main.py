@@ -1,6 +1,7 @@
 """`dvf-ig`: parse, call, print; nothing else. Each command is one file of this folder."""
 
 import os
+import sys
 from typing import Annotated
 
 import typer
@@ -15,6 +16,7 @@ from dvf_ig.cli.model import commands as model
 from dvf_ig.cli.register import command as register
 from dvf_ig.cli.register.panels import RegisterCommand
 from dvf_ig.cli.serve import command as serve
+from dvf_ig.cli.shell import report_unexpected
 from dvf_ig.cli.study import commands as study
 from dvf_ig.cli.synth import commands as synth
 
@@ -58,14 +60,17 @@ def root(
     ] = False,
 ) -> None:
     """Exit codes: 0 ok, 2 usage, 3 bad input, 4 cannot write, 5 no overlap, 6 not converged, 7 quality gate
-    failed, 8 partial batch."""
+    failed, 8 partial batch, 70 a fault of this program."""
 
 
 def run() -> None:
-    """Entry point of the `dvf-ig` command.
+    """Entry point of the `dvf-ig` command; an unexpected exception ends it with exit code 70.
 
     OpenBLAS gets one thread, where the user has not said otherwise: our matrices are small, our kernels use
     all cores themselves, and waking its threads costs a registration 0.1 s and the odd step 98 ms.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    app()
+    try:
+        app()
+    except Exception as error:  # noqa: BLE001  the edge: whatever was not foreseen ends in a sentence
+        sys.exit(report_unexpected(error))

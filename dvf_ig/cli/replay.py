@@ -23,7 +23,7 @@ from .fixture_options import (
     with_margin,
 )
 from .patient_model import patient_model
-from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, warn, wrote
+from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, progress, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.io import SessionRecordings
@@ -31,7 +31,13 @@ if TYPE_CHECKING:
 
 def replay(
     out: Annotated[
-        Path, typer.Option("-o", "--out", help="Folder for the result, its page, the pose and the ticks.")
+        Path,
+        typer.Option(
+            "-o",
+            "--out",
+            callback=output_dir,
+            help="Folder for the result, its page, the pose and the ticks.",
+        ),
     ],
     scenario: Annotated[
         Path | None,
@@ -76,7 +82,7 @@ def replay(
             write_text,
         )
         from dvf_ig.replay import result_of, run_replay, table
-        from dvf_ig.replay.outputs import NAMES, require_own_outputs, write_outputs
+        from dvf_ig.replay.outputs import NAMES, write_outputs
         from dvf_ig.replay.page.replay_page import report_html
         from dvf_ig.replay.view_file import VIEW, write_view_file
 
@@ -89,8 +95,8 @@ def replay(
             options = recordings.fixtures
         mode = chosen_retiming(retiming, recordings.retiming or of_file)
         recorded = recordings.scenario
-        with output_folder(out):
-            require_own_outputs(out)
+        names = ("result.json", "report.html", VIEW, *NAMES)
+        with output_folder(out, names):
             built, origin = patient_model(recorded.preop, recordings.model or model)
             with progress("replay") as report:
                 done = run_replay(
@@ -103,7 +109,7 @@ def replay(
                     live=recordings.live,
                 )
             result = result_of(done)
-            with files_together(out, ("result.json", "report.html", VIEW, *NAMES)) as new:
+            with files_together(out, names) as new:
                 write_text(new / "report.html", report_html(done, result))
                 write_json(new / "result.json", {**result, **provenance_fields()})
                 frames = write_outputs(done.poses, done.ticks, new, recorded.tracked_against)

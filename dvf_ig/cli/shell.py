@@ -9,6 +9,8 @@ import json
 import logging
 import os
 import sys
+import tempfile
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
@@ -19,6 +21,9 @@ import typer
 
 if TYPE_CHECKING:
     from dvf_ig.core.errors import DvfIgError
+
+UNEXPECTED = 70
+"""Exit code of a fault of this program (EX_SOFTWARE)."""
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of every random choice.")]
@@ -40,6 +45,28 @@ ReferenceNameOption = Annotated[
         help="What its poses are relative to (default: Reference where it is recorded, else Tracker).",
     ),
 ]
+
+
+def output_file(path: Path | None) -> Path | None:
+    """Check an option that names a file to write (typer callback)."""
+    if path is not None:
+        with _stated_errors():
+            from dvf_ig.io import require_outputs
+            from dvf_ig.io.provenance import recorded_inputs
+
+            with recorded_inputs():
+                require_outputs(path)
+    return path
+
+
+def output_dir(path: Path | None) -> Path | None:
+    """Check an option that names a folder to write into (typer callback)."""
+    if path is not None:
+        with _stated_errors():
+            from dvf_ig.io import require_folder
+
+            require_folder(path)
+    return path
 
 
 def exit_code(error: "DvfIgError") -> int:
@@ -72,11 +99,20 @@ def command(threads: int | None = None, *, lists_inputs: bool = True) -> Iterato
     """
     if threads is not None:
         limit_threads(threads)
+    from dvf_ig.io.provenance import recorded_inputs
+
+    listed = _inputs_listed() if lists_inputs else nullcontext()
+    with _stated_errors(), _notes_of_warnings(), recorded_inputs(), listed:
+        yield
+
+
+@contextmanager
+def _stated_errors() -> Iterator[None]:
+    """Turn an error of this program into one sentence and its exit code."""
     from dvf_ig.core.errors import DvfIgError  # not before: it brings scipy, and threads are limited first
 
     try:
-        with _notes_of_warnings(), _inputs_listed() if lists_inputs else nullcontext():
-            yield
+        yield
     except DvfIgError as error:
         typer.secho(f"error: {_one_line(str(error))}", err=True, fg=typer.colors.RED)
         raise typer.Exit(exit_code(error)) from error
@@ -90,6 +126,27 @@ def command(threads: int | None = None, *, lists_inputs: bool = True) -> Iterato
         raise typer.Exit(3) from error
 
 
+def report_unexpected(error: Exception) -> int:
+    """Write the traceback of an exception that nothing foresaw to a file, and say so in one sentence.
+
+    Returns:
+        the exit code.
+    """
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    what = f"{type(error).__name__} at {Path(at.filename).name}:{at.lineno}"
+    lines = [f"{' '.join(sys.argv)}\n", *traceback.format_exception(error)]
+    try:
+        handle, name = tempfile.mkstemp(prefix="dvf-ig-error-", suffix=".log")
+        with open(handle, "w", encoding="utf-8", errors="backslashreplace") as stream:
+            stream.writelines(lines)
+        where = f"details in {name}, which belongs to a report of this fault"
+    except OSError as exc:
+        where = f"its details could not be written ({exc.strerror})"
+    text = f"error: the program failed in a way that it did not foresee ({what}); {where}"
+    typer.secho(_one_line(text), err=True, fg=typer.colors.RED)
+    return UNEXPECTED
+
+
 def _one_line(text: str) -> str:
     """A message whose names of files may hold anything, without line breaks and controls of a terminal."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
@@ -97,12 +154,11 @@ def _one_line(text: str) -> str:
 
 @contextmanager
 def _inputs_listed() -> Iterator[None]:
-    from dvf_ig.io.provenance import provenance_fields, recorded_inputs
+    from dvf_ig.io.provenance import provenance_fields
 
     token = _provenance.set(provenance_fields)
     try:
-        with recorded_inputs():
-            yield
+        yield
     finally:
         _provenance.reset(token)
 

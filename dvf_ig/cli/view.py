@@ -7,13 +7,16 @@ import typer
 
 from .patient_model import patient_model
 from .recorded import ModelOption, RecordingOption, read_recording, require_place
-from .shell import JsonFlag, ThreadsOption, command, emit, wrote
+from .shell import JsonFlag, ThreadsOption, command, emit, output_file, wrote
 
 
 def view(
     run: Annotated[Path, typer.Argument(help="Folder that `dvf-ig replay … -o RUN` wrote.")],
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="HTML file to write (default: RUN/view.html).")
+        Path | None,
+        typer.Option(
+            "-o", "--out", callback=output_file, help="HTML file to write (default: RUN/view.html)."
+        ),
     ] = None,
     recording: RecordingOption = None,
     model: ModelOption = None,
@@ -25,14 +28,13 @@ def view(
     It shows the beating heart, ultrasound, tool, force and signals; its numbers are those of RUN/ticks.csv.
     """
     with command(threads):
-        from dvf_ig.io import provenance_fields, refuse_foreign, write_text
+        from dvf_ig.io import provenance_fields, require_outputs, write_text
         from dvf_ig.replay.run_folder import read_run, require_same_recording
         from dvf_ig.replay.view import run_payload
         from dvf_ig.report.viewer import viewer_html
 
         path = out or run / "view.html"
-        if out is None:
-            refuse_foreign(path)
+        require_outputs(path)
         recorded = read_run(run)
         source = recording or recorded.view.recording
         require_place("recording", source, run, "--recording FOLDER or SESSION.yaml")

@@ -89,11 +89,12 @@ from .session_file.preop import read_heart_options as read_heart_options
 from .session_file.read import SessionRecordings as SessionRecordings
 from .session_file.read import read_options as read_options
 from .session_file.read import read_session as read_session
-from .sidecar import refuse_foreign as refuse_foreign
 from .sidecar import write_sidecar as write_sidecar
 from .transform import read_transform as read_transform
 from .transform import write_transform as write_transform
 from .transform import write_transforms as write_transforms
+from .writing.atomic import files_together as files_together
 from .writing.atomic import output_folder as output_folder
 from .writing.atomic import write_text as write_text
-from .writing.atomic_folder import files_together as files_together
+from .writing.listing import require_outputs as require_outputs
+from .writing.place import require_folder as require_folder

@@ -113,6 +113,26 @@ def record_file(path: Path, content: bytes | None = None, before: _Stamp | None 
     record.files[key] = _InputFile(path, digest.hexdigest(), size)
 
 
+def in_command() -> bool:
+    """Whether a record is open: a command runs, and guards the files of its user."""
+    return _RECORD.get() is not None
+
+
+def is_recorded(path: Path) -> bool:
+    """Whether a file was read under the open record, by this or another name."""
+    record, stamp = _RECORD.get(), file_stamp(path)
+    if record is None or stamp is None:
+        return False
+    return any(isinstance(key, tuple) and key[:2] == stamp[:2] for key in record.files)
+
+
+def recorded_within(folder: Path) -> Path | None:
+    """A file in `folder` that was read under the open record; None without one."""
+    record = _RECORD.get()
+    files = () if record is None else record.files.values()
+    return next((one.path for one in files if one.path.resolve().is_relative_to(folder)), None)
+
+
 def record_folder(folder: Path) -> None:
     """Say that a folder was given as one thing: its files are named by their place within it."""
     record = _RECORD.get()

@@ -8,7 +8,7 @@ from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 
 from .limits import FILE_BYTES, TEXT_BYTES
 from .provenance import file_stamp, record_file, record_folder
-from .writing.swap_journal import complete_swap
+from .writing.listing import require_finished
 
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 
@@ -46,16 +46,17 @@ def reading(path: Path, what: str) -> Iterator[None]:
         what: what it should be, with its article, for example "a tracked sequence".
     Raises:
         UnreadableFileError: the file is absent, unreadable, or its content breaks an invariant of the value
-            it should become, or is a Git-LFS pointer. Errors that are this class already pass unchanged.
-        OutputError: a program was killed while it wrote there, and the folder is not writable.
+            it should become, or is a Git-LFS pointer, or may be of another run than the files beside it
+            (`require_finished`). Errors that are this class already pass unchanged.
     """
     if "\0" in str(path):
         raise UnreadableFileError(f"{str(path)[:80]!r} is no name of a file; needed {what}")
     refuse_lfs_pointer(path)
     try:
-        complete_swap(path if path.is_dir() else path.parent)
         if path.is_dir():
             record_folder(path)
+        else:
+            require_finished(path)
         before = file_stamp(path)
         yield
         if before is not None:

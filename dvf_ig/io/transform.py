@@ -13,8 +13,9 @@ from . import limits
 from .itk_transform import linear_matrix
 from .json_file import read_json
 from .reading import reading, refuse_lfs_pointer
-from .sidecar import refuse_foreign, write_sidecar
+from .sidecar import write_sidecar
 from .writing.atomic import atomic_file, write_text
+from .writing.listing import require_outputs
 
 CONVENTION = "ITK: maps points of 'from' (fixed image) to 'to' (moving image); LPS, mm"
 
@@ -67,7 +68,7 @@ def write_transform(rigid: Rigid, path: Path | str, error_mm: float | None = Non
     path = Path(path)
     if path.suffix.lower() not in (".tfm", ".txt"):
         raise OutputError(f"cannot write {path}: transforms are written as .tfm; change the ending")
-    refuse_foreign(path.with_suffix(".json"), kind="transform")
+    require_outputs(path, path.with_suffix(".json"))
     write_text(path, affine_text(rigid.matrix))
     sidecar = {"from": rigid.source, "to": rigid.target, "convention": CONVENTION, "error_mm": error_mm}
     write_sidecar(path.with_suffix(".json"), sidecar, "transform")
@@ -94,7 +95,7 @@ def write_transforms(rigid: Rigid, path: Path | str, error_mm: float | None = No
 
     path = Path(path)
     second = path.with_suffix(".h5")
-    refuse_foreign(second)
+    require_outputs(second)
     write_transform(rigid, path, error_mm)
     affine = SimpleITK.AffineTransform(3)
     affine.SetMatrix(rigid.rotation.ravel().tolist())

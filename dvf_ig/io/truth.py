@@ -22,7 +22,8 @@ from dvf_ig.io.limits import MODEL_BYTES
 from dvf_ig.io.npz import read_npz
 from dvf_ig.io.reading import read_bytes, read_text, reading
 from dvf_ig.io.transform import rigid_from_matrix
-from dvf_ig.io.writing.atomic import make_folder, write_bytes, write_text
+from dvf_ig.io.writing.atomic import write_bytes, write_text
+from dvf_ig.io.writing.place import make_folder
 
 SCHEMA = "dvf_ig.truth/1"
 FILES = ("truth.json", "r_peaks.csv", "tool.npz", "surface.npz")

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core import IntArray, InvalidInputError, OutputError, Rigid
+from dvf_ig.core import IntArray, InvalidInputError, Rigid
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.guidance import Hazard, Status, SupervisorState
-from dvf_ig.io import refuse_foreign, write_pose_sequence, write_registration, write_text, write_transforms
+from dvf_ig.io import write_pose_sequence, write_registration, write_text, write_transforms
 
 from .ticks import Ticks
-from .view_file import KIND, VIEW
 
 POSE, POSES, TICKS = "mr_from_tracker", "poses.seq.mha", "ticks.csv"
 NAMES = (f"{POSE}.tfm", f"{POSE}.h5", f"{POSE}.json", f"{POSE}.xml", POSES, TICKS)
@@ -37,27 +36,6 @@ COLUMNS = (
 )
 """Of the ticks, each with its format: 1 µs, 0.1 µm, 1 µN."""
 _HEADER = ",".join(name for name, _ in COLUMNS)
-_FIRST_COLUMNS = ",".join(name for name, _ in COLUMNS[:5])
-"""Of the tables of every version."""
-
-
-def require_own_outputs(folder: Path) -> None:
-    """Refuse a folder in which a user's own file has the name of an output.
-
-    Raises:
-        OutputError: naming the file.
-    """
-    refuse_foreign(*(folder / name for name in NAMES if name != TICKS))
-    refuse_foreign(folder / VIEW, kind=KIND)
-    table = folder / TICKS
-    if table.is_file():
-        with table.open("rb") as stream:
-            ours = stream.readline(len(_HEADER)).startswith(_FIRST_COLUMNS.encode())
-        if not ours:
-            raise OutputError(
-                f"cannot write {table}: a file of that name exists and was not written by this command; move "
-                "it, or choose another folder"
-            )
 
 
 def write_outputs(
@@ -68,7 +46,7 @@ def write_outputs(
     Args:
         poses: (time from which it was in use, mr_from_tracker) in order of time.
         ticks: of the replay.
-        folder: holds nothing of a user's (see `require_own_outputs`).
+        folder: exists.
         tracked_against: what PLUS calls the frame that poses were relative to, for the files that it reads.
     Returns:
         what was written: name of the file, and the frame of what is in it.

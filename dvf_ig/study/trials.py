@@ -17,8 +17,9 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from dvf_ig.core.errors import DvfIgError, InvalidInputError, OutputError
+from dvf_ig.core.errors import DvfIgError, InvalidInputError, OutputError, UnreadableFileError
 from dvf_ig.io import plain, read_json, write_json
+from dvf_ig.io.writing.place import file_place
 
 Settings = dict[str, Any]
 Line = dict[str, Any]
@@ -81,10 +82,11 @@ def run_trials(
             f"{len(seeds)} trials with {len(set(seeds))} different seeds, in groups of {group_size} on "
             f"{workers} workers; needed different seeds, and at least 1 worker and 1 trial in a group"
         )
+    path = file_place(folder / "trials.jsonl")
     _bind_folder(study, folder)
-    path = folder / "trials.jsonl"
-    done = {line["seed"]: line for line in _kept_lines(path)}
-    _append(path, [])  # a file that cannot be written is found before the work
+    kept, length = _kept_lines(path)
+    done = {line["seed"]: line for line in kept}
+    _continue_at(path, length)
     whole = [seeds[first : first + group_size] for first in range(0, len(seeds), group_size)]
     remaining = [[seed for seed in group if seed not in done] for group in whole]
     groups = [group for group in remaining if group]
@@ -96,6 +98,15 @@ def run_trials(
         missing -= len(lines)
         progress(1 - missing / len(seeds))
     return [done[seed] for seed in seeds]
+
+
+def _continue_at(path: Path, whole: int) -> None:
+    """Remove a line that a kill cut short; a file that cannot be written is found before the work."""
+    try:
+        with path.open("ab") as stream:
+            stream.truncate(whole)
+    except OSError as exc:
+        raise OutputError(f"cannot continue {path}: {exc.strerror or exc}") from exc
 
 
 def _append(path: Path, lines: Sequence[Line]) -> None:
@@ -170,6 +181,11 @@ def _bind_folder(study: Study, folder: Path) -> None:
     path = folder / "study.json"
     wanted = plain({"study": study.name, "settings": study.settings})
     if not path.exists():
+        if (folder / "trials.jsonl").exists():
+            raise OutputError(
+                f"cannot write {folder / 'trials.jsonl'}: it exists, and no study.json names the study that "
+                "wrote it; choose another folder"
+            )
         write_json(path, wanted)
     elif read_json(path, "a study") != wanted:
         raise InvalidInputError(
@@ -184,24 +200,22 @@ def trials_of(folder: Path) -> list[Line]:
     Raises:
         InvalidInputError: it holds none, or is damaged.
     """
-    lines = _kept_lines(folder / "trials.jsonl")
+    lines, _ = _kept_lines(folder / "trials.jsonl")
     if not lines:
         raise InvalidInputError(f"{folder} holds no trials of a study; give the folder that a study wrote")
     return lines
 
 
-def _kept_lines(path: Path) -> list[Line]:
-    """Complete lines so far; a line that a kill cut short is removed from the file."""
+def _kept_lines(path: Path) -> tuple[list[Line], int]:
+    """Complete lines so far, and their length in bytes; a line that a kill cut short is left out."""
     if not path.exists():
-        return []
+        return [], 0
     try:
         data = path.read_bytes()
         whole = data.rfind(b"\n") + 1
-        if whole < len(data):
-            os.truncate(path, whole)
-        return [json.loads(line) for line in data[:whole].splitlines()]
+        return [json.loads(line) for line in data[:whole].splitlines()], whole
     except OSError as exc:
-        raise OutputError(f"cannot continue {path}: {exc.strerror or exc}") from exc
+        raise UnreadableFileError(f"cannot read {path}: {exc.strerror or exc}") from exc
     except ValueError as exc:
         raise InvalidInputError(f"{path} is damaged ({exc}); remove it and run the study again") from exc
 

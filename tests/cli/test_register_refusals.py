@@ -154,7 +154,6 @@ COMBINATIONS: dict[str, tuple[dict[str, Any], str]] = {
         OPTIONS | {"--touched": "@0.3"},
         "--touched is '@0.3'; needed a file of points before @",
     ),
-    "the start as output": (OPTIONS | {"-o": "start.tfm"}, "the result would replace the start, start.tfm"),
     "no output": (OPTIONS | {"-o": None}, "say where to write: -o OUT"),
 }
 
@@ -163,6 +162,11 @@ COMBINATIONS: dict[str, tuple[dict[str, Any], str]] = {
 def test_options_that_do_not_go_together(case: str, lab: Path) -> None:
     options, told = COMBINATIONS[case]
     assert told in ended(lab, "register", *words({"-o": "out"} | options), code=2)
+
+
+def test_the_start_is_no_output(lab: Path) -> None:
+    told = ended(lab, "register", *words(OPTIONS | {"-o": "start.tfm"}), code=4)
+    assert "cannot write start.tfm: a file of that name exists" in told
 
 
 MISPLACED: dict[str, tuple[dict[str, Any], str]] = {

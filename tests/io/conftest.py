@@ -2,7 +2,7 @@
 
 import dataclasses
 import enum
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ from dvf_ig.core import (
     VolumeSeries,
     Wire,
 )
+from dvf_ig.io.provenance import recorded_inputs
 
 
 def make_stream(rng: np.random.Generator, target: str, source: str, t_s: Any) -> PoseStream:
@@ -161,6 +162,13 @@ def _assert_same(a: Any, b: Any, where: str = "value") -> None:
     else:
         assert isinstance(a, enum.Enum | str | int | float | bool | None), where
         assert a == b, f"{where}: {a!r} and {b!r}"
+
+
+@pytest.fixture
+def in_a_command() -> Iterator[None]:
+    """A command runs: the files of its user are guarded."""
+    with recorded_inputs():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -23,6 +23,7 @@ from dvf_ig.io import (
     write_registration,
     write_transforms,
 )
+from dvf_ig.io.provenance import recorded_inputs
 
 MR_FROM_TRACKER = Rigid.from_rotation_vector([0.4, -0.9, 0.3], [12.5, -40.25, 310.75], "mr", "tracker")
 TRACKER_MM = np.array([[10.0, 20.0, 30.0], [-55.5, 4.25, -120.0], [0.0, 0.0, 0.0]])
@@ -126,7 +127,7 @@ def test_plus_composes_tracker_to_ras_from_the_xml(tmp_path: Path) -> None:
     both = found["Mr", "Ras"] @ found["Tracker", "Mr"]
     np.testing.assert_allclose(moved(both, TRACKER_MM), MR_MM * (-1, -1, 1), atol=1e-6)
     path.write_text("<PlusConfiguration/>")
-    with pytest.raises(OutputError, match="a file of that name exists"):
+    with recorded_inputs(), pytest.raises(OutputError, match="a file of that name exists"):
         write_registration(MR_FROM_TRACKER, path)
 
 

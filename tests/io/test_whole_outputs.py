@@ -17,14 +17,17 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.calibrate.output import save
 from dvf_ig.cli.gate import gate
-from dvf_ig.core import OutputError
+from dvf_ig.core import OutputError, UnreadableFileError
+from dvf_ig.io.provenance import not_recorded, recorded_inputs
 from dvf_ig.io.reading import read_text
-from dvf_ig.io.writing import atomic_folder as whole
-from dvf_ig.io.writing import swap_journal
-from dvf_ig.io.writing.atomic import atomic_file
-from dvf_ig.io.writing.atomic_folder import atomic_folder, files_together
+from dvf_ig.io.writing import listing, swap
+from dvf_ig.io.writing.atomic import atomic_file, atomic_folder, files_together, foreign_file, write_text
+from dvf_ig.io.writing.listing import LISTING
 
 NAMES = ("a", "b", "c")
+
+
+pytestmark = pytest.mark.usefixtures("in_a_command")
 
 
 def write(folder: Path, text: str) -> None:
@@ -67,7 +70,7 @@ def test_ctrl_c_between_renames_leaves_the_old_or_the_new(
     folder = tmp_path / "out"
     folder.mkdir()
     writer(folder, "old")
-    monkeypatch.setattr(whole, "_exchanged", lambda *_: False)
+    monkeypatch.setattr(swap, "_exchanged", lambda *_: False)
     monkeypatch.setattr(os, "rename", interrupted_at(step, after=after, rename=os.rename))
     try:
         writer(folder, "new")
@@ -76,7 +79,7 @@ def test_ctrl_c_between_renames_leaves_the_old_or_the_new(
     else:
         assert texts(folder) == ["new"] * 3
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    assert {path.name for path in folder.iterdir()} <= {*NAMES, whole.LISTING}
+    assert {path.name for path in folder.iterdir()} == {*NAMES, LISTING}
 
 
 @pytest.mark.parametrize("writer", [write, write_together])
@@ -86,7 +89,7 @@ def test_ctrl_c_right_after_an_exchange(
     folder = tmp_path / "out"
     folder.mkdir()
     writer(folder, "old")
-    exchange, calls = whole._exchanged, [0]
+    exchange, calls = swap._exchanged, [0]
 
     def twice_interrupted(one: Path, other: Path) -> bool:
         done = exchange(one, other)
@@ -95,7 +98,7 @@ def test_ctrl_c_right_after_an_exchange(
             raise KeyboardInterrupt
         return done
 
-    monkeypatch.setattr(whole, "_exchanged", twice_interrupted)
+    monkeypatch.setattr(swap, "_exchanged", twice_interrupted)
     with pytest.raises(KeyboardInterrupt):
         writer(folder, "new")
     assert texts(folder) == ["old"] * 3
@@ -107,11 +110,12 @@ import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
-from dvf_ig.io.writing.atomic_folder import {writer}
+from dvf_ig.io.provenance import recorded_inputs
+from dvf_ig.io.writing.atomic import {writer}
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job begins with it ignored
 print("on", flush=True)
 for n in range({rounds}):
-    with {writer}(Path(sys.argv[1]){names}) as new:
+    with recorded_inputs(), {writer}(Path(sys.argv[1]){names}) as new:
         for name in "abc":
             (new / name).write_text(sys.argv[2] + str(n))
 """
@@ -135,67 +139,138 @@ def test_killed_at_random_moments(tmp_path: Path, kind: signal.Signals) -> None:
     child.stdout.close()
     assert child.poll() is not None
     assert len(set(texts(folder))) == 1
-    assert whole._foreign_file(folder) is None
+    assert foreign_file(folder) is None
 
 
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from dvf_ig.io.writing import atomic_folder as whole
-swap, done = whole._swap, [0]
+from dvf_ig.io.provenance import recorded_inputs
+from dvf_ig.io.writing import atomic, swap
+one, done = swap._swap, [0]
 def dying(new, place):
     if done[0] == int(sys.argv[2]):
         os.kill(os.getpid(), signal.SIGKILL)
-    swap(new, place)
+    one(new, place)
     done[0] += 1
-whole._swap = dying
-with whole.files_together(Path(sys.argv[1]), "abcd") as new:
+swap._swap = dying
+with recorded_inputs(), atomic.files_together(Path(sys.argv[1]), "abc") as new:
     for name in "abc":
         (new / name).write_text("new")
 """
 
 
-@pytest.mark.parametrize("swapped", [0, 1, 2, 3])
-def test_what_a_killed_program_left_half_done_is_done_by_the_next(tmp_path: Path, swapped: int) -> None:
-    for name in "abd":
-        (tmp_path / name).write_text("old")
+@pytest.mark.parametrize("swapped", [0, 1, 2])
+def test_files_of_two_runs_are_refused_until_they_are_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, swapped: int
+) -> None:
+    """A reader moves nothing; the next writer replaces all, and names the folder that was left."""
+    monkeypatch.setattr(listing, "_PATIENCE_S", 0.05)
+    write_together(tmp_path, "old")
+    write_text(tmp_path / "other", "of another command")
     killed = [sys.executable, "-c", KILLED, str(tmp_path), str(swapped)]
     assert subprocess.run(killed, check=False).returncode == -signal.SIGKILL
-    assert (tmp_path / swap_journal.JOURNAL).is_file()
-    assert read_text(tmp_path / "a", "a text") == "new"
-    assert texts(tmp_path) == ["new"] * 3
-    assert {path.name for path in tmp_path.iterdir()} == set("abc")
+    mixed = ["new"] * swapped + ["old"] * (3 - swapped)
+    assert texts(tmp_path) == mixed
+    for name in NAMES:
+        with pytest.raises(UnreadableFileError, match=r"killed while it replaced them; run that command"):
+            read_text(tmp_path / name, "a text")
+    assert read_text(tmp_path / "other", "a text") == "of another command"
+    assert texts(tmp_path) == mixed
+    (left,) = (path for path in tmp_path.iterdir() if path.name.startswith(".dvf_ig-"))
+    os.utime(left, (0, 0))
+    write_together(tmp_path, "newer")
+    assert [read_text(tmp_path / name, "a text") for name in NAMES] == ["newer"] * 3
+    assert left.is_dir()
+    assert [one.getMessage() for one in caplog.records if f"rm -r '{left}'" in one.getMessage()] != []
 
 
-def test_a_file_written_since_a_program_was_killed_stays(tmp_path: Path) -> None:
-    (tmp_path / "b").write_text("old")
-    killed = [sys.executable, "-c", KILLED, str(tmp_path), "1"]
-    subprocess.run(killed, check=False)
-    (tmp_path / "b").unlink()
-    (tmp_path / "b").write_text("mine")
-    assert read_text(tmp_path / "b", "a text") == "mine"
-    assert read_text(tmp_path / "c", "a text") == "new"
+def test_a_reader_waits_for_a_process_that_moves_its_files(tmp_path: Path) -> None:
+    code = LOOP.format(writer="files_together", rounds=10**9, names=', "abc"')
+    child = subprocess.Popen([sys.executable, "-c", code, str(tmp_path), ""], stdout=subprocess.PIPE)
+    try:
+        assert child.stdout is not None
+        child.stdout.readline()
+        until = time.monotonic() + 20
+        while not (tmp_path / "c").exists() and time.monotonic() < until:
+            time.sleep(0.01)
+        with not_recorded():
+            assert all(read_text(tmp_path / name, "a text").isdecimal() for name in NAMES * 30)
+    finally:
+        child.kill()
+        child.wait()
+        assert child.stdout is not None
+        child.stdout.close()
 
 
 @pytest.mark.parametrize(
-    "said", [b"", b"[]", b"{}", b'{"folder": "..", "moves": {"x": [null, null]}}', b"[" * 10000]
+    "said",
+    [
+        {"folder": "../victim", "moves": {}},
+        {"folder": ".0badcafe", "moves": {"mine": [None, None]}},
+        {"files": {"../victim/mine": ["x"]}, "unfinished": ["../victim/mine", "../victim"]},
+        {"files": {"mine": "x"}, "unfinished": {"mine": 1}},
+        {"files": [], "unfinished": []},
+        [],
+        None,
+    ],
 )
-def test_a_foreign_journal_moves_nothing(tmp_path: Path, said: bytes) -> None:
-    """A journal in somebody's folder can name files of that folder alone."""
-    inside, victim = tmp_path / "in", tmp_path / "victim"
-    (inside / ".0123abcd").mkdir(parents=True)
-    victim.write_text("mine")
-    (inside / "a").write_text("old")
-    at = victim.stat()
-    nodes = [None, [at.st_dev, at.st_ino, at.st_mtime_ns]]
-    moves = {"../victim": nodes[::-1], "b": nodes, "..": [None, None]}
-    text = said or json.dumps({"folder": ".0123abcd", "moves": moves}).encode()
-    (inside / swap_journal.JOURNAL).write_bytes(text)
-    (inside / ".0123abcd" / "b").symlink_to(victim)
-    assert read_text(inside / "a", "a text") == "old"
-    assert victim.read_text() == "mine"
-    assert not (inside / "b").exists()
-    assert not (inside / swap_journal.JOURNAL).exists()
+def test_no_file_makes_a_reader_or_a_writer_move_or_remove_another(tmp_path: Path, said: object) -> None:
+    """What lies in a downloaded folder moves nothing, in it or elsewhere."""
+    inside, victim = tmp_path / "download", tmp_path / "victim"
+    for folder in (inside / ".0badcafe", inside / ".dvf_ig-0badcafe", victim / ".0badcafe"):
+        folder.mkdir(parents=True)
+        (folder / "mine").write_text("mine")
+    (inside / "mine").write_text("mine")
+    for name in (".dvf_ig_swap.json", LISTING):
+        (inside / name).write_text(json.dumps(said))
+    before = sorted(tmp_path.rglob("*"))
+    with not_recorded():
+        assert read_text(inside / "mine", "a text") == "mine"
+    with pytest.raises(OutputError, match="this program did not write"):
+        write_text(inside / "mine", "x")
+    write_text(inside / "new", "x")
+    assert sorted(tmp_path.rglob("*")) == sorted([*before, inside / "new"])
+    assert (inside / "mine").read_text() == "mine"
+
+
+def test_a_file_that_is_read_is_not_replaced(tmp_path: Path) -> None:
+    """Also one that this program wrote, by another name, or within a folder that is replaced."""
+    write(tmp_path / "run", "old")
+    write_text(tmp_path / "data", "old")
+    (tmp_path / "twin").hardlink_to(tmp_path / "data")
+    with recorded_inputs():
+        read_text(tmp_path / "data", "a text")
+        for name in ("data", "twin"):
+            with pytest.raises(OutputError, match="this command reads it"):
+                write_text(tmp_path / name, "new")
+        read_text(tmp_path / "run" / "b", "a text")
+        with pytest.raises(OutputError, match=r"this command reads .*/b in it"):
+            write(tmp_path / "run", "new")
+    assert texts(tmp_path / "run") == ["old"] * 3
+    assert (tmp_path / "data").read_text() == "old"
+    with recorded_inputs():
+        write_text(tmp_path / "data", "new")
+
+
+def test_a_call_from_python_replaces_what_it_is_given(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("mine")
+    with not_recorded():
+        write_text(tmp_path / "a", "new")
+        write_together(tmp_path, "newer")
+    assert {path.name for path in tmp_path.iterdir()} == set(NAMES)
+
+
+def test_somebodys_file_is_neither_replaced_nor_removed(tmp_path: Path) -> None:
+    (tmp_path / "c").write_text("mine")
+    with pytest.raises(OutputError, match=r"c: a file of that name exists that this program did not write"):
+        write_together(tmp_path, "new")
+    with (
+        pytest.raises(OutputError, match="this program did not write"),
+        files_together(tmp_path, NAMES) as new,
+    ):
+        (new / "a").write_text("new")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"c": "mine"}
 
 
 def test_only_what_this_program_wrote_is_replaced(tmp_path: Path) -> None:
@@ -210,32 +285,38 @@ def test_only_what_this_program_wrote_is_replaced(tmp_path: Path) -> None:
     (folder / "b").unlink()
     write(folder, "newer")
     assert texts(folder) == ["newer"] * 3
-    (folder / whole.LISTING).unlink()
+    (folder / LISTING).unlink()
     with pytest.raises(OutputError, match="was not written"):
         write(folder, "newest")
-    (folder / whole.LISTING).write_text(json.dumps(["a"]))
+    (folder / LISTING).write_text(json.dumps(["a"]))
     with pytest.raises(OutputError, match="was not written"):
         write(folder, "newest")
 
 
-def test_links_stay_links(tmp_path: Path) -> None:
-    """What a link points to is replaced: a folder, a file, also one that does not exist yet."""
-    link, real = tmp_path / "link", tmp_path / "real"
-    link.symlink_to(real)
-    for text in ("first", "second"):
-        write(link, text)
-        assert texts(real) == [text] * 3
-    single, target = tmp_path / "single", tmp_path / "target"
-    single.symlink_to(target)
-    with atomic_file(single) as temporary:
-        temporary.write_text("text")
-    assert target.read_text() == "text"
-    assert link.is_symlink()
-    assert single.is_symlink()
-    assert {path.name for path in tmp_path.iterdir()} == {"link", "real", "single", "target"}
-    (tmp_path / "circle").symlink_to(tmp_path / "circle")
-    with pytest.raises(OutputError, match="links lead nowhere"):
-        write(tmp_path / "circle", "text")
+def test_links_pipes_and_devices_are_refused(tmp_path: Path) -> None:
+    real, target = tmp_path / "real", tmp_path / "target"
+    real.mkdir()
+    target.write_text("mine")
+    os.mkfifo(tmp_path / "pipe")
+    links = {
+        "to_folder": real,
+        "to_file": target,
+        "to_nothing": tmp_path / "none",
+        "circle": tmp_path / "circle",
+    }
+    for name, end in links.items():
+        (tmp_path / name).symlink_to(end)
+        for writer in (write, write_together, write_text):
+            with pytest.raises(OutputError, match="it is a link to"):
+                writer(tmp_path / name, "text")
+    for place in (tmp_path / "pipe", Path("/dev/null")):
+        for writer in (write, write_text):
+            with pytest.raises(OutputError, match="a device or a pipe"):
+                writer(place, "text")
+    assert {path.name for path in tmp_path.iterdir()} == {"real", "target", "pipe", *links}
+    assert target.read_text() == "mine"
+    write_text(tmp_path / "to_folder" / "below", "a link may lead to the folder")
+    assert (real / "below").is_file()
 
 
 @pytest.mark.parametrize(
@@ -262,7 +343,7 @@ def test_two_processes_do_not_mix_their_files(tmp_path: Path) -> None:
     both = [subprocess.Popen([*command, which], stdout=subprocess.DEVNULL) for which in "xy"]
     assert [child.wait(60) for child in both] == [0, 0]
     assert len(set(texts(tmp_path))) == 1
-    assert {path.name for path in tmp_path.iterdir()} == set(NAMES)
+    assert {path.name for path in tmp_path.iterdir()} == {*NAMES, LISTING}
 
 
 def full_disk(*_: object, **__: object) -> None:

@@ -14,9 +14,11 @@ from typer.testing import CliRunner
 from dvf_ig.cli.main import app
 from dvf_ig.core import OutputError, PhaseTrack, Rigid
 from dvf_ig.guidance import Hazard, Status, SupervisorState
-from dvf_ig.io.writing.atomic_folder import LISTING
+from dvf_ig.io import output_folder
+from dvf_ig.io.provenance import recorded_inputs
+from dvf_ig.io.writing.listing import LISTING
 from dvf_ig.replay import Replay, validate
-from dvf_ig.replay.outputs import COLUMNS, NAMES, require_own_outputs, ticks_csv, write_outputs
+from dvf_ig.replay.outputs import COLUMNS, NAMES, ticks_csv, write_outputs
 from dvf_ig.replay.ticks import Ticks
 
 POSE = Rigid.from_rotation_vector([0.4, -0.9, 0.3], [12.5, -40.25, 310.75], "mr", "tracker")
@@ -82,7 +84,10 @@ def test_the_last_pose_in_use_is_the_one_that_is_written(tmp_path: Path) -> None
         place = transform.TransformPoint((10.0, 20.0, 30.0))
         np.testing.assert_allclose(place, POSE.rotation @ (10, 20, 30) + POSE.translation_mm, atol=1e-9)
     assert (tmp_path / "poses.seq.mha").read_text().count("TrackerToRasTransform =") == 2
-    require_own_outputs(tmp_path)
+    with recorded_inputs():
+        for _ in range(2):
+            with output_folder(tmp_path / "again", NAMES):
+                write_outputs([(2.0, POSE)], two_ticks(), tmp_path / "again")
 
 
 def test_what_plus_reads_names_the_marker_that_poses_are_relative_to(tmp_path: Path) -> None:
@@ -99,8 +104,14 @@ def test_without_a_pose_there_is_no_file_of_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_users_own_file_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("mine, not yours")
-    with pytest.raises(OutputError, match="a file of that name exists"):
-        require_own_outputs(tmp_path)
+    with (
+        recorded_inputs(),
+        pytest.raises(OutputError, match="this program did not write"),
+        output_folder(tmp_path, NAMES),
+    ):
+        write_outputs([(2.0, POSE)], two_ticks(), tmp_path)
+    assert (tmp_path / name).read_text() == "mine, not yours"
+    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 @pytest.fixture
@@ -116,7 +127,12 @@ def test_the_command_writes_all_files_and_says_what_it_read(
     out = tmp_path / "run"
     done = CliRunner().invoke(app, ["replay", str(written), "-o", str(out), "--json"])
     assert done.exit_code == 0, done.output
-    assert {path.name for path in out.iterdir()} == {"result.json", "report.html", "view.json", *NAMES}
+    assert {path.name for path in out.iterdir()} - {LISTING} == {
+        "result.json",
+        "report.html",
+        "view.json",
+        *NAMES,
+    }
     for name in ("result.json", "report.html", "view.json", *NAMES):
         assert f"wrote {out / name}" in done.stderr
     result = json.loads((out / "result.json").read_text())

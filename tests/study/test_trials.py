@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from multiples import deadly, mistaken, multiple, whereabouts
 
-from dvf_ig.core import DvfIgError, InvalidInputError
+from dvf_ig.core import DvfIgError, InvalidInputError, OutputError
 from dvf_ig.study.trials import Line, Settings, Study, run_trials
 
 STUDY = Study("multiples", {"factor": 3}, multiple)
@@ -79,6 +79,11 @@ def test_misuse_and_damage_are_refused(tmp_path: Path) -> None:
         run_trials(STUDY, [1, 1], tmp_path)
     with pytest.raises(InvalidInputError, match="groups of 0"):
         run_trials(STUDY, [1], tmp_path, group_size=0)
+    (tmp_path / "trials.jsonl").write_text("{mine}\n")
+    with pytest.raises(OutputError, match=r"no study\.json names the study"):
+        run_trials(STUDY, [1], tmp_path)
+    (tmp_path / "trials.jsonl").unlink()
+    run_trials(STUDY, [1], tmp_path)
     (tmp_path / "trials.jsonl").write_text("{broken\n")
     with pytest.raises(InvalidInputError, match="damaged"):
         run_trials(STUDY, [1], tmp_path)

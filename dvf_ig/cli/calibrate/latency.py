@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, warn
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command, output_file, warn
 
 from .output import judge, marked, save, show, verdict
 
@@ -25,7 +25,8 @@ def latency(
         typer.Option("--line-table", help="PLUS line results; otherwise lines are found in the images."),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Write JSON here, and a picture beside it.")
+        Path | None,
+        typer.Option("-o", "--out", callback=output_file, help="Write JSON here, and a picture beside it."),
     ] = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,

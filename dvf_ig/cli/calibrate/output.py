@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import emit, warn, wrote
+from dvf_ig.cli.shell import emit, output_file, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import CalibrationErrors, Refusal
@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 OutputOption = Annotated[
     Path | None,
-    typer.Option("-o", "--out", help="Write JSON here; PLUS XML and a picture go beside it."),
+    typer.Option(
+        "-o", "--out", callback=output_file, help="Write JSON here; PLUS XML and a picture go beside it."
+    ),
 ]
 MaxResidualOption = Annotated[
     float | None,
@@ -54,7 +56,6 @@ def save(
     from dvf_ig.io import (
         CoordinateDefinition,
         files_together,
-        refuse_foreign,
         write_coordinate_definitions,
         write_sidecar,
     )
@@ -63,8 +64,6 @@ def save(
     record = {**result, "date": now.isoformat(timespec="seconds")}
     json_path = output.with_suffix(".json") if output.suffix == ".xml" else output
     xml_path, png_path = output.with_suffix(".xml"), output.with_suffix(".png")
-    refuse_foreign(json_path, kind=result["kind"], named=output)
-    refuse_foreign(*([xml_path] if name else []), *([png_path] if picture else []), named=output)
     placed = None
     if name is not None and matrix is not None and not result["refused"]:
         target, _, source = name.partition("_from_")

@@ -6,14 +6,14 @@ from typing import Annotated
 import typer
 
 from dvf_ig.cli.recorded import ModelOption, RecordingOption
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, wrote
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command, emit, output_file, wrote
 
 from .source import RunArgument, read_source
 
 
 def mcap(
     run: RunArgument,
-    out: Annotated[Path, typer.Option("-o", "--out", help="Log to write, .mcap.")],
+    out: Annotated[Path, typer.Option("-o", "--out", callback=output_file, help="Log to write, .mcap.")],
     recording: RecordingOption = None,
     model: ModelOption = None,
     seed: SeedOption = 0,

@@ -6,14 +6,14 @@ from typing import Annotated
 import typer
 
 from dvf_ig.cli.recorded import ModelOption, RecordingOption
-from dvf_ig.cli.shell import JsonFlag, command, emit, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, output_file, wrote
 
 from .source import RunArgument, read_source
 
 
 def rerun(
     run: RunArgument,
-    out: Annotated[Path, typer.Option("-o", "--out", help="Recording to write, .rrd.")],
+    out: Annotated[Path, typer.Option("-o", "--out", callback=output_file, help="Recording to write, .rrd.")],
     recording: RecordingOption = None,
     model: ModelOption = None,
     as_json: JsonFlag = False,

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from dvf_ig.cli.recorded import ModelOption, RecordingOption
-from dvf_ig.cli.shell import JsonFlag, command, emit, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, output_dir, wrote
 
 from .source import RunOrRegistration, read_source
 
@@ -14,7 +14,10 @@ from .source import RunOrRegistration, read_source
 def slicer(
     run: RunOrRegistration,
     out: Annotated[
-        Path, typer.Option("-o", "--out", help="Folder to write; an own earlier one is replaced.")
+        Path,
+        typer.Option(
+            "-o", "--out", callback=output_dir, help="Folder to write; an own earlier one is replaced."
+        ),
     ],
     recording: RecordingOption = None,
     model: ModelOption = None,
@@ -26,7 +29,7 @@ def slicer(
     hung on each other as they were tracked. README.md in the folder says how to load each file.
     """
     with command():
-        from dvf_ig.io.writing.atomic_folder import atomic_folder
+        from dvf_ig.io.writing.atomic import atomic_folder
         from dvf_ig.replay.export.slicer_scene import SCENE, write_slicer_scene
 
         found, built, _ = read_source(run, recording, model)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, output_dir, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.core import DvfModel
@@ -29,7 +29,7 @@ CONTENT = {
 
 def export(
     model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into.")],
+    out: Annotated[Path, typer.Option("-o", "--out", callback=output_dir, help="Folder to write into.")],
     form: Annotated[
         ExportFormat,
         typer.Option(

@@ -26,12 +26,11 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
     Returns:
         the model, and the evidence ("motion" is also written as JSON beside it).
     """
-    from dvf_ig.io import read_volume_series, refuse_foreign
+    from dvf_ig.io import read_volume_series, require_outputs
     from dvf_ig.preop import cine_options, model_from_cine
 
     evidence, picture = _beside(request)
-    refuse_foreign(evidence, kind="model")
-    refuse_foreign(picture)
+    require_outputs(request.output, evidence, picture)
     image = read_volume_series(path, request.timing)
     image, preop, labels, truth = _sized(request, image, *_preop(request, path, image))
     options = cine_options(preop, request.motion_options(), request.model_options())

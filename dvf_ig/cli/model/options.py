@@ -5,7 +5,11 @@ from typing import Annotated
 
 import typer
 
-OutputOption = Annotated[Path, typer.Option("-o", "--out", help="Model file to write (.npz).")]
+from dvf_ig.cli.shell import output_file
+
+OutputOption = Annotated[
+    Path, typer.Option("-o", "--out", callback=output_file, help="Model file to write (.npz).")
+]
 SurfacesOption = Annotated[
     Path | None, typer.Option("--surfaces", help="Folder (or archive) of surfaces, one mesh a phase.")
 ]

@@ -19,7 +19,7 @@ from dvf_ig.cli.shell import (
 
 from . import own
 from .kinds import Kind, kind_of
-from .output import files_of, payload_of, require_usable, rows_of
+from .output import files_of, output_of_register, payload_of, require_usable, rows_of
 from .pair import register_images
 from .scenario import register_folder, register_own
 from .volumes import UsVolumesOption, register_volume_files
@@ -34,7 +34,10 @@ def register(
         typer.Argument(help="Scenario folder; or give --config, --us, --us-volume, or --fixed and --moving."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Folder, or a .tfm file, for the transform.")
+        Path | None,
+        typer.Option(
+            "-o", "--out", callback=output_of_register, help="Folder, or a .tfm file, for the transform."
+        ),
     ] = None,
     model: Annotated[
         Path | None, typer.Option("--model", help="This patient's model, if `dvf-ig model build` made one.")
@@ -99,9 +102,7 @@ def register(
         )
         name = "moving_from_fixed" if kind is Kind.pair else "mr_from_tracker"
         files = files_of(out, name)
-        with output_folder(files.transform.parent):
-            files.refuse_foreign()
-            files.refuse_start(start)
+        with output_folder(files.transform.parent, [path.name for path in files.every]):
             if scenario is not None:
                 registered = register_folder(scenario, model, start, seed)
             elif kind is Kind.pair:

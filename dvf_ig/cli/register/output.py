@@ -4,6 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from dvf_ig.cli.shell import output_dir, output_file
+
 if TYPE_CHECKING:
     from dvf_ig.core import Rigid
     from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
@@ -32,21 +34,11 @@ class OutputFiles(NamedTuple):
         """Where a usable mr_from_tracker goes for PLUS, whose format cannot say that one was refused."""
         return self.transform.with_suffix(".xml")
 
-    def refuse_foreign(self) -> None:
-        """Refuse files of the user's own that stand there, before the work begins."""
-        from dvf_ig.io import refuse_foreign
-
-        refuse_foreign(self.evidence, kind="registration")
-        refuse_foreign(self.transform.with_suffix(".json"), kind="transform")
-        refuse_foreign(self.page, self.view, self.plus_xml)
-
-    def refuse_start(self, start: Path | None) -> None:
-        """Refuse to replace the transform that the registration starts from."""
-        import typer
-
-        kept = () if start is None else (self.transform, self.transform.with_suffix(".h5"))
-        if start is not None and any(path.resolve() == start.resolve() for path in kept):
-            raise typer.BadParameter(f"the result would replace the start, {start}; choose another -o")
+    @property
+    def every(self) -> tuple[Path, ...]:
+        """All files that may be written."""
+        transforms = (self.transform, *(self.transform.with_suffix(end) for end in (".h5", ".json")))
+        return (*transforms, self.plus_xml, self.evidence, self.page, self.view)
 
     def write(self, registered: Registered, payload: dict[str, Any], name: str) -> None:
         """Write all of them or none, and tell the user."""
@@ -59,9 +51,7 @@ class OutputFiles(NamedTuple):
         view = registration_view(result, shown)
         linked = "" if view is None else self.view.name
         page = registration_page(result, start, shown, self.transform, payload["seed"], linked)
-        transforms = [self.transform, *(self.transform.with_suffix(s) for s in (".h5", ".json"))]
-        every = (*transforms, self.plus_xml, self.evidence, self.page, self.view)
-        with files_together(self.transform.parent, tuple(path.name for path in every)) as new:
+        with files_together(self.transform.parent, [path.name for path in self.every]) as new:
             written = [*write_transforms(pose, new / self.transform.name)]
             if name == "mr_from_tracker" and result.stop.usable:
                 written.append(
@@ -77,6 +67,11 @@ class OutputFiles(NamedTuple):
         wrote(self.page)
         if view is not None:
             wrote(self.view)
+
+
+def output_of_register(out: Path | None) -> Path | None:
+    """Check -o, a folder or a `.tfm` file (typer callback)."""
+    return output_file(out) if out is not None and out.suffix == ".tfm" else output_dir(out)
 
 
 def payload_of(registered: Registered, name: str, seed: int) -> dict[str, Any]:

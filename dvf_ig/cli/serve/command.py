@@ -26,7 +26,7 @@ from dvf_ig.cli.fixture_options import (
     refuse_options,
     with_margin,
 )
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, warn
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, warn
 
 from .setup import live_setup, read_patient
 
@@ -83,6 +83,7 @@ def serve(
         typer.Option(
             "-o",
             "--out",
+            callback=output_dir,
             help="Folder for the session's record, which `dvf-ig replay` repeats and `dvf-ig view` shows.",
         ),
     ] = None,

@@ -26,7 +26,8 @@ def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]"
     from dvf_ig.io.ros.session_document import document_of_live
     from dvf_ig.io.ros.session_topics import DOCUMENT
     from dvf_ig.live.record import session_record
-    from dvf_ig.replay.outputs import require_own_outputs
+    from dvf_ig.replay.outputs import NAMES
+    from dvf_ig.replay.view_file import VIEW
 
     setup, patient = ready.setup, ready.patient
     in_use = setup.calibrations
@@ -38,10 +39,8 @@ def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]"
         options = live_document(setup.fixtures, setup.retiming, setup.seed)
         log.attach(LIVE, "application/json", options)
 
-    with output_folder(out):
-        require_own_outputs(out)
-        with session_record(out, attach, warn) as record:
-            yield record
+    with output_folder(out, (RESULT, PAGE, VIEW, *NAMES)), session_record(out, attach, warn) as record:
+        yield record
 
 
 def write_run(out: Path, ready: "LiveSetup", history: "SessionHistory") -> None:

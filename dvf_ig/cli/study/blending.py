@@ -5,7 +5,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, cores_or, emit, progress, whole_numbers, wrote
+from dvf_ig.cli.shell import (
+    JsonFlag,
+    ThreadsOption,
+    command,
+    cores_or,
+    emit,
+    output_dir,
+    progress,
+    whole_numbers,
+    wrote,
+)
 
 from .options import FirstSeedOption, SeedsOption
 
@@ -16,7 +26,10 @@ COUNTS = "10,15,20,30,40,50"
 
 
 def blending(
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for summary.json and the picture.")],
+    out: Annotated[
+        Path,
+        typer.Option("-o", "--out", callback=output_dir, help="Folder for summary.json and the picture."),
+    ],
     phases: Annotated[str, typer.Option("--phases", help="Numbers of phases to compare.")] = COUNTS,
     knot_mm: Annotated[float, typer.Option("--knot-mm", help="Spline knot pitch in mm.")] = 3.6,
     threads: ThreadsOption = None,
@@ -37,7 +50,7 @@ def blending(
         counts = list(whole_numbers(phases, "--phases", COUNTS))
         presets: tuple[MotionPreset, ...] = ("paper5mm", "physiological")
         studies = []
-        with output_folder(out):
+        with output_folder(out, ["summary.json", "blending.png"]):
             for motion in presets:
                 with progress(f"{motion} phases") as report:
                     studies.append(

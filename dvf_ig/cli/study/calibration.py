@@ -44,7 +44,7 @@ def calibration(
 
         settings = {"kind": kind.value} | ({"method": method} if kind is Kind.nwire else {})
         study = Study("calibration", settings, calibration_trial)
-        with output_folder(out), progress(f"{kind.value} trials") as report:
+        with output_folder(out, ["summary.json"]), progress(f"{kind.value} trials") as report:
             lines = run_trials(
                 study,
                 range(seed, seed + seeds),

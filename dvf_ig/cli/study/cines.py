@@ -5,7 +5,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, cores_or, emit, progress, warn, wrote
+from dvf_ig.cli.shell import (
+    JsonFlag,
+    ThreadsOption,
+    command,
+    cores_or,
+    emit,
+    output_dir,
+    progress,
+    warn,
+    wrote,
+)
 from dvf_ig.cli.voxel_size import VoxelOption, voxel_size
 
 if TYPE_CHECKING:
@@ -21,7 +31,7 @@ def cines(
             "ventricle, 2 myocardium, 3 left ventricle) and frames.json.",
         ),
     ],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for summary.json.")],
+    out: Annotated[Path, typer.Option("-o", "--out", callback=output_dir, help="Folder for summary.json.")],
     patients: Annotated[
         str | None, typer.Option("--patients", help="Only folders that end so: 002,003 (default: all).")
     ] = None,
@@ -41,7 +51,7 @@ def cines(
 
         folders = labelled_cines(data, tuple(patients.split(",")) if patients else ())
         found: list[PatientAgreement] = []
-        with output_folder(out), progress("cines") as report:
+        with output_folder(out, ["summary.json"]), progress("cines") as report:
             for folder in folders:
                 cine = read_labelled_cine(folder, size)
                 found.append(cine_agreement(cine, MotionOptions(threads=min(cores_or(threads), 2))))

@@ -38,7 +38,7 @@ def constants(
         labels = [variation.constant.label for variation in tried if variation.constant is not None]
         names = list(dict.fromkeys(labels))
         settings = {"hearts": count, "constants": names}
-        with output_folder(out), progress("constants") as report:
+        with output_folder(out, ["constants.md"]), progress("constants") as report:
             lines = run_trials(
                 Study("constants", settings, constant_trial),
                 range(len(tried)),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, progress, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, output_dir, progress, wrote
 
 from .options import FirstSeedOption, SeedsOption
 
@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 
 def distance_maps(
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for summary.json and the picture.")],
+    out: Annotated[
+        Path,
+        typer.Option("-o", "--out", callback=output_dir, help="Folder for summary.json and the picture."),
+    ],
     surface: Annotated[
         Path | None,
         typer.Argument(help="Closed surface (.stl .ply .vtp .obj); default: the phantom's hearts."),
@@ -37,7 +40,7 @@ def distance_maps(
 
         meshes, name = _surfaces(surface, range(seed, seed + seeds))
         rngs = [np.random.default_rng(seed + k) for k in range(len(meshes))]
-        with output_folder(out), progress("distance maps") as report:
+        with output_folder(out, ["summary.json", "distance.png"]), progress("distance maps") as report:
             found = compare_distance_maps(meshes, rngs, voxels=voxels, progress=report)
             summary = {
                 "surface": name,

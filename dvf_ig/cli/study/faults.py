@@ -39,7 +39,7 @@ def faults(
         from dvf_ig.study.trials import Study, run_trials
 
         clean_seeds = range(seed, seed + ceil(hours * 3600.0 / SECONDS))
-        with output_folder(out), output_folder(out / "clean"):
+        with output_folder(out, ["summary.json", "faults.html"]), output_folder(out / "clean"):
             with progress("faults") as report:
                 lines = run_trials(
                     Study("faults", {}, fault_trial),

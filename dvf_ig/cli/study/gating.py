@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, progress, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, output_dir, progress, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.study.gating.records import PhaseErrors, PhaseSummary, RecordGating
@@ -24,7 +24,10 @@ def gating(
         Path, typer.Option("--records", help="Folder of WFDB records with annotations (.hea .dat .atr).")
     ],
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Write summary.json and risk_coverage.png here.")
+        Path | None,
+        typer.Option(
+            "-o", "--out", callback=output_dir, help="Write summary.json and risk_coverage.png here."
+        ),
     ] = None,
     only: Annotated[str | None, typer.Option("--only", help="Records to use, separated by commas.")] = None,
     as_json: JsonFlag = False,
@@ -39,7 +42,7 @@ def gating(
             scored = _score(records, names)
             summary = summarise_study(scored)
         else:
-            with output_folder(out) as folder:
+            with output_folder(out, ["summary.json", "risk_coverage.png"]) as folder:
                 scored = _score(records, names)
                 summary = summarise_study(scored)
                 with files_together(folder) as new:

@@ -97,7 +97,7 @@ def hearts(
         }
         hearts_of_list = heart_list(name.value).of_world(world.value)[:count]
         conditions = len(conditions_of(settings))
-        with output_folder(out), progress("hearts") as report:
+        with output_folder(out, ["summary.json"]), progress("hearts") as report:
             lines = run_trials(
                 Study("hearts", settings, heart_trial),
                 trial_numbers(hearts_of_list, settings),
@@ -124,7 +124,7 @@ def _fit(folders: list[Path], out: Path, *, as_json: bool) -> None:
         from dvf_ig.study.trials import trials_of
 
         fitted = fit_tables([line for folder in folders for line in trials_of(folder)])
-        with output_folder(out):
+        with output_folder(out, [TABLES]):
             write_json(out / TABLES, fitted)
         rows = [("", "hearts", "trials", "95 % bound / prediction", "refused above, mm")]
         for kind, table in fitted["kinds"].items():

@@ -5,12 +5,14 @@ from typing import Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, wrote
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, progress, wrote
 
 
 def live(
     scenario: Annotated[Path, typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`).")],
-    out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for live.json.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", callback=output_dir, help="Folder for live.json.")
+    ] = None,
     cut_s: Annotated[
         float | None,
         typer.Option("--cut", min=1.0, help="Cut the connection after so long, within a message."),
@@ -44,7 +46,7 @@ def live(
         if cut_s is not None:
             result["cut"] = after_cut(run, replayed, cut_s)
         if out is not None:
-            with output_folder(out):
+            with output_folder(out, ["live.json"]):
                 write_json(out / "live.json", result)
         emit(result, _rows(result), as_json=as_json)
         if out is not None:

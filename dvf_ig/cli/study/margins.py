@@ -54,7 +54,7 @@ def margins(
         checked = ScenarioSpec(preset=presets[0], seconds=seconds)
         presets = list(dict.fromkeys(presets))
         settings = {"presets": presets, "seconds": checked.seconds}
-        with output_folder(out), progress("recordings") as report:
+        with output_folder(out, ["summary.json", "margins.png"]), progress("recordings") as report:
             lines = run_trials(
                 Study("margins", settings, margin_trial),
                 trial_numbers(heart_list(name.value).first_world[:count], settings),

@@ -53,7 +53,7 @@ def operators(
         from dvf_ig.study.trials import Study, run_trials
 
         name = task.value
-        with output_folder(out), progress("operators") as report:
+        with output_folder(out, ["summary.json"]), progress("operators") as report:
             lines = run_trials(
                 Study("operators", operators_settings(name), operators_trial),
                 range(seed, seed + seeds),

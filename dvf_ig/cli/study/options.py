@@ -7,6 +7,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from dvf_ig.cli.shell import output_dir
+
 
 class MotionName(StrEnum):
     """Motion presets."""
@@ -24,7 +26,9 @@ SchedulerOption = Annotated[
 ]
 FolderOption = Annotated[
     Path,
-    typer.Option("-o", "--out", help="Folder; a study that was stopped goes on where it was."),
+    typer.Option(
+        "-o", "--out", callback=output_dir, help="Folder; a study that was stopped goes on where it was."
+    ),
 ]
 SeedsOption = Annotated[
     int,

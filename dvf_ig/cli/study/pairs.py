@@ -57,7 +57,7 @@ def pairs(
 
         settings = _settings(contrasts, cines, patients, size)
         settings["starts_mm"] = [4.0, 8.0]
-        with output_folder(out), progress("pairs") as report:
+        with output_folder(out, ["summary.json"]), progress("pairs") as report:
             lines = run_trials(
                 Study("pairs", settings, pair_trial),
                 range(seed, seed + seeds),

@@ -5,14 +5,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, output_dir, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.study.passivity.cases import BeatingCase, WallCase
 
 
 def passivity(
-    out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for passivity.json.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", callback=output_dir, help="Folder for passivity.json.")
+    ] = None,
     seconds: Annotated[float, typer.Option("--seconds", min=2.0, help="Length of a push.")] = 20.0,
     as_json: JsonFlag = False,
 ) -> None:
@@ -28,7 +30,7 @@ def passivity(
         walls, beating = steep_walls(seconds), beating_walls()
         result = {"steep_walls": plain(walls), "beating_walls": plain(beating)}
         if out is not None:
-            with output_folder(out):
+            with output_folder(out, ["passivity.json"]):
                 write_json(out / "passivity.json", result)
         emit(result, [*_wall_rows(walls), *_beating_rows(beating)], as_json=as_json)
         if out is not None:

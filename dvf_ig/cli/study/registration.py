@@ -114,7 +114,7 @@ def _study(
         from dvf_ig.study.trials import Study, run_trials
 
         settings = settings_of(experiment, options)
-        with output_folder(out), progress(experiment.name) as report:
+        with output_folder(out, ["summary.json", "report.html"]), progress(experiment.name) as report:
             lines = run_trials(
                 Study("registration", settings, registration_trial),
                 trial_numbers(settings, seed, seeds),

@@ -45,7 +45,7 @@ def replay(
         checked = ScenarioSpec(preset=presets[0], motion=motion.value, seconds=seconds, seed=seed)
         settings = {"presets": presets, "motion": checked.motion, "seconds": checked.seconds}
         study = Study("replay", settings, replay_trial)
-        with output_folder(out), progress("replays") as report:
+        with output_folder(out, ["summary.json"]), progress("replays") as report:
             lines = run_trials(
                 study,
                 trial_numbers(len(presets), seed, seeds),

@@ -5,14 +5,15 @@ from typing import Annotated
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, output_dir, wrote
 
 from .options import FirstSeedOption, SeedsOption
 
 
 def retiming(
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Write summary.json and retiming.png here.")
+        Path | None,
+        typer.Option("-o", "--out", callback=output_dir, help="Write summary.json and retiming.png here."),
     ] = None,
     motion: Annotated[str, typer.Option("--motion", help="paper5mm or physiological.")] = "physiological",
     seeds: SeedsOption = 1,
@@ -44,7 +45,7 @@ def retiming(
             "rows": [asdict(row) for row in rows],
         }
         if out is not None:
-            with output_folder(out), files_together(out) as folder:
+            with output_folder(out, ["summary.json", "retiming.png"]), files_together(out) as folder:
                 write_json(folder / "summary.json", summary)
                 figure = retiming_figure(
                     rows, model_rate_bpm=60.0 / RR_S, assumed_slope_s_per_bpm=SYSTOLE_SLOPE_S_PER_BPM

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, progress, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, output_dir, progress, wrote
 
 from .options import FirstSeedOption, MotionName, SeedsOption
 
@@ -24,7 +24,10 @@ class DeviceName(StrEnum):
 
 
 def tracking(
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for tracking.json and tracking.png.")],
+    out: Annotated[
+        Path,
+        typer.Option("-o", "--out", callback=output_dir, help="Folder for tracking.json and tracking.png."),
+    ],
     motion: Annotated[
         MotionName, typer.Option("--motion", help="How the phantom beats.")
     ] = MotionName.paper5mm,
@@ -49,7 +52,7 @@ def tracking(
 
         devices = list(DEVICES.values()) if device is DeviceName.both else [DEVICES[device.value]]
         tried = held_styli(devices, list(BLEND_CODES))
-        with output_folder(out), progress("tracking") as report:
+        with output_folder(out, ["tracking.json", "tracking.png"]), progress("tracking") as report:
             hearts = [
                 beating_surface(
                     motion.value,

@@ -33,7 +33,7 @@ def training(
             "pitch_mm": PITCH_MM,
             "max_iterations": MAX_ITERATIONS,
         }
-        with output_folder(out), progress("training") as report:
+        with output_folder(out, ["summary.json", "training.png"]), progress("training") as report:
             # one process: trials side by side would disturb each other's times
             lines = run_trials(
                 Study("training", settings, training_trial), range(seed, seed + seeds), out, progress=report

@@ -47,7 +47,7 @@ def watch(
 
         checked = ScenarioSpec(preset=preset, seconds=seconds)
         settings = {"preset": checked.preset, "seconds": checked.seconds}
-        with output_folder(out), progress("recordings") as report:
+        with output_folder(out, ["summary.json"]), progress("recordings") as report:
             lines = run_trials(
                 Study("watch", settings, watch_trial),
                 heart_list(name.value).first_world[:count],

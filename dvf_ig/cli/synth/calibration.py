@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, wrote
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, wrote
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,7 +38,7 @@ class RecordingFiles:
 
 def calibration(
     kind: Annotated[Kind, typer.Argument(help="Which recording.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write.")],
+    out: Annotated[Path, typer.Option("-o", "--out", callback=output_dir, help="Folder to write.")],
     as_json: JsonFlag = False,
     seed: SeedOption = 1,
     threads: ThreadsOption = None,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command
+from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, output_dir
 from dvf_ig.cli.worlds import ImageQuality, World
 
 if TYPE_CHECKING:
@@ -29,7 +29,9 @@ class Anatomy(StrEnum):
 
 
 def scenario(
-    out: Annotated[Path | None, typer.Option("-o", "--out", help="Scenario folder to write.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", callback=output_dir, help="Scenario folder to write.")
+    ] = None,
     spec_file: Annotated[
         Path | None,
         typer.Option(

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, wrote
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_file, wrote
 
 if TYPE_CHECKING:
     from data_synth.heart.tissue import Tissue
@@ -20,7 +20,12 @@ VIEW = "apical four-chamber"
 
 def us(
     labels: Annotated[Path, typer.Option("--labels", help="Label volume: NIfTI, NRRD or MetaImage.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Image to write: .png, or .nrrd/.mha/.nii.gz.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--out", callback=output_file, help="Image to write: .png, or .nrrd/.mha/.nii.gz."
+        ),
+    ],
     probe: Annotated[
         str | None,
         typer.Option("--probe", help="epicardial, apical, tee, curvilinear, ice or matrix (3-D)."),

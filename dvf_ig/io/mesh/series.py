@@ -17,7 +17,8 @@ from dvf_ig.io import limits
 from dvf_ig.io.image.timing import read_timing, write_timing
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import read_bytes, reading
-from dvf_ig.io.writing.atomic import make_folder, write_bytes
+from dvf_ig.io.writing.atomic import write_bytes
+from dvf_ig.io.writing.place import make_folder
 
 from .file import DECODERS, decode_mesh
 from .raw import RawMesh

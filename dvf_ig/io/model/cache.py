@@ -29,7 +29,8 @@ from dvf_ig.core.space.mesh import SurfaceSeries
 from dvf_ig.core.space.volume import Grid, VolumeSeries
 from dvf_ig.io.provenance import not_recorded
 from dvf_ig.io.reading import read_bytes
-from dvf_ig.io.writing.atomic import make_folder, write_bytes
+from dvf_ig.io.writing.atomic import write_own
+from dvf_ig.io.writing.place import make_folder
 
 from .model_file import model_bytes, parse_model
 
@@ -102,7 +103,7 @@ def cached_model(
     model = model_from_preop(preop, options=options, progress=progress)
     try:
         make_folder(folder)
-        write_bytes(path, [_MAGIC + key.encode("ascii") + b"\n", *model_bytes(model)])
+        write_own(path, [_MAGIC + key.encode("ascii") + b"\n", *model_bytes(model)])
     except OutputError as error:
         return CachedModel(model, False, None, f"{why}, but not kept: {error}")
     _remove_oldest(folder, path)

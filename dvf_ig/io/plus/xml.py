@@ -13,7 +13,7 @@ from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.space.frames import RAS_FROM_LPS
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.io.reading import read_bytes, reading
-from dvf_ig.io.sidecar import MARKUP_COMMENT, refuse_foreign
+from dvf_ig.io.sidecar import MARKUP_COMMENT
 from dvf_ig.io.writing.atomic import write_bytes
 
 from .names import frame_from_plus, frame_to_plus
@@ -133,7 +133,6 @@ def write_registration(rigid: Rigid, path: Path | str, error_mm: float | None = 
         OutputError: a file of the user's own is there, or not writable.
     """
     path = Path(path)
-    refuse_foreign(path)
     pose = CoordinateDefinition(rigid.target, rigid.source, rigid.matrix, error_mm)
     flip = CoordinateDefinition("ras", rigid.target, RAS_FROM_LPS)
     write_coordinate_definitions(path, [pose, flip])

@@ -1,14 +1,12 @@
 """The files that a heart is built from, attached to a log."""
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.recordings.scenario import Preop
 from dvf_ig.io.model.model_file import model_bytes
 from dvf_ig.io.scenario.layout import PreopConfig as FolderPreop
 from dvf_ig.io.scenario.write import write_preop
 from dvf_ig.io.session_file.schema import PreopConfig
+from dvf_ig.io.writing.place import scratch_folder
 
 from .log_file import LogWriter
 
@@ -27,8 +25,7 @@ def attach_heart(log: LogWriter, preop: Preop, given: DvfModel | None) -> PreopC
         mr="preop/mr.nrrd" if preop.mr is not None else None,
         labels="preop/labels.nrrd" if has_labels else None,
     )
-    with TemporaryDirectory(prefix="dvf_ig_") as name:
-        folder = Path(name)
+    with scratch_folder() as folder:
         (folder / "preop").mkdir()
         has_files = has_labels or preop.mr is not None or bool(preop.surfaces)
         if has_files:

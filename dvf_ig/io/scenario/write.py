@@ -26,8 +26,8 @@ from dvf_ig.io.plus.sequence_write import write_poses, write_sequence
 from dvf_ig.io.session_file.schema import FanConfig
 from dvf_ig.io.transform import write_transform
 from dvf_ig.io.truth import write_truth
-from dvf_ig.io.writing.atomic import make_folder, write_bytes, write_text
-from dvf_ig.io.writing.atomic_folder import atomic_folder
+from dvf_ig.io.writing.atomic import atomic_folder, write_bytes, write_text
+from dvf_ig.io.writing.place import make_folder
 
 from .layout import (
     CONFIG,

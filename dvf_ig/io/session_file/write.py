@@ -1,20 +1,12 @@
 """SESSION.yaml as text: as `config init` begins it, with comments; complete, as `config dump` shows it."""
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import yaml
 
-from dvf_ig.core.errors import OutputError
-from dvf_ig.io.writing.atomic import write_text
-
 from .schema import SCHEMA, SessionDraft
-
-_MARK = "# Written by dvf-ig config init, which writes it anew as long as nobody has changed it: "
-_DIGITS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,22 +47,7 @@ def session_text(draft: SessionDraft, found: Mapping[str, str | None]) -> str:
         _fixtures(),
         _live(),
     ]
-    body = "\n\n".join("\n".join(block) for block in blocks) + "\n"
-    return f"{_MARK}{_checksum(body)}\n{body}"
-
-
-def write_session(path: Path, text: str) -> None:
-    """Write what `session_text` made.
-
-    Raises:
-        OutputError: another file is there, or one that was changed since it was written; or not writable.
-    """
-    if path.is_file() and not _is_ours(path):
-        raise OutputError(
-            f"cannot write {path}: a file of that name exists that config init did not write, or that was "
-            "changed since; move it, or choose another name (-o)"
-        )
-    write_text(path, text)
+    return "\n\n".join("\n".join(block) for block in blocks) + "\n"
 
 
 def dump_text(config: SessionDraft) -> str:
@@ -81,18 +58,6 @@ def dump_text(config: SessionDraft) -> str:
     )
     document = config.model_dump(by_alias=True)
     return head + yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None)
-
-
-def _is_ours(path: Path) -> bool:
-    try:
-        first, _, body = path.read_text(encoding="utf-8").partition("\n")
-    except (OSError, UnicodeDecodeError):
-        return False
-    return first == f"{_MARK}{_checksum(body)}"
-
-
-def _checksum(body: str) -> str:
-    return hashlib.sha256(body.encode("utf-8")).hexdigest()[:_DIGITS]
 
 
 def _inline(value: Any) -> str:

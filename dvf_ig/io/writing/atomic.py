@@ -1,59 +1,43 @@
-"""Write a file whole or not at all: build it beside its place, then rename; folders to write into."""
+"""Write a file, several files or a folder: whole or not at all, and never over a file of somebody else."""
 
 import os
-import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from dvf_ig.core.errors import OutputError
+from dvf_ig.io.provenance import in_command, recorded_within
 
-
-def output_place(path: Path) -> Path:
-    """Where an output really goes: `path` without symbolic links.
-
-    Raises:
-        OutputError: no name that a file can have, or links in a circle.
-    """
-    if "\0" in str(path):
-        raise OutputError(f"cannot write {str(path)!r}: a file's name cannot hold a NUL; give another")
-    try:
-        return path.resolve()
-    except (OSError, RuntimeError) as exc:
-        raise OutputError(f"cannot write {path}: its links lead nowhere ({exc})") from exc
+from .listing import LISTING, Listing, is_ours, read_listing, require_outputs, sha256
+from .place import (
+    alone_in,
+    failure_reason,
+    file_place,
+    is_temporary,
+    make_folder,
+    output_place,
+    temporary_folder,
+)
+from .swap import swap_all
 
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` (same suffixes) that replaces it when the block ends well.
-
-    Of a symbolic link, the file that it points to is replaced.
+    """A temporary path of the same name that takes the place of `path` when the block ends well.
 
     Raises:
-        OutputError: the folder is missing or not writable, the disk is full, or the target is a folder or a
-            device.
+        OutputError: see `require_outputs`; or the folder is missing or not writable, or the disk is full.
     """
-    place = output_place(path)
-    temporary = place.with_name(f".{uuid.uuid4().hex[:8]}.{place.name}")
-    try:
-        if place.is_dir():
-            raise OutputError(f"cannot write {path}: it is a folder; give a file name")
-        if place.exists() and not place.is_file():
-            raise OutputError(f"cannot write {path}: it is a device or a pipe; give the name of a file")
-        yield temporary
-        os.replace(temporary, place)
-    except OSError as exc:
-        raise OutputError(f"cannot write {path}: {failure_reason(exc, place)}") from exc
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    require_outputs(path)
+    place = file_place(path)
+    with _wrapped(path, place), files_together(place.parent) as new:
+        yield new / place.name
 
 
 def write_bytes(path: Path, data: bytes | list[bytes]) -> None:
-    """Write bytes (or several blocks one after the other) atomically."""
-    with atomic_file(path) as temporary, temporary.open("wb") as stream:
-        for block in data if isinstance(data, list) else [data]:
-            stream.write(block)
+    """Write bytes, or several blocks one after the other, atomically."""
+    with atomic_file(path) as temporary:
+        _write(temporary, data)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -61,30 +45,31 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
-def make_folder(folder: Path) -> None:
-    """Make a folder and its parents where they are missing.
-
-    Raises:
-        OutputError: a file is in the way, or not permitted.
-    """
-    try:
-        output_place(folder).mkdir(parents=True, exist_ok=True)
-    except OSError as exc:
-        raise OutputError(f"cannot make the folder {folder}: {exc.strerror or exc}") from exc
+def write_own(path: Path, data: bytes | list[bytes]) -> None:
+    """Write a file of a folder that only this program uses, such as its cache, whatever is there."""
+    place = file_place(path)
+    with _wrapped(path, place), temporary_folder(place.parent) as new:
+        _write(new / place.name, data)
+        swap_all([(new / place.name, place)])
 
 
 @contextmanager
-def output_folder(folder: Path) -> Iterator[Path]:
+def output_folder(folder: Path, names: Collection[str] = ()) -> Iterator[Path]:
     """A folder to write results into, made before the work begins so that a bad place is refused at once.
 
     When the block fails before it has written anything, folders that were made here are removed again.
 
+    Args:
+        folder: made with its parents.
+        names: files that will be written in it.
     Raises:
-        OutputError: a file is in the way, or not permitted.
+        OutputError: a file or link is in the way, a file must not be replaced (`require_outputs`), or not
+            permitted.
     """
-    made = [p for p in (folder, *folder.parents) if not os.path.exists(p)]
+    made = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     make_folder(folder)
     try:
+        require_outputs(*(folder / name for name in names))
         yield folder
     finally:
         for path in made:
@@ -92,8 +77,119 @@ def output_folder(folder: Path) -> Iterator[Path]:
                 path.rmdir()
 
 
-def failure_reason(exc: OSError, path: Path) -> str:
-    """Why `path` cannot be written, in words."""
-    if isinstance(exc, FileNotFoundError) and not path.parent.is_dir():
-        return f"the folder {path.parent} does not exist; make it first"
-    return exc.strerror or str(exc)
+@contextmanager
+def files_together(folder: Path, names: Collection[str] | None = None) -> Iterator[Path]:
+    """A temporary folder whose files take their places in `folder` when the block ends well: all, or none.
+
+    Two processes that write into one folder do so one after the other: its files are of one of them.
+
+    Args:
+        folder: exists.
+        names: every file that may be written; those that the block leaves out are removed from `folder`, so
+            that nothing of an earlier run lies among the results of this one. None: those that it writes.
+    Raises:
+        OutputError: see `require_outputs`; or not writable.
+    """
+    place = output_place(folder)
+    if is_temporary(place):
+        yield place
+        return
+    with _wrapped(folder, place / "file"), temporary_folder(place) as new:
+        yield new
+        unique = list(dict.fromkeys(names)) if names is not None else sorted(p.name for p in new.iterdir())
+        with alone_in(place):
+            require_outputs(*(folder / name for name in unique))
+            _take_places(new, place, unique)
+
+
+@contextmanager
+def atomic_folder(folder: Path) -> Iterator[Path]:
+    """A temporary folder that takes the place of `folder` when the block ends well.
+
+    An existing folder is replaced only if it is empty, or holds what this program wrote and nothing else.
+
+    Args:
+        folder: its parents are made.
+    Raises:
+        OutputError: the folder holds something else or a file that is read, is a link or the working
+            directory, or cannot be written.
+    """
+    place = output_place(folder)
+    with _wrapped(folder, place):
+        _require_replaceable(folder, place)
+        with temporary_folder(make_folder(place.parent)) as made:
+            new = made / place.name
+            new.mkdir()
+            yield new
+            files = {
+                path.relative_to(new).as_posix(): [str(sha256(path))]
+                for path in sorted(new.rglob("*"))
+                if path.is_file()
+            }
+            (new / LISTING).write_text(Listing(files).text())
+            _require_replaceable(folder, place)
+            swap_all([(new, place)])
+
+
+def _take_places(new: Path, place: Path, names: list[str]) -> None:
+    """Swap the files of `new` into `place`, and list them if a command does it.
+
+    Until all have changed places the listing says so. Both listings are written before, so that a full disk
+    stops the swap and not its end; they hold the hashes of old and new, which are right for either outcome.
+    """
+    pairs = [(new / name, place / name) for name in names]
+    if not in_command():
+        swap_all(pairs)
+        return
+    before = read_listing(place)
+    files = {name: hashes for name, hashes in before.files.items() if (place / name).exists()}
+    for name in names:
+        files[name] = [one for path in (new, place) if (one := sha256(path / name)) is not None]
+    others = [name for name in before.unfinished if name not in names]
+    during, after = new / f"{LISTING}.during", new / f"{LISTING}.after"
+    during.write_text(Listing(files, [*others, *(names if len(names) > 1 else [])]).text())
+    after.write_text(Listing(files, others).text())
+    during.replace(place / LISTING)
+    try:
+        swap_all(pairs)
+    finally:
+        after.replace(place / LISTING)
+
+
+def _require_replaceable(folder: Path, place: Path) -> None:
+    if place.exists() and not place.is_dir():
+        raise OutputError(f"cannot write {folder}: a file of that name exists; choose another folder")
+    if Path.cwd().is_relative_to(place):
+        raise OutputError(f"cannot write {folder}: it holds the working directory; name another folder")
+    read = recorded_within(place)
+    if read is not None:
+        raise OutputError(f"cannot write {folder}: this command reads {read} in it; choose another folder")
+    foreign = foreign_file(place) if place.is_dir() else None
+    if foreign is not None:
+        raise OutputError(
+            f"cannot write {folder}: it is not empty, and '{foreign}' in it was not written by this program "
+            "as it is now; choose another folder or empty it"
+        )
+
+
+def foreign_file(folder: Path) -> str | None:
+    """A file or link that this program did not leave there, or that was changed since; None without one."""
+    for path in sorted(path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()):
+        listing = path.name == LISTING and not path.is_symlink() and bool(read_listing(path.parent).files)
+        if not (listing or is_ours(path)):
+            return path.relative_to(folder).as_posix()
+    return None
+
+
+def _write(path: Path, data: bytes | list[bytes]) -> None:
+    with path.open("wb") as stream:
+        stream.writelines(data if isinstance(data, list) else [data])
+
+
+@contextmanager
+def _wrapped(path: Path, place: Path) -> Iterator[None]:
+    """Turn an error of the file system into a sentence about the output that the user named."""
+    try:
+        yield
+    except OSError as exc:
+        raise OutputError(f"cannot write {path}: {failure_reason(exc, place)}") from exc

@@ -22,7 +22,7 @@ from dvf_ig.io.ros.live_log import (
     work_message,
 )
 from dvf_ig.io.ros.log_file import UNFINISHED, LogWriter, require_log_packages
-from dvf_ig.io.writing.atomic import failure_reason
+from dvf_ig.io.writing.place import failure_reason
 from dvf_ig.live.priority import RECORDING, schedule_first
 from dvf_ig.session import Event, GuidanceState, TrackedFrame
 

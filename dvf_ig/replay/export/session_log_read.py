@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,7 @@ from dvf_ig.io.ros.session_document import SessionDocument, read_document
 from dvf_ig.io.ros.session_topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
 from dvf_ig.io.session_file.preop import PreopFiles, read_preop
 from dvf_ig.io.session_file.read import SessionRecordings
-from dvf_ig.io.writing.atomic import make_folder, write_bytes
+from dvf_ig.io.writing.place import scratch_folder
 from dvf_ig.io.yaml_config import validated
 
 from .live_log_read import read_live_streams
@@ -150,13 +149,12 @@ def _stream(source: str, rows: FloatArray) -> PoseStream:
 
 def _heart(path: Path, document: SessionDocument, attached: dict[str, bytes]) -> PreopFiles:
     """What is known of the heart, from the attached files."""
-    with TemporaryDirectory(prefix="dvf_ig_") as name, not_recorded():
-        folder = Path(name)
+    with scratch_folder() as folder, not_recorded():
         for file, data in attached.items():
             if file.startswith("preop/"):
                 place = path_within(folder, file, path)
-                make_folder(place.parent)
-                write_bytes(place, data)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                place.write_bytes(data)
         try:
             read = read_preop(document.preop, folder, document.patient_id)
             if read.model is None and MODEL in attached:

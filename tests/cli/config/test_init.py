@@ -64,7 +64,7 @@ def test_init_again_takes_the_place_of_its_own_file_and_of_no_other(lab: Path) -
         output.write_text(text)
         done = init(lab, output)
         assert done.exit_code == 4
-        assert "session.yaml: a file of that name exists that config init did not write" in done.stderr
+        assert "session.yaml: a file of that name exists that this program did not write" in done.stderr
         assert output.read_text() == text
 
 

@@ -1,13 +1,11 @@
 """The page of a registration: outcome, planes, evidence, transform; one file that loads nothing."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from html_outline import outline_of
 
-from dvf_ig.io.sidecar import refuse_foreign
 from dvf_ig.report.plane_marks import scale_bar_mm
 from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.report.registration import Check, Outcome, RegistrationPage, Transform, registration_html
@@ -78,11 +76,6 @@ def test_the_page_is_one_wellformed_file_that_loads_nothing() -> None:
     assert alts[1] == "frame 3, registered: MR and the model's contours over ultrasound"
     assert "Registration of &lt;toy&gt;" in text
     assert "distance &lt;of&gt; halves" in text
-
-
-def test_the_page_is_known_as_ours(tmp_path: Path) -> None:
-    (tmp_path / "report.html").write_text(registration_html(page()), encoding="utf-8")
-    refuse_foreign(tmp_path / "report.html")
 
 
 def test_it_says_whether_the_pose_may_be_used() -> None:

@@ -1,0 +1,125 @@
+"""Which files of a folder this program wrote: the hidden listing that commands keep next to their outputs.
+
+A call from Python replaces the file that it is given, as `numpy.save` does. A command replaces only what this
+program wrote: the listing holds the SHA-256 of each file as it was written, and a file that no longer has it
+is somebody's. While several files change places the listing says so: a program that is killed meanwhile
+leaves files of two runs, which readers refuse and the next writer replaces.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic, sleep
+
+from dvf_ig.core.errors import OutputError, UnreadableFileError
+from dvf_ig.io.provenance import in_command, is_recorded
+
+from .place import file_place, is_temporary
+
+LISTING = ".written_by_dvf_ig.json"
+_MOST_BYTES = 4 << 20
+_DEEPEST = 3
+"""Levels of folders that are written as a whole."""
+_PATIENCE_S = 2.0
+"""How long a reader waits for a process that is moving files: that takes milliseconds."""
+
+
+@dataclass(slots=True)
+class Listing:
+    """The files of one folder that this program wrote.
+
+    Attributes:
+        files: SHA-256 by name; two while a file changes places.
+        unfinished: names that change places together, until all have.
+    """
+
+    files: dict[str, list[str]] = field(default_factory=dict)
+    unfinished: list[str] = field(default_factory=list)
+
+    def text(self) -> str:
+        """The listing as JSON."""
+        return json.dumps({"files": self.files, "unfinished": self.unfinished}, indent=1) + "\n"
+
+    def holds(self, name: str, path: Path) -> bool:
+        """Whether `path` is a regular file as this program wrote it under this name."""
+        return name in self.files and not path.is_symlink() and sha256(path) in self.files[name]
+
+
+def read_listing(folder: Path) -> Listing:
+    """The listing of a folder; empty if there is none, or none of ours."""
+    path = folder / LISTING
+    try:
+        if path.is_symlink() or not path.is_file() or path.stat().st_size > _MOST_BYTES:
+            return Listing()
+        document = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return Listing()
+    match document:
+        case {"files": dict(files), "unfinished": list(unfinished)}:
+            known = {str(name): list(map(str, one)) for name, one in files.items() if isinstance(one, list)}
+            return Listing(known, [name for name in unfinished if isinstance(name, str) and name in known])
+    return Listing()
+
+
+def require_outputs(*paths: Path) -> None:
+    """Refuse files that must not be written, before the work begins.
+
+    Raises:
+        OutputError: a folder, link, pipe or device; in a command also a file that it reads, or one that this
+            program did not write or that was changed since.
+    """
+    for number, path in enumerate(paths):
+        if path in paths[:number]:
+            raise OutputError(f"cannot write {path}: two results would have this name; give another ending")
+        place = file_place(path)
+        if not in_command() or is_temporary(place.parent) or not os.path.lexists(place):
+            continue
+        if is_recorded(place):
+            raise OutputError(f"cannot write {path}: this command reads it; choose another name")
+        if not is_ours(place):
+            raise OutputError(
+                f"cannot write {path}: a file of that name exists that this program did not write, or that "
+                "was changed since; choose another name, or move it"
+            )
+
+
+def is_ours(place: Path) -> bool:
+    """Whether a file is as this program wrote it, alone or in a folder that it wrote as a whole."""
+    return any(
+        read_listing(folder).holds(place.relative_to(folder).as_posix(), place)
+        for folder in place.parents[:_DEEPEST]
+    )
+
+
+def require_finished(path: Path) -> None:
+    """Refuse to read a file that is one of several of which some are old and some new.
+
+    A process that is moving them now is waited for. Nothing is moved or removed.
+
+    Raises:
+        UnreadableFileError: a program was killed while it moved them.
+    """
+    folder, until_s = path.parent, monotonic() + _PATIENCE_S
+    while path.name in (names := read_listing(folder).unfinished):
+        if monotonic() > until_s:
+            raise UnreadableFileError(
+                f"{path} may be of another run than the files beside it ({_few(names)}): a program was "
+                "killed while it replaced them; run that command again"
+            )
+        sleep(0.01)
+
+
+def sha256(path: Path) -> str | None:
+    """SHA-256 of a regular file; None if there is none."""
+    if not path.is_file():
+        return None
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _few(names: Iterable[str]) -> str:
+    listed = sorted(names)
+    return ", ".join(listed[:4]) + (" …" if len(listed) > 4 else "")
