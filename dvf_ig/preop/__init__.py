@@ -64,6 +64,7 @@ from .surface.budget import surface_budget as surface_budget
 from .surface.chambers import CHAMBER_SURFACES as CHAMBER_SURFACES
 from .surface.chambers import chambers_from_labels as chambers_from_labels
 from .surface.chambers import chambers_from_surfaces as chambers_from_surfaces
+from .surface.closing import caps_of as caps_of
 from .surface.closing import close_surface as close_surface
 from .surface.from_labels import border_caps as border_caps
 from .surface.from_labels import surface_of_mask as surface_of_mask

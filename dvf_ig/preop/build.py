@@ -1,5 +1,6 @@
 """The dynamic fixture model from closed surfaces: signed distance, then a spline fit, phase by phase."""
 
+import logging
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -26,11 +27,13 @@ from dvf_ig.core import (
 from dvf_ig.core.space.frames import require_same_frame
 from dvf_ig.preop.spline.phase_fit import axis_solvers, fit_phase, sample_grid
 from dvf_ig.preop.surface.chambers import chambers_from_labels, chambers_from_surfaces
-from dvf_ig.preop.surface.closing import close_surface
+from dvf_ig.preop.surface.closing import Cap, caps_of, close_surface, describe_caps
 from dvf_ig.preop.surface.from_labels import border_caps, surfaces_from_labels
 from dvf_ig.preop.surface.topology import count_edges
 
 from .knots import choose_knot_spacing
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +165,7 @@ def model_from_surfaces(
         if not np.array_equal(other.timing.fractions, series.timing.fractions):
             raise InvalidInputError(f"surfaces {series.name} and {other.name} have different phase times")
     closed = close_surface(series)
+    caps = caps_of(closed.vertices_mm[0], closed.triangles, closed.caps)
     chambers = chambers_from_surfaces(others)
     ventricle = next((c for c in chambers if c.name == LV_CAVITY), None)
     phases = range(len(closed.timing))
@@ -175,7 +179,7 @@ def model_from_surfaces(
         cavity_mm3=None if ventricle is None else np.array([m.volume_mm3() for m in ventricle.surfaces]),
         options=options,
         progress=progress,
-        sources=sources,
+        sources=(*sources, *_marked(closed.name, caps)),
         chambers=chambers,
     )
 
@@ -195,9 +199,11 @@ def model_from_labels(
     if preop.labels is None:
         raise InvalidInputError("the pre-operative data have no label image; build the model from surfaces")
     reference = surfaces_from_labels(preop.labels, preop.organ_labels, threads=options.threads)
+    flags = [border_caps(mesh, preop.labels.grid) for mesh in reference]
+    caps = caps_of(reference[0].vertices_mm, reference[0].triangles, flags[0])
     return build_model(
         reference,
-        [border_caps(mesh, preop.labels.grid) for mesh in reference],
+        flags,
         preop.labels.timing,
         patient_id=preop.patient_id,
         surface_name=preop.surface,
@@ -205,11 +211,20 @@ def model_from_labels(
         cavity_mm3=_labelled_mm3(preop.labels, preop.lv_label),
         options=options,
         progress=progress,
-        sources=sources,
+        sources=(*sources, *_marked(preop.surface, caps)),
         chambers=chambers_from_labels(
             preop.labels, preop.blood_labels, dict(preop.label_names), threads=options.threads
         ),
     )
+
+
+def _marked(name: str, caps: Sequence[Cap]) -> tuple[str, ...]:
+    """What the model's sources say of caps in its first phase, logged as a warning; nothing without caps."""
+    if not caps:
+        return ()
+    text = f"surface {name} is closed by {describe_caps(caps)}"
+    log.warning("%s", text)
+    return (text,)
 
 
 def _labelled_mm3(labels: VolumeSeries, value: int | None) -> FloatArray | None:

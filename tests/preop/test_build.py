@@ -107,13 +107,18 @@ def test_check_finds_a_model_that_is_off(model, beating_sphere):
     np.testing.assert_allclose(result.per_phase_mm, [3.0, 1.5, 1.5], atol=0.05)
 
 
-def test_caps_and_their_rim_are_not_judged(beating_sphere):
+def test_caps_are_marked_and_with_their_rim_not_judged(beating_sphere, caplog):
     vertices = beating_sphere.vertices_mm
     low = vertices[0][beating_sphere.triangles].mean(axis=1)[:, 2] < 12.0
     opened = SurfaceSeries(
         "EPICARDIAL", "mr", vertices, beating_sphere.triangles[low], beating_sphere.timing, "x"
     )
-    model = model_from_surfaces(opened)
+    with caplog.at_level("WARNING", "dvf_ig"):
+        model = model_from_surfaces(opened)
+    (told,) = model.sources
+    assert told in caplog.text
+    assert told.startswith("surface EPICARDIAL is closed by 1 cap, not measured, of 26% of the measured area")
+    assert model.reference_caps[0].any()
     result = check_model(model, points_per_phase=1000, rng=np.random.default_rng(1))
     assert 0.15 < result.excluded_area_share < 0.5
     assert result.p99_mm < 0.1

@@ -7,8 +7,9 @@ import pytest
 
 from dvf_ig.core import CycleTiming, Grid, SurfaceSeries
 from dvf_ig.io import read_surface_series
-from dvf_ig.preop import ModelOptions, check_model, close_surface, model_from_surfaces, rasterise
+from dvf_ig.preop import ModelOptions, caps_of, check_model, close_surface, model_from_surfaces, rasterise
 from dvf_ig.preop.build import border_distance_mm
+from dvf_ig.preop.surface.closing import MAX_BEYOND_MM, MAX_CAP_SHARE
 from dvf_ig.preop.surface.topology import count_edges
 
 PHASES = [0, 9, 17]
@@ -37,6 +38,17 @@ def test_every_surface_closes(heart, name):
     assert count_edges(closed.triangles).closed
     assert closed.vertices_mm.shape[1] - len(np.unique(closed.triangles[~closed.caps])) == OPENINGS[name]
     assert (closed.volumes_mm3() > 0).all()
+
+
+def test_openings_of_a_real_heart_are_far_within_the_bounds(heart):
+    """Valves of up to 40 mm; the bounds leave room for ones twice as large against their ventricle."""
+    for series in heart.values():
+        closed = close_surface(series)
+        for vertices in closed.vertices_mm:
+            caps = caps_of(vertices, closed.triangles, closed.caps)
+            assert len(caps) == OPENINGS[series.name]
+            assert max(cap.beyond_mm for cap in caps) < 0.6 * MAX_BEYOND_MM
+            assert max(cap.share for cap in caps) < 0.6 * MAX_CAP_SHARE
 
 
 def test_left_ventricle_contracts_as_published(heart):

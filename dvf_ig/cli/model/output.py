@@ -13,6 +13,8 @@ DEFINITIONS = {
     "nor rim; not the error of the anatomy",
     "anatomical_error_mm": "distance between the model's surface and that of the labels, at random points of "
     "both, without the border where the label image cuts the organ off",
+    "caps": "what closes the openings of the surface at end-diastole: area, area of all caps by the measured "
+    "area, depth of what may be missing beyond, middle",
     "normal_error_deg": "grad d against the smooth surface's normal at the nearest point, within 2 mm of it",
     "normal_error_deg.facet": "grad d against the exact distance to the flat facets, at the same points",
     "file_megabytes": "size of the model's file, 10^6 bytes",
@@ -29,9 +31,10 @@ def model_payload(
     model: "DvfModel", result: "ModelCheck", seed: int, seconds: float | None, file_mb: float
 ) -> dict[str, Any]:
     """JSON of `model build` and `model check`."""
-    from dvf_ig.preop import border_distance_mm, potential_at_border
+    from dvf_ig.preop import border_distance_mm, caps_of, potential_at_border
 
     border_mm = border_distance_mm(model)
+    surface = model.reference[model.ed_phase]
     return {
         "surface_error_mm": {
             "mean": result.mean_mm,
@@ -65,6 +68,15 @@ def model_payload(
         "potential_at_border": potential_at_border(border_mm, 1.0),
         "points": result.points,
         "excluded_area_share": result.excluded_area_share,
+        "caps": [
+            {
+                "area_mm2": cap.area_mm2,
+                "share": cap.share,
+                "beyond_mm": cap.beyond_mm,
+                "middle_mm": cap.middle_mm.tolist(),
+            }
+            for cap in caps_of(surface.vertices_mm, surface.triangles, model.reference_caps[model.ed_phase])
+        ],
         "rim_mm": result.rim_mm,
         "seed": seed,
         "definitions": DEFINITIONS,

@@ -1,6 +1,9 @@
 """Triangle meshes: OBJ, STL, PLY and VTP, in mm, LPS (files tagged SPACE=RAS are converted)."""
 
+import logging
 import re
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +20,18 @@ from .raw import MeshFormatError, RawMesh
 from .stl import decode_stl, encode_stl
 from .vtp import decode_vtp, encode_vtp
 
+log = logging.getLogger(__name__)
+
 DECODERS = {".obj": decode_obj, ".stl": decode_stl, ".ply": decode_ply, ".vtp": decode_vtp}
 _SPACE = re.compile(r"SPACE\s*=\s*([A-Za-z]+)")
 _TO_LPS = np.array([-1.0, -1.0, 1.0])
 
 
 def read_mesh(path: Path | str, frame: str = "mr") -> Mesh:
-    """Read a triangle mesh; polygons are split into fans, other cells are ignored.
+    """Read a triangle mesh; polygons are split into fans, triangle strips into triangles.
+
+    Whatever else a file declares is refused if it may hold a part of the surface, or named in a logged
+    warning if it has no area (points, lines).
 
     Coordinates are LPS unless the file says SPACE=RAS, as 3D Slicer writes and assumes. STL vertices that
     coincide exactly become one.
@@ -36,6 +44,7 @@ def read_mesh(path: Path | str, frame: str = "mr") -> Mesh:
     """
     path = Path(path)
     raw = decode_mesh(path, read_bytes(path, "a triangle mesh"))
+    warn_of_left_out(path, [raw])
     with reading(path, "a triangle mesh"):
         return Mesh(frame, raw.vertices, raw.triangles)
 
@@ -56,11 +65,17 @@ def write_mesh(mesh: Mesh, path: Path | str) -> None:
     write_bytes(path, encode(RawMesh(mesh.vertices_mm, mesh.triangles, "SPACE=LPS")))
 
 
+def warn_of_left_out(path: Path, meshes: Iterable[RawMesh]) -> None:
+    """Log once what files at `path` declare beyond the surface."""
+    for text in dict.fromkeys(", ".join(raw.left_out) for raw in meshes if raw.left_out):
+        log.warning("%s: %s hold no surface and are left out", path, text)
+
+
 def decode_mesh(path: Path, data: bytes) -> RawMesh:
     """Mesh from bytes in the format that the ending of `path` names; vertices in LPS.
 
     Raises:
-        UnreadableFileError: unknown ending, damaged content, or an unknown SPACE.
+        UnreadableFileError: unknown ending, damaged or not understood content, or not one known SPACE.
     """
     decode = DECODERS.get(path.suffix.lower())
     if decode is None:
@@ -76,9 +91,11 @@ def decode_mesh(path: Path, data: bytes) -> RawMesh:
             max(len(raw.vertices), len(raw.triangles)), limits.ELEMENTS, "vertices or triangles"
         )
         limits.require_lengths(raw.vertices, "a vertex")
-    space = _SPACE.search(raw.note)
-    if space is None or space[1].upper() == "LPS":
+    spaces = {space.upper() for space in _SPACE.findall(raw.note)}
+    if not spaces <= {"LPS", "RAS"} or len(spaces) > 1:
+        raise UnreadableFileError(
+            f"{path} is in the space '{', '.join(sorted(spaces))}'; needed LPS or RAS: export it again"
+        )
+    if spaces != {"RAS"}:
         return raw
-    if space[1].upper() != "RAS":
-        raise UnreadableFileError(f"{path} is in the space '{space[1]}'; needed LPS or RAS: export it again")
-    return RawMesh(raw.vertices * _TO_LPS, raw.triangles, "SPACE=LPS", raw.cell_flags)
+    return replace(raw, vertices=raw.vertices * _TO_LPS, note="SPACE=LPS")

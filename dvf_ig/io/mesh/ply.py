@@ -1,12 +1,13 @@
 """PLY, ASCII and binary of either byte order: the elements `vertex` (x, y, z) and `face` (vertex lists)."""
 
+import re
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray
 
-from .raw import MeshFormatError, RawMesh, fan_triangles
+from .raw import MeshFormatError, RawMesh, fan_triangles, left_after, text_lines, whole_indices
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -20,6 +21,15 @@ _TYPES = {
 }
 
 
+_END_HEADER = re.compile(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)")
+_INDEX_LISTS = ("vertex_indices", "vertex_index")
+_WITHOUT_SURFACE = ("edge", "camera", "material")
+_SMALLEST_FACE = 4
+"""Bytes of a triangle whose count and indices have one byte each."""
+_Tables = dict[str, dict[str, list[AnyArray] | AnyArray]]
+"""Columns by element and property; a list has an array a row."""
+
+
 @dataclass(slots=True)
 class _Element:
     """One element of the header; `properties` holds name, type, and the count type of a list (or None)."""
@@ -30,27 +40,25 @@ class _Element:
 
 
 def decode_ply(data: bytes) -> RawMesh:
-    """Mesh of a PLY file."""
-    end = data.find(b"end_header")
-    if not data.startswith(b"ply") or end < 0:
+    """Mesh of a PLY file: all of its faces; what else it declares is named or refused."""
+    end = _END_HEADER.search(data)
+    if not data.startswith(b"ply") or end is None:
         raise MeshFormatError("not a PLY file (no 'ply' … 'end_header')")
-    body = data.index(b"\n", end) + 1
-    form, elements, note = _header(data[:end].decode("ascii", "replace"))
+    form, elements, note = _header(data[: end.start()].decode("ascii", "replace"))
+    body = memoryview(data)[end.end() :]
     if form == "ascii":
-        tables = _ascii_tables(data[body:].decode("ascii", "replace"), elements)
+        tables, end_at = _ascii_tables(bytes(body).decode("ascii", "replace"), elements), len(body)
     else:
-        tables = _binary_tables(memoryview(data)[body:], elements, "<" if "little" in form else ">")
-    if "vertex" not in tables or "face" not in tables:
-        raise MeshFormatError(f"elements {', '.join(tables) or 'none'}; needed vertex and face")
+        tables, end_at = _binary_tables(body, elements, "<" if "little" in form else ">")
+    rest = left_after(body[end_at:], "elements", _SMALLEST_FACE)
+    left_out = _require_known(elements)
     vertex, face = tables["vertex"], tables["face"]
-    lists = face.get("vertex_indices", face.get("vertex_index"))
-    if lists is None:
-        raise MeshFormatError("its faces have no vertex_indices")
+    lists = face[_index_list(elements)]
     counts = np.array([len(polygon) for polygon in lists], dtype=np.int64)
-    corners = np.concatenate(lists).astype(np.int64) if len(lists) else np.zeros(0, np.int64)
-    triangles, _ = fan_triangles(corners, np.cumsum(counts) - counts, counts)
+    corners = np.concatenate(lists) if len(lists) else np.zeros(0, np.int64)
     points = np.stack([np.asarray(vertex[axis], dtype=np.float64) for axis in "xyz"], axis=1)
-    return RawMesh(points, triangles, note)
+    triangles, _ = fan_triangles(whole_indices(corners, len(points), "face"), counts)
+    return RawMesh(points, triangles, note, left_out=left_out + rest)
 
 
 def encode_ply(mesh: RawMesh) -> bytes:
@@ -68,7 +76,7 @@ def encode_ply(mesh: RawMesh) -> bytes:
 
 def _header(text: str) -> tuple[str, list[_Element], str]:
     form, elements, notes = "", list[_Element](), list[str]()
-    for line in text.splitlines():
+    for line in text_lines(text)[1:]:
         words = line.split()
         if words[:1] == ["format"]:
             form = words[1]
@@ -77,17 +85,68 @@ def _header(text: str) -> tuple[str, list[_Element], str]:
         elif words[:1] == ["element"]:
             elements.append(_Element(words[1], int(words[2])))
         elif words[:2] == ["property", "list"]:
-            elements[-1].properties.append((words[4], _TYPES[words[3]], _TYPES[words[2]]))
+            elements[-1].properties.append((words[4], _type(words[3]), _type(words[2])))
         elif words[:1] == ["property"]:
-            elements[-1].properties.append((words[2], _TYPES[words[1]], None))
+            elements[-1].properties.append((words[2], _type(words[1]), None))
+        elif words:
+            raise MeshFormatError(f"its header has a line {line.strip()[:40]!r} that PLY does not know")
     if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
         raise MeshFormatError(f"PLY format '{form}' is not known")
     return form, elements, "\n".join(notes)
 
 
-def _ascii_tables(text: str, elements: list[_Element]) -> dict[str, dict[str, list[AnyArray] | AnyArray]]:
-    rows = [line.split() for line in text.splitlines() if line.strip()]
-    tables: dict[str, dict[str, list[AnyArray] | AnyArray]] = {}
+def _type(name: str) -> str:
+    if name not in _TYPES:
+        raise MeshFormatError(f"a property has the type '{name[:20]}'; needed one of {', '.join(_TYPES)}")
+    return _TYPES[name]
+
+
+def _require_known(elements: list[_Element]) -> tuple[str, ...]:
+    """Elements that hold no surface, each with its count.
+
+    Raises:
+        MeshFormatError: vertex or face absent or twice, or an element that may hold a part of the surface.
+    """
+    names = [element.name for element in elements]
+    if names.count("vertex") != 1 or names.count("face") != 1:
+        raise MeshFormatError(f"elements {', '.join(names) or 'none'}; needed vertex and face, each once")
+    for element in elements:
+        properties = [name for name, *_ in element.properties]
+        if element.count < 0 or len(set(properties)) < len(properties):
+            raise MeshFormatError(f"element '{element.name}' has a negative count or a property twice")
+        if element.name not in ("vertex", "face", *_WITHOUT_SURFACE) and element.count:
+            raise MeshFormatError(
+                f"{element.count} rows of '{element.name[:20]}' are not read and may hold a part of the "
+                "surface; export the mesh as triangles (elements vertex and face)"
+            )
+    if missing := [axis for axis in "xyz" if axis not in _named(elements, "vertex")]:
+        raise MeshFormatError(f"its vertices have no {', '.join(missing)}")
+    return tuple(f"{e.count} rows of '{e.name}'" for e in elements if e.name in _WITHOUT_SURFACE and e.count)
+
+
+def _named(elements: list[_Element], name: str) -> dict[str, tuple[str, str | None]]:
+    """Properties of an element: type, and the count type of a list."""
+    element = next(e for e in elements if e.name == name)
+    return {name: (kind, count_kind) for name, kind, count_kind in element.properties}
+
+
+def _index_list(elements: list[_Element]) -> str:
+    """Name of the list of the faces' corners, the only list of whole numbers that they may have."""
+    face = _named(elements, "face")
+    whole = [
+        n for n, (kind, count_kind) in face.items() if count_kind and kind[0] != "f" and n != "texnumber"
+    ]
+    if len(whole) != 1 or whole[0] not in _INDEX_LISTS:
+        raise MeshFormatError(
+            f"its faces have no vertex_indices, or another list: {', '.join(face) or 'no properties'}; "
+            "export the mesh again"
+        )
+    return whole[0]
+
+
+def _ascii_tables(text: str, elements: list[_Element]) -> _Tables:
+    rows = [line.split() for line in text_lines(text) if line.strip()]
+    tables: _Tables = {}
     at = 0
     for element in elements:
         chunk = rows[at : at + element.count]
@@ -101,18 +160,33 @@ def _ascii_tables(text: str, elements: list[_Element]) -> dict[str, dict[str, li
                 table[name] = np.array([float(row[c]) for row, c in zip(chunk, cursors, strict=True)])
                 cursors = [c + 1 for c in cursors]
                 continue
-            lengths = [int(row[c]) for row, c in zip(chunk, cursors, strict=True)]
+            lengths = [_length(int(row[c]), element) for row, c in zip(chunk, cursors, strict=True)]
             spans = zip(chunk, cursors, lengths, strict=True)
             table[name] = [np.array(row[c + 1 : c + 1 + k], dtype=np.float64) for row, c, k in spans]
             cursors = [c + 1 + k for c, k in zip(cursors, lengths, strict=True)]
+        for number, (row, cursor) in enumerate(zip(chunk, cursors, strict=True), 1):
+            if len(row) != cursor:
+                raise MeshFormatError(
+                    f"row {number} of '{element.name}' has {len(row)} numbers; its header needs {cursor}"
+                )
         tables[element.name] = table
+    if at < len(rows):
+        raise MeshFormatError(
+            f"{len(rows) - at} rows follow the elements of its header, first {' '.join(rows[at])[:40]!r}; "
+            "export the mesh again"
+        )
     return tables
 
 
-def _binary_tables(
-    body: memoryview, elements: list[_Element], order: str
-) -> dict[str, dict[str, list[AnyArray] | AnyArray]]:
-    tables: dict[str, dict[str, list[AnyArray] | AnyArray]] = {}
+def _length(count: int, element: _Element) -> int:
+    if count < 0:
+        raise MeshFormatError(f"a list of '{element.name}' has {count} numbers")
+    return count
+
+
+def _binary_tables(body: memoryview, elements: list[_Element], order: str) -> tuple[_Tables, int]:
+    """Elements by name, and where the data after them start."""
+    tables: _Tables = {}
     at = 0
     for element in elements:
         lists = any(count_kind for _, _, count_kind in element.properties)
@@ -122,7 +196,7 @@ def _binary_tables(
         else:
             table, at = _records(body, at, element, order, lengths)
         tables[element.name] = table
-    return tables
+    return tables, at
 
 
 def _uniform_lengths(body: memoryview, at: int, element: _Element, order: str) -> tuple[int, ...] | None:
@@ -172,7 +246,7 @@ def _row(
     for name, kind, count_kind in element.properties:
         count = 1
         if count_kind:
-            count = int(np.frombuffer(body, order + count_kind, 1, at)[0])
+            count = _length(int(np.frombuffer(body, order + count_kind, 1, at)[0]), element)
             at += np.dtype(count_kind).itemsize
             lengths.append(count)
         data = np.frombuffer(body, order + kind, count, at)

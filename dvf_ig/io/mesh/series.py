@@ -20,15 +20,18 @@ from dvf_ig.io.reading import read_bytes, reading
 from dvf_ig.io.writing.atomic import write_bytes
 from dvf_ig.io.writing.place import make_folder
 
-from .file import DECODERS, decode_mesh
+from .file import DECODERS, decode_mesh, warn_of_left_out
 from .raw import RawMesh
 from .vtp import encode_vtp
 
 UNKNOWN_PATIENT = "unknown"
 MOST_MEMBERS = 10_000
 """Meshes in an archive; ours have 20 phases of up to ten surfaces."""
+_TAR_END = 1 << 20
+"""Bytes looked at after the last member; an archive is padded with zeros to a multiple of 10 240."""
 _CAP = "Cap"
-_PHASE_FILE = re.compile(r"(.+?)_?(\d+)\.(obj|stl|ply|vtp)", re.IGNORECASE)
+_PHASE_FILE = re.compile(r"(?!\._)(.+?)_?(\d+)\.(obj|stl|ply|vtp)", re.IGNORECASE)
+"""Not the AppleDouble files that macOS puts beside each file in an archive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +53,8 @@ def read_surface_series(
 ) -> SurfaceSeries:
     """Read the files `<patient>_<NAME>_<number>.<obj|stl|ply|vtp>` of one surface, in order of their number.
 
+    Names that begin with "._", which macOS adds beside its files, are passed over.
+
     Args:
         folder: holds the files (also in sub-folders), or one tar archive of them, which is read in place.
         name: which surface.
@@ -69,6 +74,7 @@ def read_surface_series(
             raise FileNotFoundError(folder)
         patient, files = _files_of(folder, _phase_files(folder), name)
         meshes = [decode_mesh(file.path, file.read()) for file in files]
+        warn_of_left_out(folder, meshes)
         _require_correspondence(files, meshes)
         timing = (
             timing_file
@@ -137,6 +143,7 @@ def _in_archive(archive: Path) -> list[_PhaseFile]:
     try:
         with tarfile.open(archive, "r:*") as tar:
             contents = _contents(archive, tar)
+            _require_end(archive, tar)
     except (tarfile.TarError, EOFError, OSError, zlib.error, lzma.LZMAError) as exc:
         raise UnreadableFileError(f"{archive} is not a readable archive ({exc}); copy it again") from exc
     record_file(archive)
@@ -153,14 +160,28 @@ def _contents(archive: Path, tar: tarfile.TarFile) -> dict[str, bytes]:
     contents: dict[str, bytes] = {}
     total = 0
     for member in tar:
-        if not member.isreg() or Path(member.name).suffix.lower() not in DECODERS:
+        if Path(member.name).suffix.lower() not in DECODERS or member.isdir():
             continue
+        if not member.isreg():
+            raise UnreadableFileError(
+                f"{archive}: {member.name} is a link, not a file; pack the files themselves"
+            )
         total += member.size
         if total > limits.VOXEL_BYTES or len(contents) >= MOST_MEMBERS:
             raise UnreadableFileError(f"{archive} holds more than meshes of a heart; unpack what is needed")
         stream = tar.extractfile(member)
         contents[member.name] = b"" if stream is None else stream.read()
     return contents
+
+
+def _require_end(archive: Path, tar: tarfile.TarFile) -> None:
+    """Refuse an archive that is cut off after a member, or followed by another: members would be missed."""
+    if tar.fileobj is None:
+        raise UnreadableFileError(f"{archive} was closed while it was read")
+    tar.fileobj.seek(tar.offset)
+    end = tar.fileobj.read(_TAR_END)
+    if len(end) < tarfile.BLOCKSIZE or end.strip(b"\0"):
+        raise UnreadableFileError(f"{archive} has no proper end: it is cut off or damaged; copy it again")
 
 
 def _constant(data: bytes) -> Callable[[], bytes]:
@@ -207,4 +228,8 @@ def _require_correspondence(files: list[_PhaseFile], meshes: list[RawMesh]) -> N
                 f"{file.path} has {len(mesh.vertices)} vertices and {len(mesh.triangles)} triangles that do "
                 f"not match the {len(first.vertices)} and {len(first.triangles)} of {files[0].path.name}; "
                 "needed the same vertices in every phase"
+            )
+        if not np.array_equal(mesh.cell_flags.get(_CAP, ()), first.cell_flags.get(_CAP, ())):
+            raise UnreadableFileError(
+                f"{file.path} marks other triangles as caps than {files[0].path.name}; needed the same ones"
             )

@@ -1,4 +1,7 @@
-"""VTK XML PolyData (`.vtp`): polygons in ASCII, inline base64, or appended (raw or base64), plain or zlib."""
+"""VTK XML PolyData (`.vtp`): polygons and triangle strips.
+
+Arrays are ASCII, inline base64, or appended (raw or base64), plain or zlib.
+"""
 
 import base64
 import re
@@ -8,10 +11,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray
+from dvf_ig.core.arrays import AnyArray, IntArray
 from dvf_ig.io import limits
 
-from .raw import MeshFormatError, RawMesh, fan_triangles
+from .raw import MeshFormatError, RawMesh, fan_triangles, strip_triangles, whole_indices
 
 _TYPES = {
     "Int8": "i1",
@@ -25,6 +28,9 @@ _TYPES = {
     "Float32": "f4",
     "Float64": "f8",
 }
+_CELLS = ("Verts", "Lines", "Polys", "Strips")
+"""Kinds of cells, in the order of their cell data."""
+_GHOSTS = ("vtkGhostType", "vtkGhostLevels")
 _APPENDED = re.compile(rb"<AppendedData\s+encoding\s*=\s*[\"'](raw|base64)[\"']\s*>\s*_")
 
 
@@ -43,7 +49,12 @@ class _Codec:
         kind = self.order + _TYPES[node.attrib["type"]]
         form = node.attrib.get("format", "ascii")
         if form == "ascii":
-            return np.array((node.text or "").split(), dtype=np.float64).astype(kind)
+            numbers = np.array((node.text or "").split(), dtype=np.float64)
+            if not kind.endswith(("f4", "f8")) and (numbers != np.floor(numbers)).any():
+                raise MeshFormatError(
+                    f"array '{node.attrib.get('Name', '')}' holds numbers that are not whole"
+                )
+            return numbers.astype(kind)
         if form == "appended":
             block = self.appended[int(node.attrib["offset"]) :]
             return np.frombuffer(self._block(block, self.appended_base64), kind)
@@ -100,7 +111,10 @@ class _Codec:
 
 
 def decode_vtp(data: bytes) -> RawMesh:
-    """Mesh of a VTP file: the polygons of all pieces; `cell_flags` holds their integer cell data."""
+    """Mesh of a VTP file: the polygons and triangle strips of all pieces.
+
+    `cell_flags` holds their integer cell data; vertex and line cells are counted in `left_out`.
+    """
     xml, appended, is_base64 = _split_appended(data)
     try:
         root = ElementTree.fromstring(xml)
@@ -114,16 +128,27 @@ def decode_vtp(data: bytes) -> RawMesh:
     order = "<" if root.attrib.get("byte_order", "LittleEndian") == "LittleEndian" else ">"
     header = _TYPES[root.attrib.get("header_type", "UInt32")]
     codec = _Codec(order, header, bool(compressor), appended, is_base64)
-    pieces = [_piece(codec, piece) for piece in root.iter("Piece")]
+    _require_known(root, {"PolyData", "AppendedData"})
+    data_sets = root.findall("PolyData")
+    for data_set in data_sets:
+        _require_known(data_set, {"FieldData", "Piece"})
+    pieces = [_piece(codec, piece) for data_set in data_sets for piece in data_set.findall("Piece")]
     if not pieces:
         raise MeshFormatError("it has no Piece")
     shift = np.cumsum([0] + [len(piece.vertices) for piece in pieces])
-    shared = set.intersection(*(set(piece.cell_flags) for piece in pieces))
+    filled = [piece for piece in pieces if len(piece.triangles)]
+    names = {tuple(sorted(piece.cell_flags)) for piece in filled}
+    if len(names) > 1:
+        raise MeshFormatError(f"its pieces have different cell data ({sorted(names)}); save it as one piece")
     return RawMesh(
         np.concatenate([piece.vertices for piece in pieces]),
         np.concatenate([p.triangles + s for p, s in zip(pieces, shift[:-1], strict=True)]),
         _space(codec, root),
-        {name: np.concatenate([piece.cell_flags[name] for piece in pieces]) for name in sorted(shared)},
+        {
+            name: np.concatenate([piece.cell_flags[name] for piece in filled])
+            for name in (names.pop() if names else ())
+        },
+        _left_out(data_sets),
     )
 
 
@@ -178,30 +203,97 @@ def _split_appended(data: bytes) -> tuple[bytes, bytes, bool]:
     return xml, data[start.end() : stop], start[1] == b"base64"
 
 
+def _require_known(node: ElementTree.Element, known: set[str]) -> None:
+    """Raise MeshFormatError for a child that is not one of `known`: it may hold a part of the surface."""
+    for child in node:
+        if child.tag not in known:
+            raise MeshFormatError(
+                f"its {node.tag} holds '{child.tag}', which is not read; save it as PolyData of triangles"
+            )
+
+
 def _piece(codec: _Codec, piece: ElementTree.Element) -> RawMesh:
-    points = piece.find("Points/DataArray")
-    arrays = {node.attrib.get("Name", ""): node for node in piece.findall("Polys/DataArray")}
-    if points is None or not {"connectivity", "offsets"} <= arrays.keys():
-        raise MeshFormatError("a piece lacks points or polygons")
-    vertices = codec.values(points).astype(np.float64).reshape(-1, 3)
-    corners = codec.values(arrays["connectivity"]).astype(np.int64)
+    _require_known(piece, {"PointData", "CellData", "Points", *_CELLS})
+    if any(len(piece.findall(child.tag)) > 1 for child in piece):
+        raise MeshFormatError("a piece holds one of its parts twice; save it again")
+    points = piece.findall("Points/DataArray")
+    if len(points) != 1:
+        raise MeshFormatError(f"a piece has {len(points)} arrays of points; needed one")
+    vertices = codec.values(points[0]).astype(np.float64).reshape(-1, 3)
+    if len(vertices) != int(piece.attrib["NumberOfPoints"]):
+        raise MeshFormatError(
+            f"{len(vertices)} points do not have the sizes that its header states "
+            f"({piece.attrib['NumberOfPoints']}); save it again"
+        )
+    cells = {kind: _cells(codec, piece, kind, len(vertices)) for kind in _CELLS}
+    polygons, owner = fan_triangles(*cells["Polys"])
+    strips, strip_owner = strip_triangles(*cells["Strips"])
+    # cell data are of vertices, lines, polygons and strips, in this order
+    before = [len(counts) for _, counts in cells.values()]
+    owners = np.concatenate([owner + sum(before[:2]), strip_owner + sum(before[:3])])
+    flags = _cell_flags(codec, piece, sum(before), owners)
+    return RawMesh(vertices, np.concatenate([polygons, strips]), "", flags)
+
+
+def _cells(codec: _Codec, piece: ElementTree.Element, kind: str, vertices: int) -> tuple[IntArray, IntArray]:
+    """Vertex indices of the cells of one kind, one cell after the other, and how many each has."""
+    arrays = {node.attrib.get("Name", ""): node for node in piece.findall(f"{kind}/DataArray")}
+    stated = piece.attrib.get(f"NumberOf{kind}")
+    if len(arrays) < len(piece.findall(f"{kind}/DataArray")):
+        raise MeshFormatError(f"its {kind} hold an array twice; save it again")
+    if not arrays and int(stated or 0) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    if not {"connectivity", "offsets"} <= arrays.keys():
+        raise MeshFormatError(f"a piece states {stated} {kind} and lacks their connectivity or offsets")
+    corners = codec.values(arrays["connectivity"])
     ends = codec.values(arrays["offsets"]).astype(np.int64)
     counts = np.diff(ends, prepend=0)
-    if (
-        len(vertices) != int(piece.attrib["NumberOfPoints"])
-        or (counts < 0).any()
-        or (len(ends) and ends[-1] != len(corners))
-    ):
-        raise MeshFormatError("its arrays do not have the sizes that its header states")
-    triangles, owner = fan_triangles(corners, ends - counts, counts)
-    before = sum(int(piece.attrib.get(f"NumberOf{kind}", 0)) for kind in ("Verts", "Lines"))
-    flags = {
-        node.attrib.get("Name", ""): codec.values(node)[before:][owner]
-        for node in piece.findall("CellData/DataArray")
-        if node.attrib["type"].lstrip("U").startswith("Int")
-        and node.attrib.get("NumberOfComponents", "1") == "1"
-    }
-    return RawMesh(vertices, triangles, "", flags)
+    end = int(ends[-1]) if len(ends) else 0
+    if (counts < 0).any() or end != len(corners) or int(stated or 0) != len(ends):
+        raise MeshFormatError(
+            f"its {kind} do not have the sizes that its header states: NumberOf{kind} is {stated}, "
+            f"{len(ends)} offsets lead to {end} of {len(corners)} corners; save it again"
+        )
+    return whole_indices(corners, vertices, "cell"), counts
+
+
+def _cell_flags(
+    codec: _Codec, piece: ElementTree.Element, cells: int, owners: IntArray
+) -> dict[str, AnyArray]:
+    """Integer cell data of one component, by name, for each triangle.
+
+    Raises:
+        MeshFormatError: values that are not one a cell, or cells that other pieces hold, too ("ghosts").
+    """
+    flags: dict[str, AnyArray] = {}
+    for node in piece.findall("CellData/DataArray"):
+        name = node.attrib.get("Name", "")
+        whole = node.attrib["type"].lstrip("U").startswith("Int")
+        if not whole or node.attrib.get("NumberOfComponents", "1") != "1":
+            continue
+        values = codec.values(node)
+        if len(values) != cells:
+            raise MeshFormatError(
+                f"cell data '{name}' have {len(values)} values for {cells} cells; save it again"
+            )
+        if name in _GHOSTS and values.any():
+            raise MeshFormatError(
+                f"{np.count_nonzero(values)} of {cells} cells are hidden or repeated ('{name}'); save the "
+                "whole surface as one piece without ghost cells"
+            )
+        flags[name] = values[owners]
+    return flags
+
+
+def _left_out(data_sets: list[ElementTree.Element]) -> tuple[str, ...]:
+    """Cells without area, each kind with its count."""
+    found = []
+    for kind, name in (("Verts", "vertex cells"), ("Lines", "line cells")):
+        count = sum(
+            int(p.attrib.get(f"NumberOf{kind}", 0)) for data in data_sets for p in data.findall("Piece")
+        )
+        found += [f"{count} {name}"] if count else []
+    return tuple(found)
 
 
 def _space(codec: _Codec, root: ElementTree.Element) -> str:
