@@ -35,9 +35,6 @@ MARGINS = ("off", "fixed", "adaptive")
 
 
 def _margin_choice(given: Any) -> Any:
-    """YAML reads a bare `off` as false."""
-    if given is False:
-        return "off"
     if given in MARGINS or (type(given) in (int, float) and math.isfinite(given)):
         return given
     raise ValueError(f"needed {', '.join(MARGINS)}, or a number of mm")

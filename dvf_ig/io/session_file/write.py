@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from dvf_ig.core.errors import OutputError
 from dvf_ig.io.writing.atomic import write_text
+from dvf_ig.io.yaml_text import yaml_text
 
 from .schema import SCHEMA, SessionDraft
 
@@ -80,7 +79,7 @@ def dump_text(config: SessionDraft) -> str:
         "# acts (its numbers: dvf-ig replay --help); without retiming the law is two-segment.\n"
     )
     document = config.model_dump(by_alias=True)
-    return head + yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    return head + yaml_text(document, flow=None)
 
 
 def _is_ours(path: Path) -> bool:
@@ -97,7 +96,7 @@ def _checksum(body: str) -> str:
 
 def _inline(value: Any) -> str:
     """A value on one line of YAML."""
-    text = yaml.safe_dump([value], default_flow_style=True, allow_unicode=True, width=10_000)
+    text = yaml_text([value], flow=True, width=10_000)
     return text.strip().removeprefix("[").removesuffix("]")
 
 
