@@ -55,8 +55,27 @@ def test_a_word_is_what_it_looks_like(text: str, value: Any) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    "010 -010 00 010.5 01e3 089 0x10 0X1f 0b1 0o17 1_0 1_0.5 .5_0 1e1_0 "
-    "1:30 190:20:30 1:30.5 -1:30 00:11:22".split(),
+    [
+        "010",
+        "-010",
+        "00",
+        "010.5",
+        "01e3",
+        "089",
+        "0x10",
+        "0X1f",
+        "0b1",
+        "0o17",
+        "1_0",
+        "1_0.5",
+        ".5_0",
+        "1e1_0",
+        "1:30",
+        "190:20:30",
+        "1:30.5",
+        "-1:30",
+        "00:11:22",
+    ],
 )
 def test_a_number_that_programs_read_differently_is_refused(text: str) -> None:
     for document in (f"a:\n  - depth_mm: {text}", f"{{a: [{{depth_mm: {text}}}]}}"):

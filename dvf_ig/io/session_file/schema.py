@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from dvf_ig.core.recordings.sequence import Fan
-from dvf_ig.io.fixtures import FixtureConfig, MarginChoice, Number, RetimingName
+from dvf_ig.io.fixtures import DeviceConfig, FixtureConfig, MarginChoice, Number, RetimingName
 from dvf_ig.io.yaml_config import KIND, Section
 
 from .live import LiveConfig
@@ -229,7 +229,7 @@ class SessionDraft(Section):
         patient_id: of the model unless given; of images, their name.
         ecg: None where the ultrasound sequence holds it as field data.
         tool: None takes the tool tracked in the ultrasound sequence, if there is one.
-        fixtures, cap_n, retiming, margin: as in a file of `--fixtures`.
+        fixtures, cap_n, retiming, margin, device: as in a file of `--fixtures`.
         truth: folder of a synthetic scenario's truth, to be scored against.
         live: who sends what in a live session; recordings do not need it.
     """
@@ -249,6 +249,7 @@ class SessionDraft(Section):
     cap_n: Number | None = None
     retiming: RetimingName | None = None
     margin: MarginChoice | None = None
+    device: DeviceConfig | None = None
     truth: FileName | None = None
     live: LiveConfig | None = None
 

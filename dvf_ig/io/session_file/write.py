@@ -249,6 +249,7 @@ def _fixtures() -> list[str]:
         "#   - {law: forbidden, gamma: 1.0, depth_mm: 0.0, cap_n: 0.6}",
         "# retiming: two-segment  # how the beat is mapped to the model's cycle; or uniform",
         "# margin: off  # by which fixtures are widened: off, fixed (2 mm), a number of mm, or adaptive",
+        "# device: {name: omega.3, continuous_force_n: 12}  # what renders them, for forces above 4 N",
     ]
 
 
