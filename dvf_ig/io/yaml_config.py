@@ -68,6 +68,7 @@ _MESSAGES = {
     "string_type": "needed a text",
     "string_too_short": "it is empty",
     "float_type": "needed a number",
+    "int_type": "needed a whole number",
 }
 """Instead of pydantic's own, which speak of Python."""
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from dvf_ig.core import UnreadableFileError
 from dvf_ig.io import read_fixtures
 from dvf_ig.io.scenario.layout import CONFIG, read_config
-from dvf_ig.io.session_file.read import read_session_config
+from dvf_ig.io.session_file.read import read_session_config, read_session_draft
 from dvf_ig.io.yaml_text import parse_yaml, yaml_text
 
 HERE = Path("f.yaml")
@@ -164,3 +164,14 @@ def test_numbers_of_every_decimal_form_reach_a_fixture(tmp_path: Path) -> None:
     path.write_text("margin: off\nfixtures: [{law: guidance, delta: 4e0, m: 1., depth_mm: +2, cap_n: .5}]\n")
     law = read_fixtures(path)[0].fixtures[0].law
     assert law.parameters.tolist()[1:] == [4.0, 1.0, 0.5, 2.0]
+
+
+@pytest.mark.parametrize("value", ["'1_0'", "'10'", "true", "yes"])
+def test_a_number_of_a_session_is_no_text_and_no_yes(tmp_path: Path, value: str) -> None:
+    path = tmp_path / "session.yaml"
+    for key in ("seed", "ecg.rate_hz", "ultrasound.fan.start_px", "preop.ed_phase"):
+        *sections, last = key.split(".")
+        text = "".join(f"{section}: {{" for section in sections) + f"{last}: {value}" + "}" * len(sections)
+        path.write_text(f"schema: dvf_ig.session/1\n{text}\n")
+        with pytest.raises(UnreadableFileError, match=rf"{key}: needed a (whole )?number"):
+            read_session_draft(path)

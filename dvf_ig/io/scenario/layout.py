@@ -6,7 +6,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.io.session_file.schema import FanConfig
+from dvf_ig.io.session_file.schema import FanConfig, Whole
 from dvf_ig.io.yaml_config import Section, read_yaml, validated
 from dvf_ig.io.yaml_text import yaml_text
 
@@ -59,7 +59,7 @@ class ScenarioConfig(Section):
     schema_: Literal["dvf_ig.scenario/1"] = Field(default="dvf_ig.scenario/1", alias="schema")
     name: str
     preset: str
-    seed: int | None = None
+    seed: Whole | None = None
     patient_id: str
     preop: PreopConfig
     fan: FanConfig | None = None
