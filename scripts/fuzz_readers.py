@@ -60,6 +60,7 @@ def write_seeds(folder: Path) -> None:
     )
     (out / "fixtures.yaml").write_text(
         "cap_n: 0.6\nretiming: uniform\nfixtures:\n  - {law: forbidden, gamma: 1.0}\n"
+        "device: {name: omega.3, continuous_force_n: 12, stiffness_n_per_m: 2000}\n"
     )
     matrix: list[list[float]] = [[0.2, 0, 0, 1], [0, 0.2, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
     common: dict[str, Any] = {"refused": False, "refused_because": []}
@@ -143,6 +144,10 @@ READERS: dict[str, tuple[tuple[str, ...], Read]] = {
 }
 
 
+UNLIMITED = {"from_s": -np.inf, "fastest_mm_s": np.inf}
+"""Values that say that there is no limit."""
+
+
 def unfit(value: Any, name: str = "value") -> str | None:
     """Which number of an accepted value is not finite or beyond all reason; None where all are in order."""
     if isinstance(value, np.ndarray):
@@ -151,7 +156,7 @@ def unfit(value: Any, name: str = "value") -> str | None:
         known = value[~np.isnan(value)] if name in GAPS else value
         return None if (np.abs(known) <= LARGEST).all() else name
     if isinstance(value, float):
-        return None if abs(value) <= LARGEST or (name == "from_s" and value == -np.inf) else name
+        return None if abs(value) <= LARGEST or UNLIMITED.get(name) == value else name
     if isinstance(value, PoseStream):
         poses = (value.t_s, value.rotations[value.valid], value.translations_mm[value.valid])
         return unfit(poses, value.name)

@@ -53,13 +53,21 @@ LawOption = Annotated[
     ),
 ]
 GammaOption = Annotated[
-    float | None, typer.Option("--gamma", help="Forbidden: steepness in 1/mm.", show_default="1.0")
+    float | None,
+    typer.Option("--gamma", help="Forbidden: steepness in 1/mm, 0.23 or more.", show_default="1.0"),
 ]
 DeltaOption = Annotated[
     float | None, typer.Option("--delta", help="Guidance: width in mm.", show_default="3.0")
 ]
 ExponentOption = Annotated[float | None, typer.Option("--m", help="Guidance: exponent.", show_default="1.0")]
-CapOption = Annotated[float | None, typer.Option("--cap-n", help="Largest force in N.", show_default="0.6")]
+CapOption = Annotated[
+    float | None,
+    typer.Option(
+        "--cap-n",
+        help="Largest force in N, up to 4; more in a file of --fixtures that names the device.",
+        show_default="0.6",
+    ),
+]
 DepthOption = Annotated[
     float | None,
     typer.Option("--depth-mm", help="Depth of the surface below the organ's, in mm.", show_default="0.0"),

@@ -25,7 +25,7 @@ from .shell import JsonFlag, command, emit, warn
 
 if TYPE_CHECKING:
     from dvf_ig.core import FloatArray
-    from dvf_ig.guidance import DeviceLimits, FixtureSet, ForceSamples
+    from dvf_ig.guidance import FixtureOptions, FixtureSet, ForceSamples
 
 
 def force(
@@ -61,8 +61,11 @@ def force(
         ),
     ] = 0.05,
     stiffness: Annotated[
-        float, typer.Option("--device-stiffness", help="Stiffest wall the device renders, in N/m.")
-    ] = 400.0,
+        float | None,
+        typer.Option(
+            "--device-stiffness", help="Stiffest wall the device renders, in N/m.", show_default="400"
+        ),
+    ] = None,
     damping: Annotated[
         float | None,
         typer.Option("--device-damping", help="Its physical damping in N·s/m; checks passivity at 1 kHz."),
@@ -79,30 +82,36 @@ def force(
         if not math.isfinite(phase):
             raise typer.BadParameter(f"--phase is {phase}; needed a finite number")
         from dvf_ig.core import Rigid
-        from dvf_ig.guidance import DeviceLimits, Fixtures
+        from dvf_ig.guidance import Fixtures
         from dvf_ig.io import read_model, read_points
 
-        limits = DeviceLimits(stiffness_n_per_m=stiffness, damping_n_s_per_m=damping)
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
         model = read_model(model_file)
         options, _ = chosen_fixtures(given, fixtures, model.frame)
+        limits = dataclasses.replace(
+            options.device,
+            stiffness_n_per_m=options.device.stiffness_n_per_m if stiffness is None else stiffness,
+            damping_n_s_per_m=damping,
+        )
+        options = dataclasses.replace(options, device=limits)
         if free_zone_mm is not None:
             if law != "guidance" or delta is not None or m is not None:
                 raise typer.BadParameter(
                     "--free-zone-mm goes with --law guidance and chooses its --delta and --m"
                 )
-            options = _with_free_zone(options, free_zone_mm, detection_threshold_n, limits)
+            options = _with_free_zone(options, free_zone_mm, detection_threshold_n)
         options, margin_mm = _with_margin(with_margin(options, margin), sigma_mm)
         xyz_mm = read_points(points, model.frame).xyz_mm
         here = Rigid.identity(model.frame, model.frame)
-        samples = Fixtures(model, options, device=limits).evaluate(here, xyz_mm, phase)
-        _print(samples, xyz_mm, margin_mm, as_json)
+        samples = Fixtures(model, options).evaluate(here, xyz_mm, phase)
+        _print(samples, options, xyz_mm, margin_mm, as_json)
 
 
 def _with_margin(options: "FixtureSet", sigma_mm: float | None) -> "tuple[FixtureSet, float]":
     """The fixtures with laws widened by their margin, and that margin in mm; a path keeps its law."""
     from dvf_ig.guidance.margins import widened
+    from dvf_ig.guidance.margins.margin import NO_MARGIN
 
     adaptive = options.margin.mode == "adaptive"
     if adaptive != (sigma_mm is not None):
@@ -116,23 +125,35 @@ def _with_margin(options: "FixtureSet", sigma_mm: float | None) -> "tuple[Fixtur
         one if one.path is not None else dataclasses.replace(one, law=widened(one.law, margin_mm))
         for one in options.fixtures
     ]
-    return dataclasses.replace(options, fixtures=tuple(laws)), margin_mm
+    return dataclasses.replace(options, fixtures=tuple(laws), margin=NO_MARGIN), margin_mm
 
 
 def _with_free_zone(
-    options: "FixtureSet", half_width_mm: float, detection_threshold_n: float, limits: "DeviceLimits"
+    options: "FixtureSet", half_width_mm: float, detection_threshold_n: float
 ) -> "FixtureSet":
     """The one fixture with the width and the exponent that the zone asks for."""
-    from dvf_ig.guidance import FixtureSet, FreeZone, gaussian_for_free_zone
+    from dvf_ig.guidance import FreeZone, gaussian_for_free_zone
 
     (one,) = options.fixtures
     zone = FreeZone(half_width_mm, detection_threshold_n)
-    law = gaussian_for_free_zone(zone, cap_n=one.law.cap_n, depth_mm=one.law.depth_mm, device=limits)
+    law = gaussian_for_free_zone(zone, cap_n=one.law.cap_n, depth_mm=one.law.depth_mm, device=options.device)
     warn(f"the free zone gives --delta {law.delta_mm:.4g} --m {law.m:g}")
-    return FixtureSet((dataclasses.replace(one, law=law),))
+    return dataclasses.replace(options, fixtures=(dataclasses.replace(one, law=law),))
 
 
-def _print(samples: "ForceSamples", xyz_mm: "FloatArray", margin_mm: float, as_json: bool) -> None:
+def _felt(one: "FixtureOptions") -> str:
+    """Where a fixture is felt, for people."""
+    law, name = one.law, one.name or "the fixture"
+    if math.isinf(law.reach_mm):
+        return f"{name} pulls from everywhere, by at most {law.cap_n:g} N"
+    side, beyond = ("inside", "outside") if one.described().get("inside") else ("outside", "inside")
+    where = f"{abs(law.reach_mm):.1f} mm {side if law.reach_mm >= 0.0 else beyond} the surface"
+    return f"{name} is felt (1 % of {law.cap_n:g} N) from {where}"
+
+
+def _print(
+    samples: "ForceSamples", options: "FixtureSet", xyz_mm: "FloatArray", margin_mm: float, as_json: bool
+) -> None:
     from dvf_ig.guidance import Status
 
     names = [Status(code).name for code in samples.status.tolist()]
@@ -142,8 +163,12 @@ def _print(samples: "ForceSamples", xyz_mm: "FloatArray", margin_mm: float, as_j
         "status": names,
         "frame": samples.frame,
         "margin_mm": margin_mm,
+        "reach_mm": [
+            one.law.reach_mm if math.isfinite(one.law.reach_mm) else None for one in options.fixtures
+        ],
     }
-    rows = [("x y z (mm)", "force x y z (N)         distance (mm)  status")]
+    rows = [("", _felt(one)) for one in options.fixtures]
+    rows += [("x y z (mm)", "force x y z (N)         distance (mm)  status")]
     for point, push, distance, name in zip(xyz_mm, samples.force_n, samples.distance_mm, names, strict=True):
         where = " ".join(f"{c:8.2f}" for c in point)
         rows.append((where, " ".join(f"{c:7.3f}" for c in push) + f"  {distance:12.3f}  {name}"))

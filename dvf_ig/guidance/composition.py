@@ -13,6 +13,8 @@ from dvf_ig.core.arrays import frozen_floats
 from dvf_ig.core.space.frames import check_frame, require_same_frame
 from dvf_ig.kernels import composition as kernel
 
+from .laws import require_force
+
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,10 +34,7 @@ class Contribution:
     def __post_init__(self) -> None:
         check_frame(self.frame)
         object.__setattr__(self, "force_n", frozen_floats(self.force_n, "contributed force", (3,)))
-        if not (np.isfinite(self.cap_n) and self.cap_n > 0.0):
-            raise InvalidInputError(
-                f"a contribution's cap is {self.cap_n:g} N; it must be positive and finite"
-            )
+        require_force("a contribution's cap", self.cap_n)
         size = float(np.linalg.norm(self.force_n))
         if size > self.cap_n * (1.0 + 1e-9):
             raise InvalidInputError(
@@ -91,12 +90,11 @@ def compose(
         cap_n: largest composed force.
     Raises:
         FrameMismatchError: a contribution in another frame.
-        InvalidInputError: a cap that is not positive.
+        InvalidInputError: a cap that is not positive, or larger than any device holds.
     Differs from source: the cap shortens guidance before it shortens a forbidden region's push, and bounds
     the sum of lengths; the length of the sum lets guidance grow infinitely steeply beside a saturated push.
     """
-    if not (np.isfinite(cap_n) and cap_n > 0.0):
-        raise InvalidInputError(f"the composed cap is {cap_n:g} N; it must be positive and finite")
+    require_force("the composed cap", cap_n)
     for contribution in (*forbidden, *guidance):
         require_same_frame(frame, contribution.frame, "composed fixtures")
     parts = (*forbidden, *guidance)

@@ -1,4 +1,4 @@
-"""Stiffness limits of a haptic device: its cap and the passivity bound; stiffer fixtures are refused."""
+"""Limits of a haptic device: its force, its stiffness, the passivity bound; what exceeds them is refused."""
 
 import math
 from dataclasses import dataclass
@@ -6,11 +6,14 @@ from typing import TypeVar
 
 from dvf_ig.core import InvalidInputError
 
-from .laws import Gaussian, Law
+from .laws import Gaussian, Law, require_force
 
 L = TypeVar("L", bound=Law)
 
 MM_PER_M = 1000.0
+UNNAMED_FORCE_N = 4.0
+"""Largest continuous force where no device is named. By judgement: Ren 2008 uses 0.6 N, and the styluses of
+`dvf_ig.guidance.devices.simulated` hold 0.88 and 1.4 N."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +36,11 @@ class DeviceLimits:
         friction_n: smallest dry friction c; 0 assumes none.
         resolution_mm: step Δ of the position sensor.
         fastest_mm_s: largest speed of the tip for which the bound holds.
+        continuous_force_n: largest force that the device holds for long; more than 4 N needs its name.
+        name: of the device; empty: none in particular.
     Raises:
-        InvalidInputError: a number that is negative or not finite.
+        InvalidInputError: a number that is negative, not finite or beyond any device, or a force above 4 N
+            of a device without a name.
     Source: Colgate and Schenkel 1997; Abbott and Okamura 2005 (IEEE Trans. Robotics 21(5)).
     """
 
@@ -45,6 +51,8 @@ class DeviceLimits:
     friction_n: float = 0.0
     resolution_mm: float = 0.0
     fastest_mm_s: float = math.inf
+    continuous_force_n: float = UNNAMED_FORCE_N
+    name: str = ""
 
     def __post_init__(self) -> None:
         for name in ("rate_hz", "stiffness_n_per_m"):
@@ -62,6 +70,12 @@ class DeviceLimits:
         if not self.fastest_mm_s > 0.0:
             raise InvalidInputError(
                 f"device limit fastest_mm_s is {self.fastest_mm_s:g}; it must be positive"
+            )
+        require_force("device limit continuous_force_n", self.continuous_force_n)
+        if self.continuous_force_n > UNNAMED_FORCE_N and not self.name.strip():
+            raise InvalidInputError(
+                f"device limit continuous_force_n is {self.continuous_force_n:g} N; more than "
+                f"{UNNAMED_FORCE_N:g} N needs the name of the device"
             )
 
     @property
@@ -84,12 +98,30 @@ class DeviceLimits:
         """The smaller of stiffness cap and passivity bound."""
         return min(self.stiffness_n_per_m / MM_PER_M, self.passive_stiffness_n_per_mm)
 
+    def require_force(self, what: str, force_n: float) -> None:
+        """Refuse a largest force that this device does not hold.
+
+        Raises:
+            InvalidInputError: says which, and what to do.
+        """
+        if force_n <= self.continuous_force_n:
+            return
+        reason = (
+            f"the {self.name} holds {self.continuous_force_n:g} N for long; lower it"
+            if self.name
+            else f"at most {self.continuous_force_n:g} N is allowed where no stronger device is named; lower "
+            "it, or name the device with its continuous_force_n under the key 'device' of the fixtures"
+        )
+        raise InvalidInputError(f"{what} is {force_n:g} N; {reason}")
+
     def checked(self, law: L) -> L:
         """The law, if this device can render it.
 
         Raises:
-            InvalidInputError: its steepest point exceeds the stiffness cap or the passivity bound.
+            InvalidInputError: its cap exceeds the device's continuous force, or its steepest point the
+                stiffness cap or the passivity bound.
         """
+        self.require_force("force cap cap_n", law.cap_n)
         allowed = self.allowed_stiffness_n_per_mm
         stiffness = law.stiffness_n_per_mm
         if stiffness <= allowed:
@@ -113,7 +145,7 @@ class DeviceLimits:
 
 
 COMMON_DEVICE = DeviceLimits()
-"""1 kHz and 400 N/m: assumed where no device is given."""
+"""1 kHz, 400 N/m and 4 N: assumed where no device is given."""
 
 
 def _remedy(law: Law, allowed_n_per_mm: float) -> str:

@@ -22,7 +22,7 @@ from dvf_ig.kernels.fixture_field import packed_fixture
 
 from .blend import BLEND_CODES, Blend
 from .device import COMMON_DEVICE, DeviceLimits
-from .laws import Law
+from .laws import Law, require_reach
 from .periodic import periodic_coefficients, periodic_powers
 from .status import Status
 
@@ -88,7 +88,8 @@ class Evaluator:
             twice continuously differentiable in phase; half as fast, for it reads four phases).
         device: what the haptic device can render.
     Raises:
-        InvalidInputError: unknown blend, or a law beyond the device's limits.
+        InvalidInputError: unknown blend, a law beyond the device's limits, or a forbidden region that is felt
+            too far from the surface.
     """
 
     def __init__(
@@ -97,6 +98,7 @@ class Evaluator:
         if blend not in BLEND_CODES:
             raise InvalidInputError(f"unknown blend '{blend}'; choose one of {', '.join(BLEND_CODES)}")
         self.model = model
+        require_reach(law)
         self.law: Law = device.checked(law)
         self.blend: Blend = blend
         periodic = blend == "periodic"

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from dvf_ig.core import InvalidInputError
 
 from .blend import BLEND_CODES, Blend
-from .laws import Confinement, Gaussian, Law, Sigmoid
+from .device import COMMON_DEVICE, DeviceLimits
+from .laws import Confinement, Gaussian, Law, Sigmoid, require_force, require_reach
 from .margins.margin import NO_MARGIN, MarginOptions
 from .targets import PathTarget
 
@@ -21,7 +22,7 @@ class FixtureOptions:
         path: what a Gaussian guides to; None: the model's surface.
         name: of the fixture in messages.
     Raises:
-        InvalidInputError: an unknown blend.
+        InvalidInputError: an unknown blend, or a forbidden region that is felt too far outside.
     """
 
     law: Law = field(default_factory=Sigmoid)
@@ -32,6 +33,11 @@ class FixtureOptions:
     def __post_init__(self) -> None:
         if self.blend not in BLEND_CODES:
             raise InvalidInputError(f"unknown blend '{self.blend}'; choose one of {', '.join(BLEND_CODES)}")
+        require_reach(self.law)
+
+    def named(self, problem: InvalidInputError) -> InvalidInputError:
+        """The problem with the name of this fixture, if it has one."""
+        return type(problem)(f"fixture '{self.name}': {problem}") if self.name else problem
 
     @property
     def forbidden(self) -> bool:
@@ -60,19 +66,29 @@ class FixtureSet:
         fixtures: one or several; unless given, the forbidden region of Ren 2008.
         cap_n: largest force of all together, N; None: the largest cap among them.
         margin: by which a session widens them; a path keeps its law.
+        device: what renders them.
     Raises:
-        InvalidInputError: no fixture, or a cap that is not positive.
+        InvalidInputError: no fixture, a cap that is not positive or beyond the device's continuous force, or
+            a forbidden region that is felt too far outside.
     """
 
     fixtures: tuple[FixtureOptions, ...] = (FixtureOptions(),)
     cap_n: float | None = None
     margin: MarginOptions = NO_MARGIN
+    device: DeviceLimits = COMMON_DEVICE
 
     def __post_init__(self) -> None:
         if not self.fixtures:
             raise InvalidInputError("a fixture set holds no fixture; needed at least one")
-        if self.cap_n is not None and not (math.isfinite(self.cap_n) and self.cap_n > 0.0):
-            raise InvalidInputError(f"the joint cap is {self.cap_n:g} N; it must be positive and finite")
+        if self.cap_n is not None:
+            require_force("the joint cap", self.cap_n)
+            self.device.require_force("the joint cap", self.cap_n)
+        for one in self.fixtures:
+            try:
+                self.device.require_force("force cap cap_n", one.law.cap_n)
+                require_reach(one.law, self.margin.wanted_mm(math.nan))
+            except InvalidInputError as exc:
+                raise one.named(exc) from exc
 
     @property
     def joint_cap_n(self) -> float:

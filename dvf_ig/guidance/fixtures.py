@@ -9,7 +9,7 @@ from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError, Rigid
 from dvf_ig.kernels.dynamic import force_tick
 from dvf_ig.kernels.fixture_field import DEPTH, LAW, POSE, TIMES
 
-from .device import COMMON_DEVICE, DeviceLimits
+from .device import DeviceLimits
 from .evaluator import Evaluator, ForceSamples, checked_query
 from .fixture import FORBIDDEN_SURFACE, FixtureOptions, FixtureSet
 from .joint_force import check_joint_stiffness, composed_force
@@ -71,24 +71,18 @@ class Fixtures:
 
     Args:
         model: this patient's model; every fixture on a surface is on its surface.
-        options: the fixtures and their joint cap.
-        device: what the haptic device can render: each fixture alone, and all on the surface together.
+        options: the fixtures, their joint cap, and the device that renders them.
     Raises:
-        InvalidInputError: laws beyond the device's limits, or a path with an unfit law.
+        InvalidInputError: laws beyond the device's limits, each alone or those on the surface together, or a
+            path with an unfit law.
         FrameMismatchError: a path in another frame than the model.
     """
 
-    def __init__(
-        self,
-        model: DvfModel,
-        options: FixtureSet = FORBIDDEN_SURFACE,
-        *,
-        device: DeviceLimits = COMMON_DEVICE,
-    ) -> None:
+    def __init__(self, model: DvfModel, options: FixtureSet = FORBIDDEN_SURFACE) -> None:
         self.model = model
         self.options = options
-        self.parts = tuple(_bound(model, one, device) for one in options.fixtures)
-        check_joint_stiffness(options, device)
+        self.parts = tuple(_bound(model, one, options.device) for one in options.fixtures)
+        check_joint_stiffness(options)
         self._ticks: tuple[Tick, ...] = tuple(
             SurfaceTick(part) if isinstance(part, Evaluator) else part.tick for part in self.parts
         )
@@ -205,6 +199,4 @@ def _bound(model: DvfModel, one: FixtureOptions, device: DeviceLimits) -> Evalua
         require_same_frame(model.frame, one.path.frame, "path of a fixture")
         return PathFixture(one.path, one.law, device=device)
     except InvalidInputError as exc:
-        if not one.name:
-            raise
-        raise type(exc)(f"fixture '{one.name}': {exc}") from exc
+        raise one.named(exc) from exc

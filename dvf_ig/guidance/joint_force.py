@@ -8,7 +8,7 @@ from dvf_ig.core import FloatArray, InvalidInputError
 
 from .blend import static_force
 from .composition import Composed, Contribution, compose
-from .device import MM_PER_M, DeviceLimits
+from .device import MM_PER_M
 from .fixture import FixtureSet
 from .laws import Gaussian, Law
 
@@ -44,8 +44,8 @@ def force_at_distance(options: FixtureSet, distance_mm: FloatArray, normal: Floa
     return np.array([composed_force(options, forces).force_n for forces in each]).reshape(-1, 3)
 
 
-def check_joint_stiffness(options: FixtureSet, device: DeviceLimits) -> None:
-    """Hold the fixtures on the surface, composed, to the device's stiffness along the normal.
+def check_joint_stiffness(options: FixtureSet) -> None:
+    """Hold the fixtures on the surface, composed, to their device's stiffness along the normal.
 
     Secants of the force over distance: they never exceed the steepest slope, and miss little of it.
 
@@ -63,7 +63,7 @@ def check_joint_stiffness(options: FixtureSet, device: DeviceLimits) -> None:
         return
     slope = np.abs(np.diff(force_n[:, 0])) / np.diff(distance_mm)
     steepest = int(slope.argmax())
-    allowed = device.allowed_stiffness_n_per_mm
+    allowed = options.device.allowed_stiffness_n_per_mm
     if slope[steepest] > allowed * (1.0 + 1e-6):
         raise InvalidInputError(
             f"the fixtures together are too stiff for the device: {slope[steepest] * MM_PER_M:.4g} N/m "

@@ -11,7 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError
-from dvf_ig.kernels.laws import GAUSSIAN, SIGMOID
+from dvf_ig.kernels.laws import GAUSSIAN, LARGEST_FORCE_N, SIGMOID
+
+FELT_SHARE = 0.01
+"""A forbidden region counts as felt from this share of its cap on: 6 mN of 0.6 N."""
+REACH_MM = 20.0
+"""A wall that is felt further outside its surface guards nothing in particular: a heart is 80 mm wide."""
+_REACH_WIDTHS = math.log(1.0 / FELT_SHARE - 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +26,7 @@ class Sigmoid:
 
     Attributes:
         gamma_per_mm: steepness γ.
-        cap_n: largest force F.
+        cap_n: largest force F, at most 20 N.
         depth_mm: depth of the guarded surface below the organ's surface (negative: above it).
     """
 
@@ -30,13 +36,18 @@ class Sigmoid:
 
     def __post_init__(self) -> None:
         _require_positive("sigmoid steepness gamma_per_mm", self.gamma_per_mm, "1/mm")
-        _require_positive("force cap cap_n", self.cap_n, "N")
+        require_force("force cap cap_n", self.cap_n)
         _require_finite("guarded depth depth_mm", self.depth_mm)
 
     def potential(self, distance_mm: FloatArray) -> FloatArray:
         """f in (0, 1) at signed distances."""
         s = np.asarray(distance_mm, dtype=np.float64) - self.depth_mm
         return np.asarray(0.5 * (1.0 + np.tanh(0.5 * self.gamma_per_mm * s)))
+
+    @property
+    def reach_mm(self) -> float:
+        """Distance outside the organ's surface up to which 1 % of the cap is felt: ln(99)/γ − depth."""
+        return _REACH_WIDTHS / self.gamma_per_mm - self.depth_mm
 
     @property
     def stiffness_n_per_mm(self) -> float:
@@ -58,7 +69,7 @@ class Confinement:
 
     Attributes:
         gamma_per_mm: steepness γ.
-        cap_n: largest force F.
+        cap_n: largest force F, at most 20 N.
         depth_mm: depth of the guarded surface beyond the chamber's, in its wall (negative: a margin inside
             the chamber).
     """
@@ -69,13 +80,18 @@ class Confinement:
 
     def __post_init__(self) -> None:
         _require_positive("confinement steepness gamma_per_mm", self.gamma_per_mm, "1/mm")
-        _require_positive("force cap cap_n", self.cap_n, "N")
+        require_force("force cap cap_n", self.cap_n)
         _require_finite("guarded depth depth_mm", self.depth_mm)
 
     def potential(self, distance_mm: FloatArray) -> FloatArray:
         """−f in (−1, 0) at signed distances of the cavity: against ∇d the force would leave the chamber."""
         s = -np.asarray(distance_mm, dtype=np.float64) - self.depth_mm
         return np.asarray(-0.5 * (1.0 + np.tanh(0.5 * self.gamma_per_mm * s)))
+
+    @property
+    def reach_mm(self) -> float:
+        """Distance inside the chamber's surface up to which 1 % of the cap is felt: ln(99)/γ − depth."""
+        return _REACH_WIDTHS / self.gamma_per_mm - self.depth_mm
 
     @property
     def stiffness_n_per_mm(self) -> float:
@@ -95,7 +111,7 @@ class Gaussian:
     Attributes:
         delta_mm: width δ at which the force reaches 63 % of the cap.
         m: exponent; the larger, the flatter the free zone and the steeper its wall.
-        cap_n: largest force F.
+        cap_n: largest force F, at most 20 N.
         depth_mm: depth of the target surface below the organ's.
     """
 
@@ -107,13 +123,18 @@ class Gaussian:
     def __post_init__(self) -> None:
         _require_positive("Gaussian width delta_mm", self.delta_mm, "mm")
         _require_positive("Gaussian exponent m", self.m, "")
-        _require_positive("force cap cap_n", self.cap_n, "N")
+        require_force("force cap cap_n", self.cap_n)
         _require_finite("guarded depth depth_mm", self.depth_mm)
 
     def potential(self, distance_mm: FloatArray) -> FloatArray:
         """f(s)·sign(s) in (−1, 1) at signed distances."""
         s = np.asarray(distance_mm, dtype=np.float64) - self.depth_mm
         return np.asarray(np.sign(s) * -np.expm1(-(((s / self.delta_mm) ** 2) ** self.m)))
+
+    @property
+    def reach_mm(self) -> float:
+        """Infinite: guidance pulls from everywhere (eqs 7–9); its cap alone bounds it."""
+        return math.inf
 
     @property
     def stiffness_n_per_mm(self) -> float:
@@ -173,6 +194,37 @@ def gaussian_steepness(m: float) -> float:
         return math.inf
     u = (n - 1.0) / n
     return float(n * u**u * math.exp(-u))
+
+
+def require_force(what: str, force_n: float) -> None:
+    """Refuse a largest force that is not positive, or that no device holds.
+
+    Raises:
+        InvalidInputError: says which and how large.
+    """
+    _require_positive(what, force_n, "N")
+    if force_n > LARGEST_FORCE_N:
+        raise InvalidInputError(f"{what} is {force_n:g} N; no device holds more than {LARGEST_FORCE_N:g} N")
+
+
+def require_reach(law: Law, margin_mm: float = 0.0) -> None:
+    """Refuse a forbidden region that is felt too far from the surface that it guards, widened by a margin.
+
+    Raises:
+        InvalidInputError: says how far, and what to do.
+    """
+    reach_mm = law.reach_mm + margin_mm
+    if isinstance(law, Gaussian) or reach_mm <= REACH_MM * (1.0 + 1e-9):
+        return
+    wanted_mm = REACH_MM - margin_mm + law.depth_mm
+    least = math.ceil(1000.0 * _REACH_WIDTHS / wanted_mm) / 1000.0 if wanted_mm > 0.0 else math.inf
+    remedy = f"use a gamma of {least:g} or more, or" if math.isfinite(least) else "use"
+    margin = f" and a margin of {margin_mm:g} mm" if margin_mm > 0.0 else ""
+    raise InvalidInputError(
+        f"with gamma {law.gamma_per_mm:g}, depth_mm {law.depth_mm:g}{margin} {FELT_SHARE:.0%} of the force "
+        f"would be felt {reach_mm:.4g} mm from the organ's surface, at most {REACH_MM:g} mm is allowed; "
+        f"{remedy} a larger depth_mm"
+    )
 
 
 def _require_positive(what: str, value: float, unit: str) -> None:

@@ -3,6 +3,7 @@
 cap_n: 0.6                  # of all together, N; unless given, the largest of them
 retiming: two-segment       # or uniform
 margin: adaptive            # or off, fixed (2 mm), or a number of mm
+device: {name: omega.3, continuous_force_n: 12, stiffness_n_per_m: 2000}   # needed above 4 N or 400 N/m
 fixtures:                   # the first is the primary one
   - {law: forbidden, name: epicardium, gamma: 1.0, depth_mm: 2.0}
   - {law: path, delta: 4.0, path: incision.mrk.json}
@@ -24,7 +25,7 @@ from .reading import reading
 from .yaml_config import Section, read_yaml, validated
 
 if TYPE_CHECKING:
-    from dvf_ig.guidance import FixtureOptions, FixtureSet, PathTarget
+    from dvf_ig.guidance import DeviceLimits, FixtureOptions, FixtureSet, PathTarget
     from dvf_ig.guidance.margins import MarginOptions
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-TIME_S, le=TIME_S)]
@@ -35,9 +36,6 @@ MARGINS = ("off", "fixed", "adaptive")
 
 
 def _margin_choice(given: Any) -> Any:
-    """YAML reads a bare `off` as false."""
-    if given is False:
-        return "off"
     if given in MARGINS or (type(given) in (int, float) and math.isfinite(given)):
         return given
     raise ValueError(f"needed {', '.join(MARGINS)}, or a number of mm")
@@ -146,13 +144,43 @@ LAWS: dict[str, type[ForbiddenConfig | GuidanceConfig | PathConfig]] = {
 }
 
 
+class DeviceConfig(Section):
+    """The haptic device that renders the fixtures, for forces above 4 N or stiffness other than 400 N/m."""
+
+    name: Annotated[str, Field(strict=True, min_length=1)]
+    continuous_force_n: Number
+    stiffness_n_per_m: Number = 400.0
+
+    @classmethod
+    def of(cls, device: "DeviceLimits") -> "DeviceConfig | None":
+        """What states this device; None for one without a name."""
+        if not device.name:
+            return None
+        return cls(
+            name=device.name,
+            continuous_force_n=device.continuous_force_n,
+            stiffness_n_per_m=device.stiffness_n_per_m,
+        )
+
+    def limits(self) -> "DeviceLimits":
+        """The device; raises InvalidInputError for a number out of range."""
+        from dvf_ig.guidance import DeviceLimits
+
+        return DeviceLimits(
+            stiffness_n_per_m=self.stiffness_n_per_m,
+            continuous_force_n=self.continuous_force_n,
+            name=self.name,
+        )
+
+
 class FixturesConfig(Section):
-    """The fixtures of an intervention, their joint cap and margin, and the law of retiming."""
+    """The fixtures of an intervention, their joint cap, margin and device, and the law of retiming."""
 
     fixtures: tuple[FixtureConfig, ...] = (ForbiddenConfig(),)
     cap_n: Number | None = None
     retiming: RetimingName | None = None
     margin: MarginChoice = "off"
+    device: DeviceConfig | None = None
 
     def fixture_set(self, folder: Path, frame: str = "mr") -> "FixtureSet":
         """The fixtures as values.
@@ -164,6 +192,7 @@ class FixturesConfig(Section):
             InvalidInputError: a number out of range or an unfit path; names the key.
         """
         from dvf_ig.guidance import FixtureSet
+        from dvf_ig.guidance.device import COMMON_DEVICE
 
         options = []
         for n, one in enumerate(self.fixtures):
@@ -171,7 +200,8 @@ class FixturesConfig(Section):
                 options.append(one.options(folder, frame))
             except InvalidInputError as exc:
                 raise InvalidInputError(f"fixtures.{n}: {exc}") from exc
-        return FixtureSet(tuple(options), self.cap_n, margin_options(self.margin))
+        device = COMMON_DEVICE if self.device is None else self.device.limits()
+        return FixtureSet(tuple(options), self.cap_n, margin_options(self.margin), device)
 
 
 def margin_options(choice: str | float) -> "MarginOptions":

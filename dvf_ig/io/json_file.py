@@ -1,9 +1,10 @@
-"""JSON files: strict (no NaN on disk), atomic; numpy values and frozen results become plain ones."""
+"""JSON files: strict (no NaN, no name twice), atomic; numpy values and frozen results become plain ones."""
 
 import dataclasses
 import enum
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -31,18 +32,73 @@ def read_json(path: Path | str, what: str = "a JSON file") -> Any:
     """Parse a JSON file.
 
     Raises:
-        UnreadableFileError: absent, or not JSON; the message gives the line.
+        UnreadableFileError: absent, not JSON, or not JSON that every program reads alike (`parse_json`); the
+            message gives the line.
     """
     path = Path(path)
     text = read_text(path, what)
     try:
-        return json.loads(text)
+        return parse_json(text)
+    except _AmbiguousError as exc:
+        raise UnreadableFileError(f"{path}: {exc}") from exc
     except json.JSONDecodeError as exc:
         raise UnreadableFileError(f"{path} is not {what}: line {exc.lineno}: {exc.msg}") from exc
     except ValueError as exc:
         raise UnreadableFileError(f"{path} is not {what}: it holds a number of too many digits") from exc
     except RecursionError as exc:
         raise UnreadableFileError(f"{path} is not {what}: it is nested too deeply") from exc
+
+
+def parse_json(text: str) -> Any:
+    """Parse JSON that every program reads alike: no name twice in an object, no NaN, no infinity.
+
+    Raises:
+        ValueError: not such JSON.
+    """
+    try:
+        return json.loads(text, object_pairs_hook=_object, parse_constant=_refused_constant)
+    except _AmbiguousError:
+        raise _ambiguity(text) from None
+
+
+class _AmbiguousError(ValueError):
+    """A name twice in an object, or a number that JSON does not have."""
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        raise _AmbiguousError
+    return found
+
+
+def _refused_constant(name: str) -> Any:
+    raise _AmbiguousError
+
+
+_TOKEN = re.compile(r'("(?:[^"\\]|\\.)*")(\s*:)?|[{}]|-?(?:NaN|Infinity)', re.DOTALL)
+
+
+def _ambiguity(text: str) -> _AmbiguousError:
+    """The first such place of a text that is JSON up to there, with its line."""
+    names: list[set[str]] = []
+    for token in _TOKEN.finditer(text):
+        if token[0] == "{":
+            names.append(set())
+        elif token[0] == "}":
+            names.pop()
+        elif token[1] is None:
+            return _ambiguous(text, token, f"{token[0]} is no number of JSON; write a number, or null")
+        elif token[2] is not None:
+            name = json.loads(token[1])
+            if name in names[-1]:
+                return _ambiguous(text, token, f"'{name}' is given twice in one object; keep one of them")
+            names[-1].add(name)
+    return _AmbiguousError("a name is given twice in one object; keep one of them")
+
+
+def _ambiguous(text: str, token: re.Match[str], problem: str) -> _AmbiguousError:
+    return _AmbiguousError(f"line {text.count(chr(10), 0, token.start()) + 1}: {problem}")
 
 
 def plain(value: Any) -> Any:

@@ -3,13 +3,13 @@
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from dvf_ig.core.errors import UnreadableFileError
 
 from .limits import SETTINGS_BYTES
 from .reading import read_text
+from .yaml_text import parse_yaml
 
 KIND = "~"
 """Begins the tag of a value that may be of several kinds; it is no key of the document."""
@@ -33,15 +33,6 @@ class Section(BaseModel):
         return given
 
 
-class _Loader(yaml.SafeLoader):
-    """Plain values alone: a date is a text, so that none can be wrong."""
-
-    yaml_implicit_resolvers = {  # noqa: RUF012
-        first: [(tag, form) for tag, form in found if not tag.endswith(":timestamp")]
-        for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
-    }
-
-
 S = TypeVar("S", bound=BaseModel)
 
 
@@ -52,17 +43,9 @@ def read_yaml(path: Path, what: str) -> Any:
         path: the file.
         what: what it should be, with its article, for example "a scenario description".
     Raises:
-        UnreadableFileError: absent, or not YAML.
+        UnreadableFileError: absent, not YAML, or not YAML with one reading (`parse_yaml`).
     """
-    text = read_text(path, what, SETTINGS_BYTES)
-    try:
-        return yaml.load(text, _Loader)
-    except yaml.YAMLError as exc:
-        raise UnreadableFileError(f"{path} is not YAML: {' '.join(str(exc).split())[:400]}") from exc
-    except RecursionError as exc:
-        raise UnreadableFileError(f"{path} is not {what}: it is nested too deeply") from exc
-    except (ValueError, TypeError, LookupError, AttributeError) as exc:
-        raise UnreadableFileError(f"{path}: a value is not what its tag or its form says ({exc})") from exc
+    return parse_yaml(read_text(path, what, SETTINGS_BYTES), path, what)
 
 
 def validated(section: type[S], document: Any, path: Path) -> S:
@@ -85,6 +68,7 @@ _MESSAGES = {
     "string_type": "needed a text",
     "string_too_short": "it is empty",
     "float_type": "needed a number",
+    "int_type": "needed a whole number",
 }
 """Instead of pydantic's own, which speak of Python."""
 

@@ -10,7 +10,7 @@ from dvf_ig.core import FloatArray
 from . import status as code
 from .compiled import inlined
 from .lanes import Float64x4, multiply, pack, unpack
-from .laws import direction_certainty, signed_potential
+from .laws import LARGEST_FORCE_N, direction_certainty, signed_potential
 from .spline import Cell, cell_value_gradient, inside_box
 from .vectors import Vector
 
@@ -68,12 +68,16 @@ def no_output(status: int) -> Output:
 
 @inlined
 def force_per_gradient(f: FloatArray, s_mm: float, norm: float) -> float:
-    """Force per unit of gradient: −cap·f(s)·certainty/|∇d|; zero where the direction is lost."""
+    """Force per unit of gradient: −cap·f(s)·certainty/|∇d|; zero where the direction is lost.
+
+    Whatever the packed cap is, no force is longer than LARGEST_FORCE_N.
+    """
     certainty = direction_certainty(norm)
     if certainty == 0.0:
         return 0.0
     potential = signed_potential(int(f[LAW]), f[LAW + 1], f[LAW + 2], s_mm)
-    ratio: float = -f[LAW + 3] * potential * certainty / norm
+    cap_n = min(max(f[LAW + 3], -LARGEST_FORCE_N), LARGEST_FORCE_N)
+    ratio: float = -cap_n * potential * certainty / norm
     return ratio
 
 

@@ -11,6 +11,9 @@ from .compiled import inlined
 SIGMOID = 0
 GAUSSIAN = 1
 
+LARGEST_FORCE_N = 20.0
+"""No parameter makes a force larger. The strongest table-top devices (Force Dimension delta) hold it."""
+
 DIRECTION_LOST = 0.2
 """Below this |∇d| the direction is lost (medial axis, opposing walls): no force."""
 DIRECTION_SURE = 0.4

@@ -65,7 +65,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
         InvalidInputError: as `open_link`; names in `allow` that are no addresses.
     """
     config, inbox = options.config, Inbox()
-    fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
+    fixtures = Fixtures(setup.heart.model, setup.fixtures)
     device = TrackedTool()
     with ExitStack() as stack:
         executor = CountedWork(stack.enter_context(Beside(waits=False)), options.record)

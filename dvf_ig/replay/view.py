@@ -21,6 +21,8 @@ from dvf_ig.guidance import (
     PathTarget,
     Sigmoid,
 )
+from dvf_ig.guidance.device import COMMON_DEVICE
+from dvf_ig.io.fixtures import DeviceConfig
 from dvf_ig.report.viewer import (
     FrameSeries,
     ImageShape,
@@ -88,7 +90,9 @@ def _fixtures(run: RunFolder) -> FixtureSet:
     """The fixtures that acted."""
     described = run.result["fixtures"]
     parts = [_fixture(one, path) for one, path in zip(described, run.view.paths, strict=True)]
-    return FixtureSet(tuple(parts), run.result["fixtures_cap_n"])
+    stated = run.result.get("device")
+    device = COMMON_DEVICE if stated is None else DeviceConfig.model_validate(stated).limits()
+    return FixtureSet(tuple(parts), run.result["fixtures_cap_n"], device=device)
 
 
 def _fixture(described: dict[str, Any], path: PathTarget | None) -> FixtureOptions:

@@ -93,7 +93,7 @@ class Session:
         self._sources = SourceClocks(setup.beat_source)
         self._tool = ToolTracker(setup.calibrations.tip)
         self._tip = TipWatch(self._frames, setup.calibrations, setup.fan)
-        fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
+        fixtures = Fixtures(setup.heart.model, setup.fixtures)
         self._fixtures = FixturesOverTime(fixtures)
         self._margins = MarginTracker(setup.fixtures, setup.device)
         self._fixtures.widen(self._margins.margin_mm)

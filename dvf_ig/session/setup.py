@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from dvf_ig.cardiac import RetimeMode
 from dvf_ig.core import Fan, Rigid
 from dvf_ig.guidance import FORBIDDEN_SURFACE, DeviceLimits, FixtureSet
-from dvf_ig.guidance.device import COMMON_DEVICE
 
 from .calibrations import CalibrationsInUse
 from .heart import Heart
@@ -22,8 +21,7 @@ class SessionSetup:
         beat_source: ECG or trigger, and what is known of it.
         start: coarse mr_from_tracker; None takes that of touched landmarks.
         fan: the insonified sector, where the scanner's geometry is known.
-        fixtures: that act on the tool.
-        device: what the haptic device can render.
+        fixtures: that act on the tool, and the device that renders them.
         retiming: how the beat is mapped to the model's cycle.
         seed: of a registration's random choices.
     """
@@ -34,6 +32,10 @@ class SessionSetup:
     start: Rigid | None = None
     fan: Fan | None = None
     fixtures: FixtureSet = FORBIDDEN_SURFACE
-    device: DeviceLimits = COMMON_DEVICE
     retiming: RetimeMode = "two-segment"
     seed: int = 0
+
+    @property
+    def device(self) -> DeviceLimits:
+        """What the haptic device can render."""
+        return self.fixtures.device

@@ -65,6 +65,46 @@ def test_a_free_zone_is_felt_at_its_border_only(run):
     np.testing.assert_allclose(outward(again), outward(result), atol=1e-3)
 
 
+def test_a_force_that_no_device_is_named_for_exits_3(run, tmp_path):
+    """`--cap-n 1000 --gamma 0.001` gave 490 N at 21 mm outside the organ."""
+    assert "1000 N; no device holds more than 20 N" in plain(run("--cap-n", 1000, "--gamma", 0.001).stderr)
+    for options, complaint in (
+        (
+            ("--cap-n", 4.1),
+            "force cap cap_n is 4.1 N; at most 4 N is allowed where no stronger device is named",
+        ),
+        (("--gamma", 0.001), "1% of the force would be felt 4595 mm from the organ's surface"),
+        (("--gamma", 0.25, "--margin", 5), "and a margin of 5 mm 1% of the force would be felt 23.38 mm"),
+        (("--depth-mm", -200), "use a larger depth_mm"),
+    ):
+        result = run(*options)
+        assert result.exit_code == 3
+        assert complaint in plain(result.stderr)
+    file = tmp_path / "fixtures.yaml"
+    device = "device: {name: omega.3, continuous_force_n: 12, stiffness_n_per_m: 3000}\n"
+    file.write_text(device + "fixtures: [{law: forbidden, cap_n: 12.0}]\n", encoding="utf-8")
+    np.testing.assert_allclose(outward(run("--fixtures", file))[1], 6.0, atol=0.1)
+    file.write_text(device + "fixtures: [{law: forbidden, cap_n: 12.5}]\n", encoding="utf-8")
+    assert "the omega.3 holds 12 N for long; lower it" in plain(run("--fixtures", file).stderr)
+    file.write_text("device: {continuous_force_n: 12}\nfixtures: [{law: forbidden}]\n", encoding="utf-8")
+    assert "device.name: it is missing" in plain(run("--fixtures", file).stderr)
+
+
+def test_the_output_says_how_far_each_fixture_is_felt(run, tmp_path):
+    assert json.loads(run().stdout)["reach_mm"] == [pytest.approx(4.595, abs=1e-3)]
+    assert json.loads(run("--margin", 2, "--gamma", 2).stdout)["reach_mm"] == [pytest.approx(4.298, abs=1e-3)]
+    assert json.loads(run("--law", "guidance").stdout)["reach_mm"] == [None]
+    head = [str(tmp_path / "ball.npz"), "--points", str(tmp_path / "points.csv"), "--phase", "0.05"]
+    said = [
+        CliRunner().invoke(app, [*head, *options]).stdout
+        for options in ([], ["--inside"], ["--depth-mm", "6"], ["--law", "guidance"])
+    ]
+    assert "the fixture is felt (1 % of 0.6 N) from 4.6 mm outside the surface" in said[0]
+    assert "felt (1 % of 0.6 N) from 4.6 mm inside the surface" in said[1]
+    assert "felt (1 % of 0.6 N) from 1.4 mm inside the surface" in said[2]
+    assert "the fixture pulls from everywhere, by at most 0.6 N" in said[3]
+
+
 def test_a_law_that_is_not_passive_exits_3(run):
     result = run("--gamma", 1.0, "--device-damping", 0.05)
     assert result.exit_code == 3

@@ -197,7 +197,7 @@ def test_fixtures_on_one_surface_are_held_to_the_device_together(ball):
     with pytest.raises(InvalidInputError, match=r"together are too stiff .*: 480 N/m .*at most 400 N/m"):
         Fixtures(ball, FixtureSet((one, one), cap_n=1.0))
     assert Fixtures(ball, FixtureSet((one, FixtureOptions(Sigmoid(2.0, 0.48, 5.0))), cap_n=1.0)).parts
-    assert Fixtures(ball, FixtureSet((one, one)), device=DeviceLimits(stiffness_n_per_m=500.0)).parts
+    assert Fixtures(ball, FixtureSet((one, one), device=DeviceLimits(stiffness_n_per_m=500.0))).parts
     on_a_path = FixtureOptions(Gaussian(1.5, 1.0, 0.48), path=PATH)
     assert Fixtures(ball, FixtureSet((one, on_a_path))).parts
 
@@ -212,7 +212,7 @@ def test_what_is_refused(ball):
     stiff = FixtureOptions(Sigmoid(3.0), name="epicardium")
     with pytest.raises(InvalidInputError, match=r"fixture 'epicardium': .*450 N/m at its steepest"):
         Fixtures(ball, FixtureSet((stiff,)))
-    assert Fixtures(ball, FixtureSet((stiff,)), device=DeviceLimits(stiffness_n_per_m=1000.0)).parts
+    assert Fixtures(ball, FixtureSet((stiff,), device=DeviceLimits(stiffness_n_per_m=1000.0))).parts
     with pytest.raises(InvalidInputError, match="Sigmoid law"):
         Fixtures(ball, FixtureSet((FixtureOptions(path=PATH),)))
     elsewhere = PathTarget.static("ct", PATH.points_mm[0])

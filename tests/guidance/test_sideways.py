@@ -49,4 +49,4 @@ def test_a_servo_asks(ball):
     limits = DeviceLimits(stiffness_n_per_m=40.0)
     device = RecordedDevice(np.zeros((1, 3)), 1000.0)
     with pytest.raises(InvalidInputError, match="turns too fast"):
-        Servo(Fixtures(ball, FixtureSet(), device=DeviceLimits()), device, limits=limits)
+        Servo(Fixtures(ball, FixtureSet()), device, limits=limits)

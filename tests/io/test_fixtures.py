@@ -23,6 +23,8 @@ from dvf_ig.guidance.margins import MarginOptions
 from dvf_ig.io import read_fixtures, write_landmarks
 from dvf_ig.io.fixtures import FixturesConfig, ForbiddenConfig, GuidanceConfig, PathConfig, fixture_options
 from dvf_ig.io.json_file import read_json, write_json
+from dvf_ig.io.session_file.read import read_session_fixtures
+from dvf_ig.io.session_file.schema import SessionDraft
 
 CURVE = np.array([[-8.0, 0.0, 12.0], [0.0, 3.0, 15.0], [9.0, 1.0, 11.0]])
 
@@ -167,6 +169,26 @@ fixtures:
         ),
         ("retiming: linear", "retiming: .*'uniform' or 'two-segment'"),
         ("cap_n: -1.0", "joint cap is -1 N"),
+        ("cap_n: 1000", "the joint cap is 1000 N; no device holds more than 20 N"),
+        ("cap_n: 4.5", "the joint cap is 4.5 N; at most 4 N is allowed where no stronger device is named"),
+        (
+            "fixtures: [{law: forbidden, name: wall, cap_n: 5}]",
+            "fixture 'wall': force cap cap_n is 5 N; at most",
+        ),
+        (
+            "fixtures: [{law: forbidden, gamma: 0.001}]",
+            "fixtures.0: .* felt 4595 mm from the organ's surface",
+        ),
+        (
+            "fixtures: [{law: forbidden, depth_mm: -40}]",
+            "fixtures.0: .* felt 44.6 mm from the organ's surface",
+        ),
+        ("device: {name: omega.3}", "device.continuous_force_n: it is missing"),
+        ("device: {name: '', continuous_force_n: 9}", "device.name: it is empty"),
+        (
+            "device: {name: omega.3, continuous_force_n: 40}",
+            "continuous_force_n is 40 N; no device holds more",
+        ),
     ],
 )
 def test_what_is_wrong_is_named_with_its_file_and_key(tmp_path: Path, text: str, complaint: str) -> None:
@@ -214,3 +236,33 @@ def test_a_margin_is_a_mode_or_a_width(tmp_path: Path, text: str, expected: Marg
         read_fixtures(written(tmp_path, "margin: wide\n"))
     with pytest.raises(InvalidInputError, match="between 0 and the cap"):
         read_fixtures(written(tmp_path, "margin: 9\n"))
+
+
+def test_a_device_is_stated_with_the_fixtures(tmp_path: Path) -> None:
+    device = "device: {name: omega.3, continuous_force_n: 12, stiffness_n_per_m: 3000}"
+    path = written(tmp_path, f"{device}\ncap_n: 11.0\nfixtures: [{{law: guidance, delta: 20, cap_n: 12}}]\n")
+    options = read_fixtures(path)[0]
+    assert (options.device.name, options.device.continuous_force_n, options.joint_cap_n) == (
+        "omega.3",
+        12.0,
+        11.0,
+    )
+    assert options.device.stiffness_n_per_m == 3000.0
+
+
+def test_a_joint_cap_of_a_session_holds_without_a_list_of_fixtures(tmp_path: Path) -> None:
+    """It was read and left out: 0.6 N, or what a file of fixtures said."""
+    document = {"ultrasound": "a.mha", "cap_n": 0.2}
+    options, _ = read_session_fixtures(SessionDraft.model_validate(document), tmp_path, "session.yaml")
+    assert options is not None
+    assert (options.joint_cap_n, options.fixtures) == (0.2, (FixtureOptions(),))
+    document["fixtures"] = "fixtures.yaml"
+    written(tmp_path, "fixtures: [{law: forbidden}]\n")
+    with pytest.raises(
+        UnreadableFileError, match=r"cap_n belongs in fixtures\.yaml, which describes the fixtures"
+    ):
+        read_session_fixtures(SessionDraft.model_validate(document), tmp_path, "session.yaml")
+    del document["cap_n"]
+    options, _ = read_session_fixtures(SessionDraft.model_validate(document), tmp_path, "session.yaml")
+    assert options is not None
+    assert options.joint_cap_n == 0.6

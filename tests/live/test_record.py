@@ -26,7 +26,15 @@ from toy_session import (
 from waiting import WITHIN_S
 
 from dvf_ig.core import ImageMap, OutputError, Preop, Rigid, UnreadableFileError
-from dvf_ig.guidance import FixtureOptions, FixtureSet, Gaussian, Hazard, PathTarget, SupervisorState
+from dvf_ig.guidance import (
+    DeviceLimits,
+    FixtureOptions,
+    FixtureSet,
+    Gaussian,
+    Hazard,
+    PathTarget,
+    SupervisorState,
+)
 from dvf_ig.guidance.margins import MarginOptions
 from dvf_ig.io import LivePatient, SessionRecordings
 from dvf_ig.io.ros.attached_heart import attach_heart
@@ -319,6 +327,10 @@ def test_folder_that_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_pa
             0.7,
             MarginOptions("fixed", fixed_mm=1.25),
         ),
+        FixtureSet(
+            (FixtureOptions(Gaussian(10.0, cap_n=9.0)),),
+            device=DeviceLimits(stiffness_n_per_m=3000.0, continuous_force_n=12.0, name="omega.3"),
+        ),
     ],
 )
 def test_fixtures_come_back_as_they_were(fixtures: FixtureSet) -> None:
@@ -328,6 +340,7 @@ def test_fixtures_come_back_as_they_were(fixtures: FixtureSet) -> None:
     assert (back.retiming, back.seed) == ("uniform", 3)
     assert found.cap_n == fixtures.cap_n
     assert found.margin == fixtures.margin
+    assert found.device == fixtures.device
     for one, other in zip(found.fixtures, fixtures.fixtures, strict=True):
         assert (one.law, one.blend, one.name) == (other.law, other.blend, other.name)
         if other.path is not None and one.path is not None:

@@ -7,6 +7,7 @@ import shutil
 import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from time import perf_counter
@@ -21,7 +22,9 @@ from dvf_ig.core import DvfModel, Landmarks, Points, UnreadableFileError
 from dvf_ig.io import cached_model
 from dvf_ig.replay import Replay
 from dvf_ig.replay.page.replay_page import _overlays
+from dvf_ig.replay.result.schema import validate
 from dvf_ig.replay.run_folder import read_run, read_ticks
+from dvf_ig.replay.view import _fixtures
 from dvf_ig.report.viewer import RegistrationView, live_page, registration_payload, viewer_html
 
 NEEDS_BROWSER = pytest.mark.skipif(chromium() is None, reason=MISSING)
@@ -89,6 +92,17 @@ def test_the_folder_reads_back(replay: Replay, written: Path, run: Path) -> None
     off += (poses - ticks.mr_from_tracker)[used, :, 3]
     assert np.abs(off[np.isfinite(off[:, 0])]).max() < 0.02
     assert (run / "view.json").stat().st_size < 100_000
+
+
+def test_the_device_of_a_run_comes_back(run: Path) -> None:
+    """Without it, a run with more than 4 N could not be shown."""
+    folder = read_run(run)
+    assert folder.result["device"] is None
+    device = {"name": "omega.3", "continuous_force_n": 12.0, "stiffness_n_per_m": 3000.0}
+    strong = replace(folder, result=folder.result | {"device": device, "fixtures_cap_n": 9.0})
+    validate(strong.result)
+    found = _fixtures(strong)
+    assert (found.joint_cap_n, found.device.name, found.device.stiffness_n_per_m) == (9.0, "omega.3", 3000.0)
 
 
 @pytest.mark.parametrize(

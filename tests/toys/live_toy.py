@@ -47,7 +47,7 @@ class SteppedServo:
 
     def __init__(self, device: TrackedTool) -> None:
         setup = toy_setup()
-        fixtures = Fixtures(setup.heart.model, setup.fixtures, device=setup.device)
+        fixtures = Fixtures(setup.heart.model, setup.fixtures)
         self._servo = SimulatedServo(fixtures, device, limits=setup.device)
         self._inputs: ServoInputs | None = None
         self._record = ServoRecord(np.zeros((0, 0)))

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
-import yaml
 
 from dvf_ig.cli.shell import emit, progress, wrote
+from dvf_ig.io.yaml_text import yaml_text
 
 if TYPE_CHECKING:
     from data_synth import SecondWorldRecording, SecondWorldSpec
@@ -60,9 +60,7 @@ def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_
 
 def _text(spec: "SecondWorldSpec", made: "SecondWorldRecording | None" = None) -> str:
     """YAML from which the scenario can be made again; of a made one, with what was drawn as comments."""
-    text = yaml.safe_dump(
-        {"schema": "dvf_ig.scenario-spec/1", "world": "second", **asdict(spec)}, sort_keys=False
-    )
+    text = yaml_text({"schema": "dvf_ig.scenario-spec/1", "world": "second", **asdict(spec)})
     if made is None:
         return text
     floor = [f"#   {name}: {value:.4g}\n" for name, value in asdict(made.floor).items()]

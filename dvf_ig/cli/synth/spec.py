@@ -4,11 +4,11 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.io.yaml_config import read_yaml
+from dvf_ig.io.yaml_text import yaml_text
 
 if TYPE_CHECKING:
     from data_synth import CalibratedImage, HeartSpec, Preset, ScenarioSpec
@@ -155,7 +155,7 @@ def spec_text(file: SpecFile) -> str:
     if file.probe_calibration is None:
         inputs |= {"probe_calibration", "image_px"}
     kept = {key: value for key, value in document.items() if key not in inputs}
-    return _HEADER + yaml.safe_dump(kept, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    return _HEADER + yaml_text(kept, flow=None)
 
 
 def _merged(preset: "Preset", options: dict[str, Any]) -> "Preset":

@@ -88,22 +88,17 @@ def _tissues(path: Path | None) -> "dict[int, Tissue] | None":
     """Label numbers to tissues, from a YAML (or JSON) mapping of numbers to names."""
     if path is None:
         return None
-    import yaml
-
     from data_synth.heart.tissue import Tissue
     from dvf_ig.core import InvalidInputError
-    from dvf_ig.io.reading import read_text
+    from dvf_ig.io.yaml_config import read_yaml
 
-    try:
-        document = yaml.safe_load(read_text(path, "a map from labels to tissues"))
-    except yaml.YAMLError as exc:
-        raise InvalidInputError(f"{path} is neither YAML nor JSON: {str(exc).splitlines()[0]}") from exc
+    document = read_yaml(path, "a map from labels to tissues")
     if not isinstance(document, dict) or not document:
         raise InvalidInputError(f"{path} holds no map; needed lines such as '3: lv_blood'")
     known = {tissue.name.lower(): tissue for tissue in Tissue}
     out = {}
     for label, tissue in document.items():
-        if not str(label).isdecimal() or str(tissue).lower() not in known:
+        if not label.isdecimal() or str(tissue).lower() not in known:
             raise InvalidInputError(
                 f"{path}: '{label}: {tissue}' is not a label number and a tissue; "
                 f"tissues are {', '.join(known)}"

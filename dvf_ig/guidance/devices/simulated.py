@@ -7,7 +7,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.core.arrays import frozen_floats
-from dvf_ig.guidance.device import DeviceLimits
+from dvf_ig.guidance.device import UNNAMED_FORCE_N, DeviceLimits
 from dvf_ig.guidance.feed_forward import NO_FEED_FORWARD, FeedForward
 from dvf_ig.kernels.device import MM_PER_M, advance
 from dvf_ig.kernels.servo import simulated as kernel
@@ -48,6 +48,7 @@ class SimulatedDevice:
         largest_n: longer forces are limited to this.
         rate_hz: servo rate; a force is held for one period.
         steps: sub-steps of a period.
+        continuous_n: largest force that it holds for long.
     """
 
     name: str
@@ -58,6 +59,7 @@ class SimulatedDevice:
     largest_n: float = math.inf
     rate_hz: float = 1000.0
     steps: int = 10
+    continuous_n: float = UNNAMED_FORCE_N
 
     def __post_init__(self) -> None:
         for name, low in (("mass_kg", 1e-4), ("rate_hz", 1.0), ("steps", 1)):
@@ -127,16 +129,20 @@ class SimulatedDevice:
             friction_n=self.dry_n - feed_forward.friction_n,
             resolution_mm=self.resolution_mm,
             fastest_mm_s=fastest_mm_s,
+            continuous_force_n=min(self.continuous_n, self.largest_n),
+            name=self.name,
         )
 
 
-PREMIUM = SimulatedDevice("PHANToM Premium 1.0", 0.072, 0.005, 0.038, 0.03, 8.5)
+PREMIUM = SimulatedDevice("PHANToM Premium 1.0", 0.072, 0.005, 0.038, 0.03, 8.5, continuous_n=1.4)
 """A research device: mass and frictions as identified by Diolaiti, Niemeyer, Barbagli and Salisbury (IEEE
-Trans. Robotics 22(2), 2006); resolution and largest force from its maker (SensAble: 0.03 mm, 8.5 N)."""
+Trans. Robotics 22(2), 2006); resolution, largest and continuous force from its maker (SensAble: 0.03 mm,
+8.5 N, 1.4 N)."""
 
-OMNI = SimulatedDevice("PHANToM Omni", 0.045, 0.005, 0.26, 0.055, 3.3)
-"""A desktop stylus: its maker's apparent mass (45 g), back-drive friction (0.26 N), resolution (0.055 mm) and
-largest force (3.3 N). No viscous friction is published: that of the Premium is used."""
+OMNI = SimulatedDevice("PHANToM Omni", 0.045, 0.005, 0.26, 0.055, 3.3, continuous_n=0.88)
+"""A desktop stylus: its maker's apparent mass (45 g), back-drive friction (0.26 N), resolution (0.055 mm),
+largest (3.3 N) and continuous force (0.88 N). No viscous friction is published: that of the Premium is
+used."""
 
 DEVICES = {"premium": PREMIUM, "omni": OMNI}
 """Simulated devices by name."""

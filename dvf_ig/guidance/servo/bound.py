@@ -95,12 +95,13 @@ def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOption
 
     Args:
         fixtures: on the patient's surface.
-        device: its limits; the stiffness gives the slew limit.
+        device: its limits; the stiffness gives the slew limit, and no fixture exceeds its continuous force.
         options: of the servo.
         latency_s: of the device (`HapticDevice.latency_s`).
     Raises:
-        InvalidInputError: a path among the fixtures, or too many of them.
+        InvalidInputError: a path among the fixtures, too many of them, or a larger force than the device's.
     """
+    device.require_force("the largest force of the fixtures", fixtures.options.joint_cap_n)
     parts = [part for part in fixtures.parts if isinstance(part, Evaluator)]
     if len(parts) < len(fixtures.parts):
         raise InvalidInputError(

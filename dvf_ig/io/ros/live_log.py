@@ -18,7 +18,7 @@ from pydantic import Field
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.guidance import FixtureSet
-from dvf_ig.io.fixtures import FixturesConfig, RetimingName
+from dvf_ig.io.fixtures import DeviceConfig, FixturesConfig, RetimingName
 from dvf_ig.io.yaml_config import Section
 from dvf_ig.session import EcgSamples, Event, GuidanceState, Landmark, ToolPose, TrackedFrame, Trigger
 
@@ -100,6 +100,7 @@ def live_document(fixtures: FixtureSet, retiming: RetimingName, seed: int) -> by
         "fixtures": {
             "fixtures": described,
             "cap_n": fixtures.cap_n,
+            "device": DeviceConfig.of(fixtures.device),
             "margin": margin.fixed_mm if margin.mode == "fixed" else margin.mode,
         },
         "retiming": retiming,

@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
 from pydantic import Field
 
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.io.session_file.schema import FanConfig
+from dvf_ig.io.session_file.schema import FanConfig, Whole
 from dvf_ig.io.yaml_config import Section, read_yaml, validated
+from dvf_ig.io.yaml_text import yaml_text
 
 SCHEMA = "dvf_ig.scenario/1"
 CONFIG = "scenario.yaml"
@@ -59,7 +59,7 @@ class ScenarioConfig(Section):
     schema_: Literal["dvf_ig.scenario/1"] = Field(default="dvf_ig.scenario/1", alias="schema")
     name: str
     preset: str
-    seed: int | None = None
+    seed: Whole | None = None
     patient_id: str
     preop: PreopConfig
     fan: FanConfig | None = None
@@ -90,4 +90,4 @@ def read_config(folder: Path) -> ScenarioConfig:
 def config_text(config: ScenarioConfig) -> str:
     """YAML of a configuration, keys in the order of the schema."""
     document: dict[str, Any] = config.model_dump(mode="json", by_alias=True)
-    return yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
+    return yaml_text(document)

@@ -21,7 +21,7 @@ from pydantic import Discriminator, Field, Tag
 from dvf_ig.io.yaml_config import KIND, Section
 
 DeviceName = Annotated[str, Field(strict=True, min_length=1, max_length=64)]
-RateHz = Annotated[float, Field(ge=50.0, le=100_000.0)]
+RateHz = Annotated[float, Field(strict=True, ge=50.0, le=100_000.0)]
 Orientation = Literal["MF", "UF", "MN", "UN"]
 
 
@@ -37,7 +37,7 @@ class EcgStreamConfig(Section):
 
     lsl: DeviceName
     rate_hz: RateHz
-    channels: tuple[Annotated[int, Field(ge=0, le=255)], ...] = ()
+    channels: tuple[Annotated[int, Field(strict=True, ge=0, le=255)], ...] = ()
 
 
 class EcgTailConfig(Section):
@@ -64,7 +64,7 @@ class LiveConfig(Section):
     """Who sends what; see the module."""
 
     host: Annotated[str, Field(strict=True, min_length=1)] = "127.0.0.1"
-    port: Annotated[int, Field(ge=0, le=65535)] = 18944
+    port: Annotated[int, Field(strict=True, ge=0, le=65535)] = 18944
     role: Literal["client", "server"] = "client"
     allow: tuple[str, ...] = ()
     probe: DeviceName = "ProbeToTracker"

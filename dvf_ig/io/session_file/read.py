@@ -167,11 +167,22 @@ def _ultrasound(recorded: TrackedSequence, probe: PoseStream) -> TrackedSequence
 def read_session_fixtures(
     config: SessionConfig | SessionDraft, folder: Path, named_by: str
 ) -> tuple["FixtureSet | None", RetimingName | None]:
-    """Fixtures and retiming that a configuration states or names; None where it leaves them open."""
+    """Fixtures and retiming that a configuration states or names; None where it leaves them open.
+
+    Raises:
+        UnreadableFileError: values out of range, or a joint cap or a device beside the name of a file, which
+            says them itself.
+    """
     margin = config.margin
-    if config.fixtures is None and margin is None:
+    if all(given is None for given in (config.fixtures, config.cap_n, config.device, margin)):
         return None, config.retiming
     if isinstance(config.fixtures, str):
+        beside = [key for key in ("cap_n", "device") if getattr(config, key) is not None]
+        if beside:
+            raise UnreadableFileError(
+                f"{named_by}: {' and '.join(beside)} belongs in {config.fixtures}, which describes the "
+                "fixtures; move it there"
+            )
         fixtures, retiming = read_fixtures(folder / config.fixtures)
         if margin is not None:
             fixtures = replace(fixtures, margin=margin_options(margin))
@@ -180,6 +191,7 @@ def read_session_fixtures(
         of_session = FixturesConfig(
             fixtures=FixturesConfig().fixtures if config.fixtures is None else config.fixtures,
             cap_n=config.cap_n,
+            device=config.device,
             margin="off" if margin is None else margin,
         )
         return of_session.fixture_set(folder), config.retiming

@@ -17,14 +17,15 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from dvf_ig.core.recordings.sequence import Fan
-from dvf_ig.io.fixtures import FixtureConfig, MarginChoice, Number, RetimingName
+from dvf_ig.io.fixtures import DeviceConfig, FixtureConfig, MarginChoice, Number, RetimingName
 from dvf_ig.io.yaml_config import KIND, Section
 
 from .live import LiveConfig
 
 SCHEMA = "dvf_ig.session/1"
 Fraction = Annotated[float, Field(strict=True, ge=0.0, lt=1.0)]
-Pixel = Annotated[float, Field(ge=-1e6, le=1e6)]
+Pixel = Annotated[float, Field(strict=True, ge=-1e6, le=1e6)]
+Whole = Annotated[int, Field(strict=True)]
 Text = Annotated[str, Field(strict=True, min_length=1)]
 FileName = Text
 
@@ -44,7 +45,7 @@ class FanConfig(Section):
     apex_px: tuple[Pixel, Pixel]
     start_px: Pixel
     stop_px: Pixel
-    half_angle_rad: Annotated[float, Field(gt=0.0, le=3.2)]
+    half_angle_rad: Annotated[float, Field(strict=True, gt=0.0, le=3.2)]
 
     def fan(self) -> Fan:
         """The sector itself."""
@@ -60,10 +61,10 @@ class PreopConfig(Section):
     model: FileName | None = None
     mr: FileName | None = None
     labels: FileName | None = None
-    ed_phase: Annotated[int, Field(ge=0)] = 0
+    ed_phase: Annotated[int, Field(strict=True, ge=0)] = 0
     label_names: dict[int, str] = Field(default_factory=dict)
-    organ_labels: tuple[int, ...] = ()
-    cavity_labels: tuple[int, ...] = ()
+    organ_labels: tuple[Whole, ...] = ()
+    cavity_labels: tuple[Whole, ...] = ()
     surfaces_folder: FileName | None = None
     surfaces: tuple[str, ...] = ()
     surface: str = "EPICARDIAL"
@@ -106,7 +107,7 @@ class EcgConfig(FileSection):
     clock, in place of what the file says; `delay_s` says how long after the R peak a trigger fires.
     """
 
-    rate_hz: Annotated[float, Field(ge=1.0, le=100_000.0)] | None = None
+    rate_hz: Annotated[float, Field(strict=True, ge=1.0, le=100_000.0)] | None = None
     start_s: Number | None = None
     delay_s: Number | None = None
 
@@ -229,7 +230,7 @@ class SessionDraft(Section):
         patient_id: of the model unless given; of images, their name.
         ecg: None where the ultrasound sequence holds it as field data.
         tool: None takes the tool tracked in the ultrasound sequence, if there is one.
-        fixtures, cap_n, retiming, margin: as in a file of `--fixtures`.
+        fixtures, cap_n, retiming, margin, device: as in a file of `--fixtures`.
         truth: folder of a synthetic scenario's truth, to be scored against.
         live: who sends what in a live session; recordings do not need it.
     """
@@ -237,7 +238,7 @@ class SessionDraft(Section):
     schema_: Literal["dvf_ig.session/1"] = Field(default="dvf_ig.session/1", alias="schema")
     name: Text | None = None
     preset: str = "recorded"
-    seed: int | None = None
+    seed: Whole | None = None
     patient_id: Text | None = None
     preop: PreopConfig | None = None
     ultrasound: UltrasoundConfig
@@ -249,6 +250,7 @@ class SessionDraft(Section):
     cap_n: Number | None = None
     retiming: RetimingName | None = None
     margin: MarginChoice | None = None
+    device: DeviceConfig | None = None
     truth: FileName | None = None
     live: LiveConfig | None = None
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import yaml
+from dvf_ig.io.yaml_text import yaml_text
 
 from .schema import SCHEMA, SessionDraft
 
@@ -57,12 +57,12 @@ def dump_text(config: SessionDraft) -> str:
         "# acts (its numbers: dvf-ig replay --help); without retiming the law is two-segment.\n"
     )
     document = config.model_dump(by_alias=True)
-    return head + yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    return head + yaml_text(document, flow=None)
 
 
 def _inline(value: Any) -> str:
     """A value on one line of YAML."""
-    text = yaml.safe_dump([value], default_flow_style=True, allow_unicode=True, width=10_000)
+    text = yaml_text([value], flow=True, width=10_000)
     return text.strip().removeprefix("[").removesuffix("]")
 
 
@@ -215,6 +215,7 @@ def _fixtures() -> list[str]:
         "#   - {law: forbidden, gamma: 1.0, depth_mm: 0.0, cap_n: 0.6}",
         "# retiming: two-segment  # how the beat is mapped to the model's cycle; or uniform",
         "# margin: off  # by which fixtures are widened: off, fixed (2 mm), a number of mm, or adaptive",
+        "# device: {name: omega.3, continuous_force_n: 12}  # what renders them, for forces above 4 N",
     ]
 
 

@@ -1,7 +1,7 @@
 """One tick of the servo: position in, force out, everything in between, without Python.
 
     validate → pose and phase at the moment at which the force is felt → fixtures → compose → relative damping
-    → passivity → saturate → supervise (fade, slew, latch) → output
+    → passivity → saturate → supervise (fade, slew, latch) → ceiling of any force → output
 
 `dvf_ig.guidance.servo.twin` is the readable form.
 """
@@ -15,7 +15,7 @@ from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
 from dvf_ig.kernels.compiled import inlined
 from dvf_ig.kernels.composition import COMPOSED_SIZE, CONFLICT, work_size
-from dvf_ig.kernels.laws import direction_certainty
+from dvf_ig.kernels.laws import LARGEST_FORCE_N, direction_certainty
 from dvf_ig.kernels.pose_and_phase import DISTANCE_RATE, DISTANCE_SIGMA, GUIDED_SIZE
 
 from . import passivity, supervision
@@ -141,6 +141,15 @@ def _saturate(v: FloatArray, cap_n: float) -> None:
     if length > cap_n:
         for k in range(3):
             v[k] *= cap_n / length
+
+
+@inlined
+def _within_ceiling(force: FloatArray) -> None:
+    """Shorten a force to LARGEST_FORCE_N, in place, whatever made it; zero if it is no finite number."""
+    length = math.sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2])
+    if not length <= LARGEST_FORCE_N:
+        for k in range(3):
+            force[k] = force[k] * (LARGEST_FORCE_N / length) if math.isfinite(length) else 0.0
 
 
 @inlined
@@ -281,6 +290,7 @@ def servo_tick(
         sent[0] = sent[1] = sent[2] = 0.0
     note_sent(m, sent)
     _to_device(inputs, sent, force_device)
+    _within_ceiling(force_device)
     for k in range(3):
         row[XYZ_MM + k], row[FIELD_N + k], row[WANTED_N + k] = xyz[k], field[k], wanted[k]
         row[SENT_N + k] = sent[k]

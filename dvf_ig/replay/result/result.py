@@ -7,6 +7,7 @@ import numpy as np
 
 from dvf_ig.cardiac import frame_period_s
 from dvf_ig.guidance import Status, summarise_supervision
+from dvf_ig.io.fixtures import DeviceConfig
 from dvf_ig.replay.engine import Replay
 
 from .errors import ERROR_FIELDS, error_fields, margin_fields
@@ -21,6 +22,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
     ticks, force = replay.ticks, replay.ticks.force_n
     magnitude = np.linalg.norm(force, axis=1)
     valid = ticks.valid
+    device = DeviceConfig.of(replay.setup.device)
     out: dict[str, Any] = {
         "schema": SCHEMA,
         "scenario": replay.scenario.name,
@@ -41,6 +43,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
         "session_seconds": round(replay.session_seconds, 3),
         "fixtures": [one.described() for one in replay.setup.fixtures.fixtures],
         "fixtures_cap_n": replay.setup.fixtures.joint_cap_n,
+        "device": None if device is None else device.model_dump(),
         "retiming": replay.setup.retiming,
         "margin": margin_fields(replay),
         "no_force": no_force_of(replay),

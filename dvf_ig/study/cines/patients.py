@@ -1,11 +1,10 @@
 """Cines with an expert's labels at end-diastole and end-systole, as folders hold them."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from dvf_ig.core import InvalidInputError, UnreadableFileError, Volume, VolumeSeries
-from dvf_ig.io import read_labels, read_volume_series
+from dvf_ig.io import read_json, read_labels, read_volume_series
 from dvf_ig.preop import axis_of_lost_spacing, with_voxel_size
 
 CINE, ED, ES, FRAMES = "cine_4d.nii.gz", "ed_labels.nii.gz", "es_labels.nii.gz", "frames.json"
@@ -60,11 +59,11 @@ def read_labelled_cine(folder: Path, voxel_mm: tuple[float, float, float] | None
     """
     image = read_volume_series(folder / CINE)
     (ed,), (es,) = read_labels(folder / ED), read_labels(folder / ES)
+    frames = read_json(folder / FRAMES, "the numbers of the labelled frames")
     try:
-        frames = json.loads((folder / FRAMES).read_text())
         first = int(frames["first_frame"])
         ed_phase, es_phase = int(frames["ed_frame"]) - first, int(frames["es_frame"]) - first
-    except (OSError, ValueError, KeyError) as exc:
+    except (TypeError, ValueError, KeyError) as exc:
         raise UnreadableFileError(
             f"cannot read {folder / FRAMES}; needed ed_frame, es_frame and first_frame"
         ) from exc

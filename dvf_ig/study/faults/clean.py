@@ -80,7 +80,7 @@ def clean_trial(settings: Settings, seed: int) -> Line:
     session_alarms, servo_alarms, given = AlarmCount(), AlarmCount(), 0
     device = FaultyDevice(device_mm, np.zeros(len(device_mm), dtype=np.bool_))
     setup = wall_setup()
-    servo = SimulatedServo(Fixtures(setup.heart.model, setup.fixtures, device=setup.device), device)
+    servo = SimulatedServo(Fixtures(setup.heart.model, setup.fixtures), device)
     still, states = Rigid.identity("tracker", "device"), 0
     told: ServoInputs | None = None
     with Session(

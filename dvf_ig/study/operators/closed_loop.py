@@ -165,7 +165,7 @@ def learnt_force(law: Law, target_depth_mm: float) -> LearntForce:
 
 def _servo(loop: Loop, instrument: HapticDevice, longest_s: float) -> tuple[SimulatedServo, ServoInputs]:
     model = loop.heart.fixture_model(loop.condition)
-    fixtures = Fixtures(model, FixtureSet((FixtureOptions(loop.law, "force"),)), device=LIMITS)
+    fixtures = Fixtures(model, FixtureSet((FixtureOptions(loop.law, "force"),), device=LIMITS))
     servo = SimulatedServo(fixtures, instrument, limits=LIMITS, options=ServoOptions())
     inputs = ServoInputs(
         loop.heart.transform(loop.condition, loop.seed),

@@ -74,7 +74,7 @@ def press(
         delay_s: of the device.
     """
     stylus = SimulatedStylus(device, np.array([start_mm, 0.0, 0.0]), delay_s=delay_s, hand=hand)
-    fixtures = Fixtures(model, FixtureSet((FixtureOptions(law),)), device=UNLIMITED)
+    fixtures = Fixtures(model, FixtureSet((FixtureOptions(law),), device=UNLIMITED))
     servo = SimulatedServo(fixtures, stylus, limits=UNLIMITED, options=options)
     transform, device_at = steady_transform(model), Rigid.identity("tracker", "device")
 

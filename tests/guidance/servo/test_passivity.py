@@ -58,12 +58,12 @@ def test_a_wall_within_the_limit_needs_no_controller():
 
 def test_the_residual_of_one_step_is_half_the_stiffness_times_the_step_squared():
     """r = ½K·Δx²: a spring K moved by Δx between two ticks, its force held meanwhile."""
-    gamma, cap = 0.02, 0.6
+    gamma, cap = 0.23, 0.6
     stiffness = gamma * cap / 4
-    hand = Hand(place_mm=np.array([30.0, 0.0, 0.0]), stiffness_n_per_m=2.0, damping_n_s_per_m=20.0)
+    hand = Hand(place_mm=np.array([168.0, 0.0, 0.0]), stiffness_n_per_m=2.0, damping_n_s_per_m=20.0)
     options = ServoOptions(largest_damping_n_s_per_m=0.0, residual_limit_mj=UNBOUNDED_MJ, predict_tool=False)
     law = Sigmoid(gamma, cap)
-    run = press(wall_model(), law, VISCOUS, hand, seconds=2.0, start_mm=-5.0, options=options).record
+    run = press(wall_model(), law, VISCOUS, hand, seconds=2.0, start_mm=-1.0, options=options).record
     moved = np.diff(run.xyz_mm[:, 0])
     following = run.state[:-1] == SupervisorState.OK
     expected = np.sum(0.5 * stiffness * moved[following] ** 2)

@@ -185,8 +185,8 @@ def test_two_equal_walls_take_two_thirds_of_the_guidance_that_leads_in(ball, mov
     """At f = ½ each: w = 2·f/(1−f) = 2, taken w/(1+w); the composition is that of the replay."""
     one = FixtureOptions(Sigmoid(1.0, 0.3))
     guide = FixtureOptions(Gaussian(5.0, 0.5, 0.3, depth_mm=4.0))
-    both = field(ball, moving, path_mm, FixtureSet((one, one, guide), 5.0))
-    fixtures = Fixtures(ball, FixtureSet((one, one, guide), 5.0))
+    both = field(ball, moving, path_mm, FixtureSet((one, one, guide), 4.0))
+    fixtures = Fixtures(ball, FixtureSet((one, one, guide), 4.0))
     t_s = np.arange(200) / RATE_HZ + 0.5e-3
     tip = TRACKER_FROM_DEVICE.apply_array(path_mm[:200])
     place = moving.at(tip, t_s)
@@ -222,7 +222,7 @@ def test_paths_and_too_many_fixtures_are_refused(ball):
     device = RecordedDevice(np.zeros((1, 3)), RATE_HZ)
     with pytest.raises(InvalidInputError, match="path"):
         SimulatedServo(Fixtures(ball, to_path), device)
-    many = FixtureSet((FixtureOptions(Sigmoid(0.1, 0.1)),) * 9)
+    many = FixtureSet((FixtureOptions(Sigmoid(1.0, 0.1)),) * 9)
     with pytest.raises(InvalidInputError, match="up to 8"):
         SimulatedServo(Fixtures(ball, many), device)
 
