@@ -51,8 +51,8 @@ class Servo:
         limits: of the device; the stiffness gives the slew limit.
         options: rate, damping, passivity.
         watchdog: a second thread that sends no force while the loop hangs; its servo is not re-armed.
-        late_s: three ticks in a hundred that wake or end so late latch, and so does five times as long without
-            a force; longer only where nobody feels the force at the servo's rate.
+        late_s: three ticks in a hundred that wake or end so late latch, and so does five times that without a
+            force; longer only where nobody feels the force at the servo's rate.
     Raises:
         InvalidInputError: another system than Linux, fixtures that the servo does not render, or such as the
             device does not (`check_sideways`).
@@ -136,15 +136,18 @@ class Servo:
     def newest(self) -> SentForce | None:
         """The force sent last, with what was met since the last call; None without a tick since then.
 
-        Where no force has been sent for too long it is zero, latched: a stopped process may wake up here before
-        the servo does, which then finds the same.
+        Where no force has been sent for too long it is zero, latched: a stopped process may wake up here
+        before the servo does, which then finds the same.
         """
+        silent_s = 1e-9 * float(self._loop.numbers[kernel.SILENT_NS])
         sent = self.read().newest()
-        if not kernel.silent_too_long(self._loop.numbers, _elapsed_ns()):
-            return sent
-        now_s = time.monotonic_ns() * 1e-9 - float(self._loop.published[published.CLOCK_OFFSET_S])
+        while not kernel.silent_too_long(self._loop.numbers, _elapsed_ns()):
+            if sent is None or self._now_s() - sent.t_s <= silent_s:
+                return sent
+            # this thread was stopped since it read: the servo has a newer tick, or is silent
+            sent = self.read().newest() or sent
         hazards = Hazard.MISSED_DEADLINES | (sent.hazards if sent is not None else Hazard.NONE)
-        return SentForce(now_s, np.zeros(3), SupervisorState.LATCHED, hazards)
+        return SentForce(self._now_s(), np.zeros(3), SupervisorState.LATCHED, hazards)
 
     @property
     def ticks(self) -> int:
@@ -161,6 +164,10 @@ class Servo:
         """Lateness of all ticks so far; exact once the servo has stopped."""
         worst, skipped = self._loop.numbers[kernel.WORST_NS], self._loop.numbers[kernel.SKIPPED]
         return Deadlines(self._loop.histogram.copy(), float(worst) / 1e3, int(skipped))
+
+    def _now_s(self) -> float:
+        """Time of the session that published last."""
+        return time.monotonic_ns() * 1e-9 - float(self._loop.published[published.CLOCK_OFFSET_S])
 
     def _begin(self, name: str, function: Callable[..., Any], *arguments: Any) -> None:
         thread, realtime = real_time_thread(name, function, *arguments)

@@ -1,9 +1,9 @@
 """An OpenHaptics device behind the two functions of `device_call`.
 
 The vendor's scheduler owns the device: frames begin and end in its thread. A callback there, compiled and
-without Python, hands positions over and takes forces under sequence locks, once a scheduler tick. A force that
-is older than the servo's watchdog waits for is replaced by zero: the scheduler would otherwise repeat it for
-ever, and give it once more after the process was stopped.
+without Python, hands positions over and takes forces under sequence locks, once a scheduler tick. A force
+older than the servo's watchdog allows is replaced by zero: the scheduler would otherwise repeat it for ever,
+and give it once more after the process was stopped.
 """
 
 from typing import Any
