@@ -1,11 +1,12 @@
 """A program that runs one servo after another, to be stopped by signals from `test_stops.py`.
 
 Each line of its input begins a servo, "watched" or not; it answers "ready" when a force is given. The next
-line comes after the signals; it answers with what became of the servo, as JSON, and keeps the log in a file.
+line comes after the signals; it answers with what became of the servo, as JSON.
 """
 
 import json
 import sys
+import threading
 import time
 
 import numpy as np
@@ -45,37 +46,56 @@ def answer(line):
     sys.stdout.flush()
 
 
+class Passing:
+    """A thread that passes the servo's force on, as a live link does: when it asked, what it would send."""
+
+    def __init__(self, servo):
+        self.servo, self.rows, self.stop = servo, [], threading.Event()
+        self.thread = threading.Thread(target=self.run)
+
+    def run(self):
+        while not self.stop.wait(0.002):
+            asked_ns = time.monotonic_ns()
+            sent = self.servo.newest()
+            if sent is not None:
+                reason = bool(sent.hazards & Hazard.MISSED_DEADLINES)
+                size = float(np.abs(sent.force_n).sum())
+                self.rows.append((asked_ns, size, sent.state is SupervisorState.LATCHED, reason))
+
+    def __enter__(self):
+        self.thread.start()
+
+    def __exit__(self, *_):
+        self.stop.set()
+        self.thread.join()
+
+
 def run_one(fixtures, transform, watched):
-    """One servo from its first force until it has been stopped; what it said, and the device's log."""
+    """One servo until it has been stopped: the device's log, what was passed on, whether it tripped."""
     device = LoggingDevice()
     servo = Servo(fixtures, device, watchdog=watched)
     # many late ticks are the machine's; the gap that is looked for stays as it is
     servo._loop.numbers[kernel.LATE_NS] = NEVER_NS
+    passing = Passing(servo)
     with servo:
         servo.publish(ServoInputs(transform, 0.0, Rigid.identity("tracker", "device"), valid_for_s=600.0))
-        begin = time.monotonic()
-        until(lambda: device.log[-1:, 2].any() or time.monotonic() > begin + 5.0)
-        answer("ready")
-        sys.stdin.readline()
-        woken, said = device.writes, []
-        for count in (50, 100):
-            until(lambda: device.writes > woken + count)  # noqa: B023  used at once
-            said.append(servo.newest())
-        return {
-            "tripped": servo.watchdog_tripped,
-            "latched": [one.state is SupervisorState.LATCHED for one in said],
-            "reason": [bool(one.hazards & Hazard.MISSED_DEADLINES) for one in said],
-        }, device.log
+        with passing:
+            begin = time.monotonic()
+            until(lambda: device.log[-1:, 2].any() or time.monotonic() > begin + 5.0)
+            answer("ready")
+            sys.stdin.readline()
+            woken, passed = device.writes, len(passing.rows)
+            until(lambda: device.writes > woken + 100 and len(passing.rows) > passed + 20)
+        tripped = servo.watchdog_tripped
+    return {"log": device.log.tolist(), "passed": passing.rows, "tripped": tripped}
 
 
-def main(log_path):
+def main():
     ball = ball_model()
     fixtures, transform = Fixtures(ball, FixtureSet()), steady_ball(ball)
     for line in sys.stdin:
-        found, log = run_one(fixtures, transform, line.strip() == "watched")
-        np.save(log_path, log)
-        answer(json.dumps(found))
+        answer(json.dumps(run_one(fixtures, transform, line.strip() == "watched")))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main()
