@@ -1,8 +1,11 @@
 """A haptic device at rest that notes every force, and waits in a read or a write where it is told to."""
 
+from typing import Any
+
 import numpy as np
 from numba import carray
 
+from dvf_ig.core import IntArray
 from dvf_ig.kernels.servo.clock import monotonic_ns, sleep_until
 from dvf_ig.kernels.servo.device_call import device_function
 
@@ -13,7 +16,7 @@ X_MM = 14.0
 
 
 @device_function
-def _read(context, now_ns, out):
+def _read(context: Any, now_ns: int, out: Any) -> int:
     c, position = carray(context, HEADER, np.int64), carray(out, 3)
     position[0], position[1], position[2] = X_MM, 0.0, 0.0
     c[READS] += 1
@@ -24,7 +27,7 @@ def _read(context, now_ns, out):
 
 
 @device_function
-def _write(context, now_ns, force_n):
+def _write(context: Any, now_ns: int, force_n: Any) -> int:
     c, force = carray(context, HEADER + 3 * KEPT, np.int64), carray(force_n, 3)
     timespec = np.zeros(2, dtype=np.int64)
     at = HEADER + 3 * (c[COUNT] % KEPT)
@@ -47,20 +50,20 @@ class LoggingDevice:
 
     name, latency_s = "logging device", 0.0
 
-    def __init__(self, slow_read=0, slow_write=0, wait_s=0.0):
+    def __init__(self, slow_read: int = 0, slow_write: int = 0, wait_s: float = 0.0) -> None:
         self.context = np.zeros(HEADER + 3 * KEPT, dtype=np.int64)
         self.context[[SLOW_READ, SLOW_WRITE, WAIT_NS]] = slow_read, slow_write, round(1e9 * wait_s)
         self.functions = np.array([_read.address, _write.address])
 
     @property
-    def writes(self):
+    def writes(self) -> int:
         return int(self.context[COUNT])
 
     @property
-    def log(self):
+    def log(self) -> IntArray:
         """(n, 3) as HEADER says."""
         count = min(self.writes, KEPT)
         return self.context[HEADER : HEADER + 3 * count].reshape(-1, 3).copy()
 
-    def close(self):
-        pass
+    def close(self) -> None:
+        """Nothing is held open."""

@@ -206,11 +206,13 @@ def test_a_latch_keeps_its_cause_until_it_is_rearmed(ball, steady_ball):
     first = servo.run(inputs, 200, late_s)
     assert np.count_nonzero(first.hazards) == 1
     later = servo.run(inputs, 300).newest()
+    assert later is not None
     assert later.state is LATCHED
     assert later.hazards is Hazard.MISSED_DEADLINES
     servo.ask_rearm()
     again = servo.run(inputs, 100).newest()
     assert servo.rearmed is RearmAnswer.ACCEPTED
+    assert again is not None
     assert again.hazards is Hazard.NONE
 
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,23 +43,25 @@ class StoppedServo:
             text=True,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))},
         )
+        self.asked: Any = self.process.stdin
+        self.said: Any = self.process.stdout
 
     def stop(self, milliseconds, *, watched):
         """What a stop did: the device's (n, 3) log, rows that were passed on, whether the servo tripped."""
         self.say("watched" if watched else "alone")
-        assert self.process.stdout.readline() == "ready\n"
+        assert self.said.readline() == "ready\n"
         self.process.send_signal(signal.SIGSTOP)
         _, status = os.waitpid(self.process.pid, os.WUNTRACED)
         assert os.WIFSTOPPED(status)
         time.sleep(1e-3 * milliseconds)
         self.process.send_signal(signal.SIGCONT)
         self.say("woken")
-        found = json.loads(self.process.stdout.readline())
+        found = json.loads(self.said.readline())
         return np.array(found["log"]), found["passed"], found["tripped"]
 
     def say(self, line):
-        self.process.stdin.write(line + "\n")
-        self.process.stdin.flush()
+        self.asked.write(line + "\n")
+        self.asked.flush()
 
     def end(self):
         self.process.communicate()
