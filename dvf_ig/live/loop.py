@@ -13,8 +13,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from dvf_ig.core import DvfIgError, FloatArray, Rigid, read_only_arrays
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.guidance.devices.tracked import TrackedTool
@@ -46,7 +44,7 @@ class Answer:
     Attributes:
         state: of the session, on which it rests.
         force_n: (3,) the servo's, frame "tracker"; t_s is the session's time of its tick.
-        servo: state of the servo's supervisor, and what it found since the last answer.
+        servo, hazards: as of `SentForce`.
         latency_s: from the arrival of the newest tool pose in it until it was handed to the network; NaN
             where no new one was in it.
         offset_s: the clock of the tool's peer less the session's.
@@ -173,24 +171,21 @@ class LiveLoop:
 
     def _answer(self) -> None:
         state = self._state
-        record = self.servo.read()
+        sent = self.servo.newest()
         self._told_tick = -1
-        if state is None or len(record) == 0:
+        if state is None or sent is None:
             return
-        t_s, force_n = float(record.t_s[-1]), record.sent_n[-1].copy()
-        servo = SupervisorState(int(record.state[-1]))
-        hazards = Hazard(int(np.bitwise_or.reduce(record.hazards)))
         offset_s = self.source.tool_offset_s
         stamp_s = max(0.0, state.now_s + offset_s)
-        messages = [*pose_message(state, stamp_s), force_message(force_n, max(0.0, t_s + offset_s))]
+        messages = [*pose_message(state, stamp_s), force_message(sent.force_n, max(0.0, sent.t_s + offset_s))]
         if state.now_s - self._states_sent_s >= STATES_SENT_EVERY_S:
             self._states_sent_s = state.now_s
-            messages += state_messages(state, servo, hazards, stamp_s, self.record.problem)
+            messages += state_messages(state, sent.state, sent.hazards, stamp_s, self.record.problem)
         self.link.send(messages)
         sent_s = self._answer_s = self.clock()
         latency_s, self._tool_arrived_s = sent_s - self._tool_arrived_s, float("nan")
-        self.record.answer(state, t_s, force_n)
-        self.observe(Answer(state, t_s, force_n, servo, hazards, latency_s, offset_s))
+        self.record.answer(state, sent.t_s, sent.force_n)
+        self.observe(Answer(state, sent.t_s, sent.force_n, sent.state, sent.hazards, latency_s, offset_s))
 
     def _rearm(self) -> None:
         self._rearm_asked = False

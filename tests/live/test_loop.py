@@ -140,6 +140,21 @@ def test_tool_pose_that_is_not_finite_latches(toy):
     assert "not finite" in toy.told[0]
 
 
+def test_a_latch_that_the_servo_found_keeps_its_reason_until_it_is_rearmed(toy):
+    arrivals = streams_of(15.5)
+    toy.run(arrivals, 13.5)
+    assert toy.answers[-1].servo is SupervisorState.OK
+    toy.servo.late_s = 0.0021
+    toy.run(arrivals, 15.5)
+    latched = [a for a in toy.answers if a.servo is SupervisorState.LATCHED]
+    assert len(latched) > 90
+    assert all(a.hazards & Hazard.MISSED_DEADLINES for a in latched)
+    status = toy.sent.named("DvfIg")[-1].content
+    assert isinstance(status, StatusMessage)
+    assert status.code == StatusCode.DISABLED
+    assert "late" in status.text
+
+
 def test_lost_ecg_loses_the_phase_and_finds_it_again(toy):
     toy.run(without(streams_of(19.0), "EcgData", 13.0, 14.5), 19.0)
     lost = [a for a in toy.answers if 14.2 < a.state.now_s < 14.5]

@@ -11,7 +11,7 @@ from toy_session import ECG_HZ, Streams, toy_setup
 from dvf_ig.core import FloatArray
 from dvf_ig.guidance import Fixtures
 from dvf_ig.guidance.devices.tracked import TrackedTool
-from dvf_ig.guidance.servo import ServoInputs, ServoRecord, SimulatedServo
+from dvf_ig.guidance.servo import SentForce, ServoInputs, ServoRecord, SimulatedServo
 from dvf_ig.guidance.servo.simulated_time import START_NS
 from dvf_ig.live.devices import DeviceNames
 from dvf_ig.live.ecg.field import EcgField
@@ -52,6 +52,8 @@ class SteppedServo:
         self._inputs: ServoInputs | None = None
         self._record = ServoRecord(np.zeros((0, 0)))
         self.ticks = 0
+        self.late_s = 0.0
+        """By which the first three ticks of the next run wake late."""
 
     def publish(self, inputs: ServoInputs) -> None:
         self._inputs = inputs
@@ -59,11 +61,13 @@ class SteppedServo:
     def run_until(self, now_s: float) -> None:
         count = round((now_s - self._servo.now_s) * 1000)
         if self._inputs is not None and count > 0:
-            self._record = self._servo.run(self._inputs, count)
+            late_s = np.zeros(count)
+            late_s[:3], self.late_s = self.late_s, 0.0
+            self._record = self._servo.run(self._inputs, count, late_s)
             self.ticks += count
 
-    def read(self) -> ServoRecord:
-        return self._record
+    def newest(self) -> SentForce | None:
+        return self._record.newest()
 
     def rearm(self) -> None:
         self._servo.ask_rearm()

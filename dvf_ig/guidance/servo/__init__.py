@@ -3,6 +3,7 @@
 from .deadlines import Deadlines as Deadlines
 from .inputs import ServoInputs as ServoInputs
 from .options import ServoOptions as ServoOptions
+from .record import SentForce as SentForce
 from .record import ServoRecord as ServoRecord
 from .servo import Servo as Servo
 from .simulated_time import SimulatedServo as SimulatedServo

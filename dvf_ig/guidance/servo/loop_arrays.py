@@ -18,6 +18,9 @@ from .deadlines import BINS
 from .inputs import ServoInputs
 from .options import ServoOptions
 
+SILENT_TIMES_LATE = 5
+"""A gap between two forces that latches at once, in lateness of a tick of which three in a hundred latch."""
+
 
 @dataclass(slots=True, eq=False)
 class LoopArrays:
@@ -42,34 +45,51 @@ class LoopArrays:
 
     @classmethod
     def of(
-        cls, fixtures: Fixtures, device: HapticDevice, limits: DeviceLimits, options: ServoOptions
+        cls,
+        fixtures: Fixtures,
+        device: HapticDevice,
+        limits: DeviceLimits,
+        options: ServoOptions,
+        *,
+        late_ns: int,
+        watched: bool,
     ) -> "LoopArrays":
         """Arrays of a loop in which nothing has been published: no pose is known.
 
+        Args:
+            fixtures, device, limits, options: as of `Servo`.
+            late_ns: what counts as a late tick; SILENT_TIMES_LATE of it without a force latches.
+            watched: a watchdog sends no force while the loop hangs.
         Raises:
             InvalidInputError: as `bind_fixtures`.
         """
         inputs = np.zeros(published.INPUT_SIZE)
         inputs[published.VALID_UNTIL_S] = np.inf
         inputs[published.POSE_AND_PHASE + POSE_UNTIL] = -np.inf
+        numbers = np.zeros(kernel.NUMBERS, dtype=np.int64)
+        numbers[kernel.LATE_NS], numbers[kernel.SILENT_NS] = late_ns, SILENT_TIMES_LATE * late_ns
+        numbers[kernel.WATCHED] = watched
         return cls(
             tuple(bind_fixtures(fixtures, limits, options, device.latency_s)),
             np.array(device.functions, dtype=np.int64),
             device.context,
             shared.new_counter(),
             inputs,
-            np.zeros(kernel.NUMBERS, dtype=np.int64),
+            numbers,
             np.zeros(BINS, dtype=np.int64),
             options.period_ns,
         )
 
     def on_device(self, device: HapticDevice) -> "LoopArrays":
-        """The same fixtures and inputs on another device, with flags and counts of their own."""
+        """The same fixtures and inputs on another device, with flags and counts of their own.
+
+        For a loop that has not run.
+        """
         return replace(
             self,
             functions=np.array(device.functions, dtype=np.int64),
             context=device.context,
-            numbers=np.zeros_like(self.numbers),
+            numbers=self.numbers.copy(),
             histogram=np.zeros_like(self.histogram),
         )
 

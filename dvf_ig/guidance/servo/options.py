@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance.feed_forward import NO_FEED_FORWARD, FeedForward
 
-SLOWEST_HZ, FASTEST_HZ = 100.0, 4000.0
+SLOWEST_HZ, FASTEST_HZ = 200.0, 4000.0
+"""The watchdog trips 10 ms after a force: at the slowest rate one deadline may be missed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,7 +15,7 @@ class ServoOptions:
     """Options of a servo.
 
     Attributes:
-        rate_hz: ticks a second, up to 4000.
+        rate_hz: ticks a second, 200 to 4000.
         feed_forward: damping relative to the surface, and compensation of friction along its motion.
         largest_damping_n_s_per_m: of the passivity controller; 0 switches it off, its observer stays. Sampled
             damping is stable by itself below the apparent mass over the period, 72 N·s/m of 72 g at 1 kHz; a

@@ -5,7 +5,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
+from dvf_ig.guidance.supervision.hazards import Hazard
+from dvf_ig.guidance.supervision.supervisor import SupervisorState
 from dvf_ig.kernels.servo import record as kernel
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class SentForce:
+    """The force that a servo sent last, and why, for those who pass it on.
+
+    Attributes:
+        t_s: the session's time of its tick.
+        force_n: (3,) tracker frame.
+        state: of the servo's supervisor.
+        hazards: met since the last report, and those for which the force is still withheld.
+    """
+
+    t_s: float
+    force_n: FloatArray
+    state: SupervisorState
+    hazards: Hazard
 
 
 @read_only_arrays
@@ -69,6 +89,20 @@ class ServoRecord:
     def hazards(self) -> IntArray:
         """(n,) bits of `Hazard`."""
         return self._column(kernel.ACTIVE_HAZARDS).astype(np.int64)
+
+    @property
+    def cause(self) -> IntArray:
+        """(n,) bits of `Hazard`: what began the running fade or latch, or joined the fade."""
+        return self._column(kernel.CAUSE).astype(np.int64)
+
+    def newest(self) -> SentForce | None:
+        """The last tick's force; its reason while it is latched, however long ago that was found."""
+        if len(self) == 0:
+            return None
+        hazards = int(np.bitwise_or.reduce(self.hazards) | self.cause[-1])
+        return SentForce(
+            float(self.t_s[-1]), self.sent_n[-1].copy(), SupervisorState(self.state[-1]), Hazard(hazards)
+        )
 
     @property
     def residual_mj(self) -> FloatArray:

@@ -16,9 +16,10 @@ from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.evaluator import Evaluator
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.sideways import check_sideways
-from dvf_ig.guidance.supervision.supervisor import RearmAnswer
+from dvf_ig.guidance.supervision.hazards import Hazard
+from dvf_ig.guidance.supervision.supervisor import RearmAnswer, SupervisorState
 from dvf_ig.kernels.servo import loop as kernel
-from dvf_ig.kernels.servo import shared
+from dvf_ig.kernels.servo import published, shared
 from dvf_ig.kernels.servo.record import ROW, T_S
 
 from .bound import REARM_ANSWERS
@@ -26,13 +27,12 @@ from .deadlines import Deadlines
 from .inputs import ServoInputs
 from .loop_arrays import LoopArrays
 from .options import ServoOptions
-from .record import ServoRecord
+from .record import SentForce, ServoRecord
 from .threads import real_time_thread
 
-WATCHDOG_NS = 10_000_000
 CHECK_NS = 1_000_000
 LATE_NS = 2_000_000
-"""Three ticks in a hundred that wake or end so late latch."""
+"""Three ticks in a hundred that wake or end so late latch, and 10 ms without a force (SILENT_TIMES_LATE)."""
 KEPT_S = 2.0
 """The ring buffer holds the last so many seconds."""
 ANSWER_WITHIN_S = 0.1
@@ -50,9 +50,9 @@ class Servo:
         device: open.
         limits: of the device; the stiffness gives the slew limit.
         options: rate, damping, passivity.
-        watchdog: a second thread that sends no force where no tick has ended for 10 ms.
-        late_s: three ticks in a hundred that wake or end so late latch; longer only where nobody feels the
-            force at the servo's rate.
+        watchdog: a second thread that sends no force while the loop hangs; its servo is not re-armed.
+        late_s: three ticks in a hundred that wake or end so late latch, and so does five times that without a
+            force; longer only where nobody feels the force at the servo's rate.
     Raises:
         InvalidInputError: another system than Linux, fixtures that the servo does not render, or such as the
             device does not (`check_sideways`).
@@ -73,8 +73,8 @@ class Servo:
                 f"the servo needs Linux, which sleeps until an absolute time; this is {sys.platform}"
             )
         self.device, self.options = device, options
-        self._loop = LoopArrays.of(fixtures, device, limits, options)
-        self._loop.numbers[kernel.LATE_NS] = round(late_s * 1e9)
+        late_ns = round(late_s * 1e9)
+        self._loop = LoopArrays.of(fixtures, device, limits, options, late_ns=late_ns, watched=watchdog)
         for part in fixtures.parts:
             if isinstance(part, Evaluator):
                 check_sideways(part, limits)
@@ -93,7 +93,7 @@ class Servo:
         self._begin("dvf-ig servo", kernel.run_servo, *loop.arguments(loop.new_scratch(), self._ring))
         if self._watchdog:
             watched = (loop.functions, loop.context, loop.numbers)
-            self._begin("dvf-ig watchdog", kernel.watch, *watched, WATCHDOG_NS, CHECK_NS)
+            self._begin("dvf-ig watchdog", kernel.watch, *watched, CHECK_NS)
         return self
 
     def __exit__(
@@ -133,6 +133,22 @@ class Servo:
         self._read_to = head
         return ServoRecord(rows[np.isfinite(rows[:, T_S])])
 
+    def newest(self) -> SentForce | None:
+        """The force sent last, with what was met since the last call; None without a tick since then.
+
+        Where no force has been sent for too long it is zero, latched: a stopped process may wake up here
+        before the servo does, which then finds the same.
+        """
+        silent_s = 1e-9 * float(self._loop.numbers[kernel.SILENT_NS])
+        sent = self.read().newest()
+        while not kernel.silent_too_long(self._loop.numbers, _elapsed_ns()):
+            if sent is None or self._now_s() - sent.t_s <= silent_s:
+                return sent
+            # this thread was stopped since it read: the servo has a newer tick, or is silent
+            sent = self.read().newest() or sent
+        hazards = Hazard.MISSED_DEADLINES | (sent.hazards if sent is not None else Hazard.NONE)
+        return SentForce(self._now_s(), np.zeros(3), SupervisorState.LATCHED, hazards)
+
     @property
     def ticks(self) -> int:
         """Ticks so far."""
@@ -140,7 +156,7 @@ class Servo:
 
     @property
     def watchdog_tripped(self) -> bool:
-        """No tick had ended for 10 ms at some time: no force is sent until a new servo is started."""
+        """No force had been sent for 10 ms at some time: none is sent until a new servo is started."""
         return shared.load_number(self._loop.numbers, kernel.TRIPPED) != 0
 
     @property
@@ -148,6 +164,10 @@ class Servo:
         """Lateness of all ticks so far; exact once the servo has stopped."""
         worst, skipped = self._loop.numbers[kernel.WORST_NS], self._loop.numbers[kernel.SKIPPED]
         return Deadlines(self._loop.histogram.copy(), float(worst) / 1e3, int(skipped))
+
+    def _now_s(self) -> float:
+        """Time of the session that published last."""
+        return time.monotonic_ns() * 1e-9 - float(self._loop.published[published.CLOCK_OFFSET_S])
 
     def _begin(self, name: str, function: Callable[..., Any], *arguments: Any) -> None:
         thread, realtime = real_time_thread(name, function, *arguments)
@@ -165,4 +185,10 @@ class Servo:
         kernel.run_servo(*loop.arguments(loop.new_scratch(), ring, start_ns=1, late_ns=on_time))
         kernel.copy_rows(ring, loop.numbers, 0, np.empty((1, ROW)))
         loop.numbers[kernel.STOP] = 1
-        kernel.watch(loop.functions, loop.context, loop.numbers, WATCHDOG_NS, CHECK_NS)
+        kernel.watch(loop.functions, loop.context, loop.numbers, CHECK_NS)
+        kernel.silent_too_long(loop.numbers, _elapsed_ns())
+
+
+def _elapsed_ns() -> int:
+    """By the clock of `dvf_ig.kernels.servo.clock.elapsed_ns`."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME)

@@ -16,7 +16,7 @@ from .inputs import ServoInputs
 from .loop_arrays import LoopArrays
 from .options import ServoOptions
 from .record import ServoRecord
-from .servo import LATE_NS, WATCHDOG_NS
+from .servo import LATE_NS
 
 START_NS = 1_000_000_000
 
@@ -37,8 +37,7 @@ class SimulatedServo:
     ) -> None:
         self.options = options
         self.device = device
-        self._loop = LoopArrays.of(fixtures, device, limits, options)
-        self._loop.numbers[kernel.LATE_NS], self._loop.numbers[kernel.WATCHDOG_NS] = LATE_NS, WATCHDOG_NS
+        self._loop = LoopArrays.of(fixtures, device, limits, options, late_ns=LATE_NS, watched=True)
         self._scratch = self._loop.new_scratch()
         self._ticks = 0
 
@@ -72,7 +71,7 @@ class SimulatedServo:
 
     @property
     def watchdog_tripped(self) -> bool:
-        """No tick had ended for 10 ms at some time: no force is sent any more."""
+        """No force had been sent for 10 ms at some time: none is sent any more."""
         return bool(self._loop.numbers[kernel.TRIPPED])
 
     def ask_rearm(self) -> None:

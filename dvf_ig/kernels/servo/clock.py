@@ -1,4 +1,4 @@
-"""The machine's monotonic clock and an absolute sleep, for kernels: POSIX calls without Python (Linux).
+"""The machine's clocks and an absolute sleep, for kernels: POSIX calls without Python (Linux).
 
 `clock_nanosleep` with an absolute time does not add up the errors of many relative sleeps, and does not spin.
 """
@@ -14,6 +14,7 @@ from dvf_ig.kernels.compiled import kernel
 types: Any = core.types
 
 CLOCK_MONOTONIC = 1
+CLOCK_BOOTTIME = 7
 ABSOLUTE = 1
 NS_PER_S = 1_000_000_000
 
@@ -49,15 +50,30 @@ def null_address(typing: Any) -> Any:
 
 
 @kernel
+def _clock_ns(clock: int, timespec: Any) -> int:
+    _clock_gettime(clock, address_of(timespec))
+    nanoseconds: int = timespec[0] * NS_PER_S + timespec[1]
+    return nanoseconds
+
+
+@kernel
 def monotonic_ns(timespec: Any) -> int:
     """Nanoseconds of CLOCK_MONOTONIC, that of Python's `time.monotonic_ns`.
 
     Args:
         timespec: (2,) int64 of this thread.
     """
-    _clock_gettime(CLOCK_MONOTONIC, address_of(timespec))
-    nanoseconds: int = timespec[0] * NS_PER_S + timespec[1]
-    return nanoseconds
+    return _clock_ns(CLOCK_MONOTONIC, timespec)
+
+
+@kernel
+def elapsed_ns(timespec: Any) -> int:
+    """Nanoseconds of CLOCK_BOOTTIME, which also runs while the machine is suspended.
+
+    Args:
+        timespec: (2,) int64 of this thread.
+    """
+    return _clock_ns(CLOCK_BOOTTIME, timespec)
 
 
 @kernel

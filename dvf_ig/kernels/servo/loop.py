@@ -8,7 +8,7 @@ from dvf_ig.core import FloatArray
 from dvf_ig.kernels.compiled import kernel
 
 from .borrowed import borrowed
-from .clock import monotonic_ns, sleep_until, wake_exactly
+from .clock import elapsed_ns, monotonic_ns, sleep_until, wake_exactly
 from .device_call import call_device
 from .record import LATENESS_NS, ROW, TICK, WORK_NS
 from .shared import (
@@ -21,12 +21,14 @@ from .shared import (
     store_release,
 )
 from .supervision import rearm
-from .tick import MISSED_DEADLINES, SUPERVISION, TOOL, unpacked_tick
+from .tick import MISSED_DEADLINES, SUPERVISION, TOOL, unpacked_tick, withhold
 
 # Places in the shared numbers: each alone in its cache line.
 STOP = 0
-HEARTBEAT_NS = 8
+SENT_NS = 8
+"""When a force was last sent, by `elapsed_ns`, or by simulated time; 0 before the first."""
 TRIPPED = 16
+"""No force was sent for too long, and a watched servo sends none any more."""
 REARM_ASKED = 24
 REARM_ANSWERED = 32
 REARM_ANSWER = 40
@@ -35,9 +37,11 @@ SKIPPED = 56
 WORST_NS = 64
 LATE_NS = 72
 """Set before the start: what counts as late."""
-WATCHDOG_NS = 80
-"""Set before a start in simulated time: how long the watchdog waits; 0 without one."""
-NUMBERS = 88
+SILENT_NS = 80
+"""Set before the start: after so long without a force none is sent, and the servo latches."""
+WATCHED = 88
+"""Set before the start: not 0 where a watchdog sends no force while the loop hangs."""
+NUMBERS = 96
 
 LATE_TICKS = 3
 LATE_WITHIN = 100
@@ -77,20 +81,50 @@ def _too_many_late(late_ticks: Any, tick: int) -> bool:
 
 
 @kernel
-def _write(device: Any, context: Any, numbers: Any, now_ns: int, force: FloatArray, zero: FloatArray) -> int:
-    """Send a force, unless the watchdog has tripped: before, or while the device took it."""
-    if load_ordered(numbers, TRIPPED) == 0:
-        failed = call_device(device[1], context, now_ns, force)
-        if load_ordered(numbers, TRIPPED) == 0:
-            return int(failed)
-    return int(call_device(device[1], context, now_ns, zero))
+def silent_too_long(numbers: Any, now_ns: int) -> bool:
+    """Whether no force has been sent for SILENT_NS: the one judgement of loop, watchdog and simulated time.
+
+    Args:
+        now_ns: by the clock of SENT_NS, read before this call.
+    """
+    last = load_ordered(numbers, SENT_NS)
+    return bool(last != 0 and now_ns - last > load_ordered(numbers, SILENT_NS))
 
 
 @kernel
-def _trip(device: Any, context: Any, numbers: Any, now_ns: int, zero: FloatArray) -> None:
-    """It trips before it sends: a servo that wakes up meanwhile sends no force either (`_write`)."""
-    store_ordered(numbers, TRIPPED, 1)
+def _send_none(device: Any, context: Any, numbers: Any, now_ns: int, zero: FloatArray) -> None:
+    """Send no force. A watched servo trips before it sends: a loop that wakes meanwhile sends none either."""
+    if load_ordered(numbers, WATCHED) != 0:
+        store_ordered(numbers, TRIPPED, 1)
     call_device(device[1], context, now_ns, zero)
+
+
+@kernel
+def _send(
+    device: Any,
+    context: Any,
+    numbers: Any,
+    now_ns: int,
+    force: FloatArray,
+    zero: FloatArray,
+    timespec: Any,
+    simulated: bool,
+) -> bool:
+    """Send a force, or none where loop or watchdog find that none was sent for too long; whether it was sent.
+
+    A process may be stopped at any instruction, so both are asked before the device takes the force and again
+    after it: a force that was under way when the process was stopped is followed by zero at once.
+    """
+    before = now_ns if simulated else elapsed_ns(timespec)
+    sent = load_ordered(numbers, TRIPPED) == 0 and not silent_too_long(numbers, before)
+    if sent:
+        call_device(device[1], context, now_ns, force)
+    after = now_ns if simulated else elapsed_ns(timespec)
+    if not sent or silent_too_long(numbers, after) or load_ordered(numbers, TRIPPED) != 0:
+        sent = False
+        _send_none(device, context, numbers, now_ns, zero)
+    store_ordered(numbers, SENT_NS, after)
+    return sent
 
 
 @kernel
@@ -126,6 +160,8 @@ def run_servo(
     inputs, read_work = np.zeros(len(shared)), np.zeros(len(shared))
     xyz, force, zero, row = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(ROW)
     bound, scratch = borrowed(bound), borrowed(scratch)
+    device, context, numbers = borrowed(device), borrowed(context), borrowed(numbers)
+    counter, shared, ring = borrowed(counter), borrowed(shared), borrowed(ring)
     memory, limits, codes = scratch[0], bound[5], bound[6]
     supervisor = memory[SUPERVISION:TOOL]
     missed = codes[MISSED_DEADLINES]
@@ -134,20 +170,25 @@ def run_servo(
     ticks, overran, done = 0, False, 0
     simulated_ticks = len(simulated_late_ns)
     simulated, limit_ns = simulated_ticks > 0, load_ordered(numbers, LATE_NS)
+    if simulated:
+        done = load_ordered(numbers, SENT_NS)
     target = start_ns if simulated else monotonic_ns(timespec) + SETTLE_NS
     while load_ordered(numbers, STOP) == 0 and not (simulated and ticks == simulated_ticks):
         if simulated:
-            now = max(target, done) + simulated_late_ns[ticks]
-            limit = load_ordered(numbers, WATCHDOG_NS)
-            if ticks > 0 and 0 < limit < now - done and load_ordered(numbers, TRIPPED) == 0:
-                _trip(device, context, numbers, done + limit, zero)
+            now = elapsed = max(target, done) + simulated_late_ns[ticks]
         else:
             now = sleep_until(target, timespec)
-        late = now - target
+            elapsed = elapsed_ns(timespec)
+        late, found = now - target, 0
+        if silent_too_long(numbers, elapsed):
+            # in simulated time when a watchdog would have
+            at = done + load_ordered(numbers, SILENT_NS) if simulated else now
+            _send_none(device, context, numbers, at, zero)
+            store_ordered(numbers, SENT_NS, elapsed)
+            found |= missed
         histogram[min(late // BIN_NS, len(histogram) - 1)] += 1
         if late > load_ordered(numbers, WORST_NS):
             store_relaxed(numbers, WORST_NS, late)
-        found = 0
         if (late > limit_ns or overran) and _too_many_late(late_ticks, ticks):
             found |= missed
         if load_ordered(numbers, TRIPPED) != 0:
@@ -156,9 +197,11 @@ def run_servo(
         _answer_rearm(numbers, supervisor, limits, codes, now * 1e-9)
         device_status = call_device(device[0], context, now, xyz)
         unpacked_tick(*bound, inputs, xyz, device_status, now * 1e-9, found, *scratch, row, force)
-        _write(device, context, numbers, now, force, zero)
-        done = now if simulated else monotonic_ns(timespec)
-        store_ordered(numbers, HEARTBEAT_NS, done)
+        sent = _send(device, context, numbers, now, force, zero, timespec, simulated)
+        if not sent and found & missed == 0:
+            withhold(memory, limits, codes, now * 1e-9, row)
+        # a clock less to read: the two differ by a suspension alone, and then the force was not sent
+        done = now + load_relaxed(numbers, SENT_NS) - elapsed if sent or simulated else monotonic_ns(timespec)
         row[LATENESS_NS], row[WORK_NS], row[TICK] = late, done - now, ticks
         record_row(ring, numbers, row)
         ticks += 1
@@ -173,16 +216,15 @@ def run_servo(
 
 
 @kernel
-def watch(device: Any, context: Any, numbers: Any, limit_ns: int, check_ns: int) -> None:
-    """The watchdog: no tick has ended for `limit_ns`: no force, at once, until a new servo is started."""
+def watch(device: Any, context: Any, numbers: Any, check_ns: int) -> None:
+    """The watchdog: sends no force where none was sent for too long, until a new servo is started."""
     timespec, zero = np.zeros(2, dtype=np.int64), np.zeros(3)
     target = monotonic_ns(timespec)
     while load_ordered(numbers, STOP) == 0:
         target += check_ns
         now = sleep_until(target, timespec)
-        last = load_ordered(numbers, HEARTBEAT_NS)
-        if last > 0 and now - last > limit_ns and load_ordered(numbers, TRIPPED) == 0:
-            _trip(device, context, numbers, now, zero)
+        if load_ordered(numbers, TRIPPED) == 0 and silent_too_long(numbers, elapsed_ns(timespec)):
+            _send_none(device, context, numbers, now, zero)
 
 
 @kernel

@@ -1,8 +1,9 @@
 """An OpenHaptics device behind the two functions of `device_call`.
 
 The vendor's scheduler owns the device: frames begin and end in its thread. A callback there, compiled and
-without Python, hands positions over and takes forces under sequence locks, once a scheduler tick. If the
-servo falls silent the callback sends no force: the scheduler would otherwise repeat the last one for ever.
+without Python, hands positions over and takes forces under sequence locks, once a scheduler tick. A force
+older than the servo's watchdog allows is replaced by zero: the scheduler would otherwise repeat it for ever,
+and give it once more after the process was stopped.
 """
 
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 from numba import carray, cfunc, core
 
+from .clock import elapsed_ns
 from .device_call import device_function
 from .foreign import call_doubles, call_error_code, call_with_handle
 from .shared import load_relaxed, publish, read_shared, store_relaxed
@@ -25,6 +27,7 @@ POSITION_LOCK = 0
 POSITION = 8
 FORCE_LOCK = 16
 FORCE = 24
+"""(3,) in the vendor's order, and when the servo sent it, by `elapsed_ns`."""
 # Of the callback:
 HANDLE = 32
 BEGIN_FRAME = 33
@@ -33,9 +36,9 @@ GET_DOUBLES = 35
 SET_DOUBLES = 36
 GET_ERROR = 37
 SEEN_FORCE = 38
-SILENT_TICKS = 39
-FRAME = 40
-"""(3,) numbers in the vendor's order; (3,) the force read last; (3,) of the reads."""
+CALLBACK_CLOCK = 39
+FRAME = 41
+"""(3,) numbers in the vendor's order; (4,) the force read last; (4,) of the reads."""
 ERROR = 56
 # Of the servo's thread:
 SEEN_POSITION = 64
@@ -44,10 +47,12 @@ LAST_XYZ = 66
 WORK = 72
 LOST_AFTER_NS = 76
 """Without a new position for so long the device is lost."""
-CONTEXT_SIZE = 80
+SENT = 80
+SERVO_CLOCK = 84
+CONTEXT_SIZE = 88
 
-SILENT_AFTER_TICKS = 20
-"""Scheduler ticks without a force from the servo, 20 ms at 1 kHz, after which none is sent."""
+SILENT_AFTER_NS = 10_000_000
+"""A force older than this is not given: the servo's watchdog has tripped, or will."""
 
 
 @cfunc(types.uint32(types.voidptr), cache=True, nopython=True)
@@ -58,15 +63,15 @@ def exchange(context: Any) -> int:
     call_doubles(c[GET_DOUBLES], HD_CURRENT_POSITION, n, FRAME)
     seen = read_shared(
         c[FORCE_LOCK : FORCE_LOCK + 1],
-        n[FORCE : FORCE + 3],
+        n[FORCE : FORCE + 4],
         c[SEEN_FORCE],
-        n[FRAME + 3 : FRAME + 6],
-        n[FRAME + 6 : FRAME + 9],
+        n[FRAME + 3 : FRAME + 7],
+        n[FRAME + 7 : FRAME + 11],
     )
-    c[SILENT_TICKS] = 0 if seen != c[SEEN_FORCE] else c[SILENT_TICKS] + 1
     c[SEEN_FORCE] = seen
     error = load_relaxed(c, ERROR)
-    if error != 0 or c[SILENT_TICKS] > SILENT_AFTER_TICKS:
+    age_ns = elapsed_ns(c[CALLBACK_CLOCK : CALLBACK_CLOCK + 2]) - n[FRAME + 6]
+    if error != 0 or age_ns > SILENT_AFTER_NS:
         for k in range(3):
             n[FRAME + 3 + k] = 0.0
     call_doubles(c[SET_DOUBLES], HD_CURRENT_FORCE, n, FRAME + 3)
@@ -106,5 +111,8 @@ def write_openhaptics(context: Any, now_ns: int, force_n: Any) -> int:
         carray(context, CONTEXT_SIZE, np.float64),
         carray(force_n, 3),
     )
-    publish(c[FORCE_LOCK : FORCE_LOCK + 1], n[FORCE : FORCE + 3], force)
+    for k in range(3):
+        n[SENT + k] = force[k]
+    n[SENT + 3] = elapsed_ns(c[SERVO_CLOCK : SERVO_CLOCK + 2])
+    publish(c[FORCE_LOCK : FORCE_LOCK + 1], n[FORCE : FORCE + 4], n[SENT : SENT + 4])
     return 0 if load_relaxed(c, ERROR) == 0 else 1

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
-from dvf_ig.kernels.compiled import inlined
+from dvf_ig.kernels.compiled import inlined, kernel
 from dvf_ig.kernels.composition import COMPOSED_SIZE, CONFLICT, work_size
 from dvf_ig.kernels.laws import LARGEST_FORCE_N, direction_certainty
 from dvf_ig.kernels.pose_and_phase import DISTANCE_RATE, DISTANCE_SIGMA, GUIDED_SIZE
@@ -296,6 +296,25 @@ def servo_tick(
         row[SENT_N + k] = sent[k]
     row[T_S], row[STATUS], row[IN_CONFLICT] = t_s, status, composed[CONFLICT]
     row[DISTANCE_MM], row[SIGMA_MM], row[SURFACE_MM_S] = first[3], first[DISTANCE_SIGMA], surface_speed
+    record_supervision(row, supervisor)
+    record_energy(row, m)
+
+
+@kernel
+def withhold(m: FloatArray, limits: FloatArray, codes: Any, clock_s: float, row: FloatArray) -> None:
+    """Latch, in memory and record, after a tick whose force was not sent or was followed by zero.
+
+    Args:
+        m, limits, codes, clock_s, row: of the tick.
+    """
+    supervisor = m[SUPERVISION:TOOL]
+    hazards = int(supervisor[supervision.HAZARDS]) | codes[MISSED_DEADLINES]
+    supervise(supervisor, limits, codes, clock_s, row[WANTED_N : WANTED_N + 3], hazards)
+    m[passivity.RESIDUAL] = 0.0
+    m[passivity.SENT_COUNT] -= 1.0
+    note_sent(m, supervisor[supervision.SENT : supervision.SENT + 3])
+    for k in range(3):
+        row[SENT_N + k] = supervisor[supervision.SENT + k]
     record_supervision(row, supervisor)
     record_energy(row, m)
 

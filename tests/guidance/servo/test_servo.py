@@ -12,10 +12,11 @@ from dvf_ig.core import InvalidInputError, Rigid
 from dvf_ig.guidance import Fixtures, FixtureSet, Hazard, RearmAnswer, SupervisorState
 from dvf_ig.guidance.devices import RecordedDevice
 from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions, SimulatedServo
-from dvf_ig.guidance.servo import servo as servo_module
 from dvf_ig.guidance.servo.deadlines import BINS, deadlines_of
 from dvf_ig.kernels.servo.clock import monotonic_ns, sleep_until
 from dvf_ig.kernels.servo.device_call import device_function
+
+from .conftest import PATIENT_S
 
 HERE = Rigid.identity("tracker", "device")
 OK, DEGRADED, FADE, LATCHED = SupervisorState
@@ -84,7 +85,7 @@ class Spoken:
 def resting(ball, steady_ball):
     """A servo whose device rests 1.5 mm inside the ball's surface."""
     device = RecordedDevice(np.tile([14.0, 0.0, 0.0], (60_000, 1)), 1000.0)
-    with Servo(Fixtures(ball, FixtureSet()), device, watchdog=False) as servo:
+    with Servo(Fixtures(ball, FixtureSet()), device, watchdog=False, late_s=PATIENT_S) as servo:
         yield Spoken(servo, steady_ball)
 
 
@@ -128,7 +129,7 @@ def test_what_is_not_latched_is_not_rearmed(resting):
 
 def test_no_force_is_left_when_it_stops(ball, steady_ball):
     device = SlowDevice(10_000_000, 0)
-    with Servo(Fixtures(ball, FixtureSet()), device, watchdog=False) as servo:
+    with Servo(Fixtures(ball, FixtureSet()), device, watchdog=False, late_s=PATIENT_S) as servo:
         spoken = Spoken(servo, steady_ball)
         spoken.speak()
         spoken.until(lambda record: np.any(record.sent_n[-1]))
@@ -152,9 +153,8 @@ def test_the_watchdog_sends_no_force_where_a_tick_hangs(ball, steady_ball):
     assert servo.deadlines.skipped > 20
 
 
-def test_three_late_ticks_of_a_hundred_latch(ball, steady_ball, monkeypatch):
+def test_three_late_ticks_of_a_hundred_latch(ball, steady_ball):
     """Every 30th read takes 5 ms: less than the watchdog waits for, three times in ninety ticks."""
-    monkeypatch.setattr(servo_module, "LATE_NS", 2_000_000)
     with Servo(Fixtures(ball, FixtureSet()), SlowDevice(30, 5), watchdog=False) as servo:
         spoken = Spoken(servo, steady_ball)
         spoken.speak()
@@ -164,7 +164,7 @@ def test_three_late_ticks_of_a_hundred_latch(ball, steady_ball, monkeypatch):
 
 
 def test_the_rate_has_limits():
-    for rate in (99.0, 4001.0):
+    for rate in (199.0, 4001.0):
         with pytest.raises(InvalidInputError, match="rate"):
             ServoOptions(rate_hz=rate)
 
@@ -193,6 +193,27 @@ def test_late_ticks_latch_in_simulated_time_too(ball, steady_ball, count, by_s, 
     skipped = round(1000.0 * record.t_s[-1]) + 1 - len(record)
     assert skipped == (count if by_s > 0.002 else 0), "a deadline more than a period before the tick's end"
     assert servo.now_s == pytest.approx(record.t_s[-1] + 0.001)
+
+
+def test_a_latch_keeps_its_cause_until_it_is_rearmed(ball, steady_ball):
+    """The hazard itself is active in one tick alone."""
+    inside, outside = np.tile([14.0, 0.0, 0.0], (400, 1)), np.tile([18.0, 0.0, 0.0], (600, 1))
+    device = RecordedDevice(np.concatenate([inside, outside]), 1000.0)
+    servo = SimulatedServo(Fixtures(ball, FixtureSet()), device)
+    inputs = ServoInputs(steady_ball, 0.0, Rigid.identity("tracker", "device"), valid_for_s=9.0)
+    late_s = np.zeros(200)
+    late_s[[100, 110, 120]] = 0.0021
+    first = servo.run(inputs, 200, late_s)
+    assert np.count_nonzero(first.hazards) == 1
+    later = servo.run(inputs, 300).newest()
+    assert later is not None
+    assert later.state is LATCHED
+    assert later.hazards is Hazard.MISSED_DEADLINES
+    servo.ask_rearm()
+    again = servo.run(inputs, 100).newest()
+    assert servo.rearmed is RearmAnswer.ACCEPTED
+    assert again is not None
+    assert again.hazards is Hazard.NONE
 
 
 @pytest.mark.parametrize(("by_s", "trips"), [(0.0085, False), (0.0095, True)])

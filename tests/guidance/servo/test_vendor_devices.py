@@ -16,6 +16,9 @@ from dvf_ig.core import Rigid
 from dvf_ig.guidance import Fixtures, FixtureSet, SupervisorState
 from dvf_ig.guidance.devices import ForceDimensionDevice, OpenHapticsDevice, VendorLibraryError
 from dvf_ig.guidance.servo import Servo, ServoInputs
+from dvf_ig.kernels.servo.openhaptics import exchange
+
+from .conftest import PATIENT_S
 
 HERE = Path(__file__).parent
 
@@ -102,7 +105,7 @@ def run_servo(ball, steady_ball, device, at_device_mm, look):
     tracker_from_device = Rigid.from_rotation_vector([0.0, 0.0, 0.5], [0.0, 0.0, 0.0], "tracker", "device")
     moved = tracker_from_device.apply_array(np.array([at_device_mm]))[0]
     place = Rigid("tracker", "device", tracker_from_device.rotation, np.array([15.0, 0.0, 0.0]) - moved)
-    with Servo(Fixtures(ball, FixtureSet()), device, watchdog=False) as servo:
+    with Servo(Fixtures(ball, FixtureSet()), device, watchdog=False, late_s=PATIENT_S) as servo:
         begin = time.monotonic()
 
         def speak():
@@ -182,10 +185,27 @@ def test_a_servo_that_falls_silent_leaves_no_force_on_an_openhaptics_device(hd, 
     write = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int64, ctypes.POINTER(ctypes.c_double))(
         int(touch.functions[1])
     )
-    write(touch.context.ctypes.data, 0, (ctypes.c_double * 3)(0.1, 0.2, 0.3))
-    force = vector(hd, "fake_force")
-    until(lambda: list(force) == [0.1, 0.2, 0.3])
+    given, force = (ctypes.c_double * 3)(0.1, 0.2, 0.3), vector(hd, "fake_force")
+    until(lambda: write(touch.context.ctypes.data, 0, given) or list(force) == [0.1, 0.2, 0.3])
     until(lambda: not any(force))
+    touch.close()
+
+
+def test_a_scheduler_that_wakes_before_the_servo_gives_no_old_force(hd, touch):
+    """As after a stopped process: no callback and no write for a while, then a callback."""
+    write = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int64, ctypes.POINTER(ctypes.c_double))(
+        int(touch.functions[1])
+    )
+    number(hd, "fake_stalled").value = 1
+    context, given, force = (
+        touch.context.ctypes.data,
+        (ctypes.c_double * 3)(0.1, 0.2, 0.3),
+        vector(hd, "fake_force"),
+    )
+    until(lambda: write(context, 0, given) or (exchange.ctypes(context) and list(force) == list(given)))
+    time.sleep(0.012)
+    exchange.ctypes(context)
+    assert not any(force)
     touch.close()
 
 
