@@ -1,4 +1,4 @@
-"""The largest numbers that anything in an operating room has: beyond them a unit is wrong or data are damaged."""
+"""The largest numbers that an operating room has: beyond them a unit is wrong, or data are damaged."""
 
 from typing import Any
 

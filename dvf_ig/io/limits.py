@@ -42,8 +42,8 @@ SPACING_MM = (1e-4, 1e3)
 NESTING = 100
 """Lists within lists of a text; ours have five levels."""
 WIRE_TIME_S = 4.0e9
-"""A stamp that arrives by network (the year 2096): the protocol ends at 2**32 = 4.29e9 s, and answers, which are
-stamped on the sender's clock, must fit for as long as a session lasts."""
+"""A stamp that arrives by network (the year 2096): the protocol ends at 2**32 = 4.29e9 s, and answers, which
+are stamped on the sender's clock, must fit for as long as a session lasts."""
 WIRE_IMAGE_BYTES = 64 << 20
 """One image that arrives by network: a 3-D ultrasound volume of 400³ voxels."""
 WIRE_TEXT_BYTES = (1 << 16) - 1

@@ -5,6 +5,7 @@ the pose is interpolated between its neighbours.
 """
 
 from collections import deque
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -76,8 +77,8 @@ class FramePairing:
         return done
 
     def _between(self, t_s: float) -> FloatArray | None:
-        after = next(p for p in self._poses if p.t_s > t_s)
-        before = next((p for p in reversed(self._poses) if p.t_s < t_s), None)
+        after = min((p for p in self._poses if p.t_s > t_s), key=attrgetter("t_s"))
+        before = max((p for p in self._poses if p.t_s < t_s), key=attrgetter("t_s"), default=None)
         if before is None or before.matrix is None or after.matrix is None:
             return None
         both = np.stack([before.matrix, after.matrix])

@@ -94,12 +94,27 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
         )
 
 
-def run_in_thread(loop: LiveLoop) -> tuple[threading.Thread, threading.Event]:
-    """Run a live session beside the caller; set the event and join the thread to end it."""
-    stop = threading.Event()
-    thread = threading.Thread(target=loop.run, args=(stop,), name="dvf-ig session", daemon=True)
-    thread.start()
-    return thread, stop
+class SessionThread(threading.Thread):
+    """Runs a live session beside the caller."""
+
+    def __init__(self, loop: LiveLoop) -> None:
+        super().__init__(name="dvf-ig session", daemon=True)
+        self._loop, self._asked = loop, threading.Event()
+        self._error: BaseException | None = None
+
+    def run(self) -> None:
+        """Until `end`, or an error, which `end` raises."""
+        try:
+            self._loop.run(self._asked)
+        except BaseException as error:  # noqa: BLE001  raised again by `end`
+            self._error = error
+
+    def end(self) -> None:
+        """End the session; raises what ended it before."""
+        self._asked.set()
+        self.join()
+        if self._error is not None:
+            raise self._error
 
 
 def open_link(config: LiveConfig, inbox: Inbox) -> Link:

@@ -61,7 +61,7 @@ class HeartClock:
         return min(peak_s, self._changes[0].t_s if self._changes else inf)
 
     def push(self, event: EcgSamples | Trigger) -> bool:
-        """Take the next samples, or the next pulse; False where they are not later than all before, and dropped.
+        """Take the next samples, or the next pulse; False if not later than all before, and dropped.
 
         Raises:
             InvalidInputError: of another source; another number of leads than before.

@@ -32,8 +32,8 @@ FUTURE_S = 0.005
 LARGEST_RATE = 500e-6
 """No crystal is off by more; a faster change is followed so fast and no faster."""
 STEADY_S, STEADY_SAMPLES = 2.0, 3
-"""A clock that jumped is followed when so many samples over this time are stamped alike: longer than the second
-after which the force latches (`CLOCK_BACKWARDS`), so that an operator has to let it back."""
+"""A clock that jumped is followed when so many samples over this time are stamped alike: longer than the
+second after which the force latches (`CLOCK_BACKWARDS`), so that an operator has to let it back."""
 
 
 @dataclass(slots=True)

@@ -27,7 +27,7 @@ from dvf_ig.session import EcgSamples, ToolPose, TrackedFrame
 
 ORIGIN_S = 1000.0
 NAMES = DeviceNames("ProbeToTracker", "ToolToTracker", "Image_Tracker")
-PICTURE = np.arange(12, dtype=np.uint8).reshape(3, 4)
+PICTURE = np.arange(16 * 20).astype(np.uint8).reshape(16, 20)
 
 
 def shifted(x_mm: float) -> np.ndarray:

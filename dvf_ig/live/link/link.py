@@ -13,6 +13,7 @@ from .peer import Peer
 
 RETRY_S = 0.2
 CONNECT_WITHIN_S = 2.0
+LAST_WITHIN_S = 0.1
 MOST_PEERS = 8
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 18944
@@ -80,6 +81,12 @@ class Link:
         data = b"".join(encode(message) for message in messages)
         for peer in self.peers:
             peer.offer(data)
+
+    def send_last(self, messages: Sequence[Message]) -> None:
+        """Send the session's last messages; waits LAST_WITHIN_S at most for a peer that does not read."""
+        data = b"".join(encode(message) for message in messages)
+        for peer in self.peers:
+            peer.offer_last(data, LAST_WITHIN_S)
 
 
 def connect(host: str, port: int, inbox: Inbox | None) -> Link:

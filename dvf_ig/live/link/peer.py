@@ -14,6 +14,7 @@ from .inbox import Arrival, Inbox
 PIECE_BYTES = 1 << 18
 MESSAGE_S = 0.5
 """A message that has begun ends within this, or the connection does: an image takes some 10 ms."""
+LAST_LOOK_S = 0.01
 LOOK_EVERY_S = 0.1
 """A thread that waits for bytes looks so often whether it is to end."""
 
@@ -70,6 +71,18 @@ class Peer:
                 return
             self._unsent = data
             self._flushed()
+
+    def offer_last(self, data: bytes, within_s: float) -> None:
+        """Send whole messages after what is left of those before, as far as the peer takes them in time."""
+        end_s = self._clock() + within_s
+        poll = select.poll()
+        with self._sending:
+            if not self.connected:
+                return
+            poll.register(self._connection, select.POLLOUT)
+            self._unsent += data
+            while not self._flushed() and not self._stop.is_set() and self._clock() < end_s:
+                poll.poll(1e3 * LAST_LOOK_S)
 
     def _flushed(self) -> bool:
         """Whether nothing is left of what was offered before."""
