@@ -1,8 +1,8 @@
 """What a running session tells its page: the scene, and an event up to 30 times a second.
 
-The session's thread only leaves references here, without a lock; a thread of the page makes JSON of them, and
-of a picture what the page needs, and only while somebody looks. The scene is made before the session runs: JSON
-of a whole heart holds the interpreter for longer than a session may wait.
+The session's thread only leaves references here, without a lock; a thread of the page makes JSON of them,
+and of a picture what the page needs, and only while somebody looks. The scene is made before the session
+runs: JSON of a whole heart holds the interpreter for longer than a session may wait.
 """
 
 import json

@@ -1,9 +1,10 @@
 """The page's server: three fixed addresses, GET alone, this machine alone.
 
-Nothing that a browser sends is used beyond which of the three it wants, and who asks: a page of another origin
-is refused (Host, Origin, Sec-Fetch-Site), whether or not it could read the answers. Requests are served at
-REQUESTS_HZ together, so that a flood takes little of the interpreter from the session. Threads here have no lower
-priority than others: one that is put off while it holds the interpreter puts off the session.
+Nothing that a browser sends is used beyond which of the three it wants, and who asks: a page of another
+origin is refused (Host, Origin, Sec-Fetch-Site), whether or not it could read the answers. Requests are
+served at REQUESTS_HZ together, so that a flood takes little of the interpreter from the session. Threads
+here have no lower priority than others: one that is put off while it holds the interpreter puts off the
+session.
 """
 
 import socket
