@@ -1,8 +1,8 @@
 """`dvf-ig serve` under live faults: it ends in a stated state without force, whatever goes wrong.
 
 Each case starts `serve` as a program of its own on the toy's patient, streams to it over loopback at real
-speed until a force is given, makes one thing go wrong, and ends it. The last force that a peer received must be
-zero, the last status a latch with a sentence, the exit code the one that is stated.
+speed until a force is given, makes one thing go wrong, and ends it. The last force that a peer received must
+be zero, the last status a latch with a sentence, the exit code the one that is stated.
 """
 
 import os
@@ -39,6 +39,7 @@ RR_S, STREAM_S, ECG_CHUNK = 0.5, 60.0, 5
 READY_S, GIVEN_S, ENDED_S = 60.0, 40.0, 20.0
 """The longest that a busy machine may need: to listen, to give a force, to end."""
 GUIDING_N = 0.02
+ROOT = Path(__file__).resolve().parents[1]
 FAIL = "FAIL"
 """A device whose message makes the child's session raise."""
 PAGE_PATHS = ("/scene.json", "/", "/events")
@@ -497,19 +498,21 @@ UNREAD = "terminal that is not read"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a fault: state and force before the end, what was last, exit code, what is wrong."""
+    """What came of a fault: state and force before the end, what was last, the exit code, what is wrong."""
 
     state: str
     force_n: float
     last_state: str
     last_n: float
     code: int | None
-    wrong: tuple[str, ...]
+    wrong_while: tuple[str, ...]
+    """Also where the machine was too busy for a force."""
+    wrong_at_end: tuple[str, ...]
 
     @property
     def row(self) -> tuple[str, ...]:
         force = (f"{self.force_n:.2f} N", f"{self.last_n:.2f} N")
-        wrong = "; ".join(self.wrong) or "ok"
+        wrong = "; ".join((*self.wrong_while, *self.wrong_at_end)) or "ok"
         return (self.state, force[0], self.last_state, force[1], str(self.code), wrong)
 
 
@@ -528,8 +531,17 @@ def run_fault(fault: Fault, folder: Path, messages: list[tuple[float, Message]])
     ]
     arguments += ["--page", "0"] if fault.page else []
     read_end, write_end = os.pipe()
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests/toys'}"}
     with (folder / "stdout").open("wb") as stdout:
-        process = subprocess.Popen(arguments, stdout=stdout, stderr=write_end, stdin=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            arguments,
+            stdout=stdout,
+            stderr=write_end,
+            stdin=subprocess.DEVNULL,
+            cwd=ROOT,
+            env=environment,
+            preexec_fn=_heed_interrupts,
+        )
     os.close(write_end)
     terminal = _Terminal(read_end)
     try:
@@ -539,6 +551,11 @@ def run_fault(fault: Fault, folder: Path, messages: list[tuple[float, Message]])
             process.kill()
             process.wait()
         terminal.end()
+
+
+def _heed_interrupts() -> None:
+    """A shell's background job has Ctrl-C ignored, and so would have its children."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 class _Terminal:
@@ -606,13 +623,12 @@ def _judged(
         wrong += _wrong_while(fault, case, force_n)
         if not fault.ends and process.poll() is None:
             process.send_signal(fault.by)
-        if not _until(lambda: process.poll() is not None, ENDED_S):
-            wrong.append("it did not end")
+        _until(lambda: process.poll() is not None, ENDED_S)
         peer.reads = True
         _until(lambda: heard.closed, 2.0)
-        wrong += _wrong_at_end(fault, process.poll(), heard, terminal.text)
+        ended = _wrong_at_end(fault, process.poll(), heard, terminal.text)
         last = heard.status.name if heard.status else "none"
-        return Outcome(state, force_n, last, heard.force_n, process.poll(), tuple(wrong))
+        return Outcome(state, force_n, last, heard.force_n, process.poll(), tuple(wrong), tuple(ended))
     finally:
         case.done.set()
         for one in (peer, *case.others):
@@ -635,7 +651,7 @@ def _wrong_while(fault: Fault, case: Case, force_n: float) -> list[str]:
 def _wrong_at_end(fault: Fault, code: int | None, heard: Heard, text: str) -> list[str]:
     wrong = []
     if code not in fault.code:
-        wrong.append(f"exit code {code}")
+        wrong.append("it did not end" if code is None else f"exit code {code}")
     if not heard.closed:
         wrong.append("the connection stayed open")
     if not fault.told:
@@ -658,7 +674,7 @@ def fuzz_live(repeats: int, chosen: list[str]) -> int:
                 continue
             with tempfile.TemporaryDirectory() as scratch:
                 done = run_fault(fault, Path(scratch), messages)
-            cases, bad = cases + 1, bad + bool(done.wrong)
+            cases, bad = cases + 1, bad + bool(done.wrong_while or done.wrong_at_end)
             print(f"{number + 1}  {fault.name:<34}  " + "  ".join(done.row), flush=True)
     print(f"{cases} cases: {bad} findings")
     return bad

@@ -106,3 +106,17 @@ def test_another_image_size_is_refused_and_changes_nothing() -> None:
     with pytest.raises(InvalidInputError, match=r"frame at 1\.500 s is \(3, 3\) pixels.*new session"):
         buffer.push(wrong)
     assert buffer.push(frame(SETTLED_IMAGES))
+
+
+def test_a_first_image_of_another_size_decides_nothing() -> None:
+    """The scanner's first images may be anything: what comes after them, ten in a row, is the size."""
+    buffer = FrameBuffer()
+    for k, shape in enumerate([(1, 1), (9, 9), (9, 9)]):
+        assert buffer.push(TrackedFrame(STEP_S * (k - 3), np.zeros(shape, dtype=np.uint8), np.eye(4)))
+    for k in range(SETTLED_IMAGES):
+        assert buffer.push(frame(k))
+    part = buffer.between(-1.0, 5.0)
+    assert part is not None
+    assert part[0].image_valid.tolist() == [False] * 3 + [True] * SETTLED_IMAGES
+    with pytest.raises(InvalidInputError, match="new session"):
+        buffer.push(TrackedFrame(9.0, np.zeros((9, 9), dtype=np.uint8), np.eye(4)))
