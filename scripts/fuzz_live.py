@@ -415,7 +415,7 @@ def _first(device: str, change: Callable[[Message], Message]) -> Change:
     return _once(device, change)
 
 
-FAR_S, LATEST_S = 2.0**32 - 1.0 - ORIGIN_S, 2.0**32 - 30.0 - ORIGIN_S
+FAR_S = 2.0**32 - 2.0 * STREAM_S - ORIGIN_S
 SMALL, COLOUR = np.zeros((1, 1, 1), np.uint8), np.zeros((1, 24, 24, 3), np.uint8)
 OTHER, BLACK = np.full((1, 40, 30), 9, np.uint8), np.zeros((1, 24, 24), np.uint8)
 MANY = " ".join(["0.5"] * 15_000)
@@ -438,7 +438,7 @@ def faults() -> tuple[Fault, ...]:
         Fault("tool at 500 m", _of(TOOL, _all(_posed(_moved(5e5)))), force=False),
         Fault("two programs send the tool", _unchanged, _second_sender, lasts_s=3.5, force=False),
         Fault("one tool stamp near 2^32 s", _once(TOOL, _stamped(FAR_S)), force=True),
-        Fault("all stamps near 2^32 s", _of("", _all(_stamped(LATEST_S))), force=False),
+        Fault("all stamps near 2^32 s", _of("", _all(_stamped(FAR_S))), force=False),
         Fault(
             "stamps near 2^32 s from the start", _first(TOOL, _stamped(FAR_S)), from_start=True, force=True
         ),

@@ -48,7 +48,7 @@ def pose_message(state: GuidanceState, stamp_s: float) -> tuple[Message, ...]:
     return (Message(POSE_NAME, stamp_s, Transform(RAS_FROM_LPS @ matrix)),)
 
 
-def force_message(force_n: FloatArray, stamp_s: float) -> Message:
+def force_message(force_n: FloatArray, stamp_s: float | None) -> Message:
     """ToolForce.
 
     Args:
@@ -81,7 +81,7 @@ def state_messages(
     return Message(STATUS_NAME, stamp_s, status), Message(STATE_NAME, stamp_s, Text(text))
 
 
-def last_messages(sentence: str, stamp_s: float) -> tuple[Message, ...]:
+def last_messages(sentence: str, stamp_s: float | None) -> tuple[Message, ...]:
     """No force, and why there will be none any more."""
     latched = SupervisorState.LATCHED
     status = Status(StatusCode.DISABLED, int(latched), latched.name, sentence)

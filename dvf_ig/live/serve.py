@@ -13,9 +13,11 @@ from dvf_ig.guidance.servo import Servo
 from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
 from dvf_ig.session import Beside, Event, Landmark, Session, SessionHistory, SessionSetup
 
+from .answers import last_messages
 from .devices import DeviceNames, flips_between
 from .ecg.field import EcgField
 from .events import EventSource
+from .igtl import encode
 from .igtl.header import checksum
 from .link import Inbox, Link, connect, listen
 from .link.link import LOOPBACK, is_loopback
@@ -26,6 +28,7 @@ from .timed import LiveEvent
 
 LATE_S = 0.02
 """No device holds the servo's force here: it is sent every 17 ms, and a servo that is later latches."""
+CUT_OFF = "the connection is ended because of a message that broke the protocol; connect again"
 EcgEvents = Callable[[], list[LiveEvent]]
 
 
@@ -76,7 +79,9 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
         servo = Servo(fixtures, device, limits=setup.device, watchdog=False, late_s=LATE_S)
         stack.enter_context(servo)
         stack.enter_context(answering_soon())
-        link = stack.enter_context(open_link(config, inbox))
+        link = open_link(config, inbox)
+        link.farewell = b"".join(map(encode, last_messages(CUT_OFF, None)))
+        stack.enter_context(link)
         yield LiveLoop(
             session=session,
             servo=servo,

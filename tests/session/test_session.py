@@ -351,7 +351,10 @@ def held(value: object, seen: set[int]) -> int:
 
 @pytest.mark.parametrize("missing", ["ecg", "frames", "tool"])
 def test_a_session_without_one_of_its_streams_holds_no_more_after_a_minute(missing: str) -> None:
-    """What is kept for a beat, a frame or a tool that never comes is forgotten."""
+    """What is kept for a beat, a frame or a tool that never comes is forgotten.
+
+    In half a minute the history grows by 38 beats; poses would be 3000.
+    """
     streams = toy_streams(60.0)
     setattr(streams, missing, [])
     sizes = []
@@ -360,5 +363,4 @@ def test_a_session_without_one_of_its_streams_holds_no_more_after_a_minute(missi
             between = [e for e in streams.merged() if until_s - 30.0 <= stamp(e) < until_s]
             run(session, between, ticks(until_s - 30.0, until_s, 0.1))
             sizes.append(held(session, set()))
-    assert sizes[1] < 1.02 * sizes[0] + 50
-    assert sizes[1] < 20_000
+    assert sizes[1] - sizes[0] < 500

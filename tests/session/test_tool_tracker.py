@@ -137,7 +137,7 @@ def between(apart_mm: float, noise_mm: float = 0.0, apart_s: float = 0.003) -> s
     for i in range(300):
         for t_s, off_mm in ((0.01 * i, 0.0), (0.01 * i + apart_s, apart_mm)):
             matrix = pose_at(t_s)
-            matrix[:3, 3] += rng.normal(0.0, noise_mm, 3) + [off_mm, 0.0, 0.0]
+            matrix[:3, 3] += np.array([off_mm, 0.0, 0.0]) + rng.normal(0.0, noise_mm, 3)
             tracker.push(ToolPose(t_s, matrix))
             found.add(tracker.at(t_s).hazard)
     return found

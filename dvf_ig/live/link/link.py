@@ -35,6 +35,8 @@ class Link:
         """Why the last connection ended."""
         self.unreachable: str | None = None
         """Why a client could not connect when it last tried and failed."""
+        self.farewell = b""
+        """Whole messages for a peer that is cut off because of what it sent."""
         self.stop = threading.Event()
         self._peers: list[Peer] = []
         self._changed = threading.Lock()
@@ -69,7 +71,7 @@ class Link:
 
     def add(self, connection: socket.socket, name: str) -> None:
         """A new peer."""
-        peer = Peer(connection, name, self.inbox)
+        peer = Peer(connection, name, self.inbox, lambda: self.farewell)
         self.connections += 1
         with self._changed:
             self._peers.append(peer)

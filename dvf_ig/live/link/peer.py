@@ -26,6 +26,7 @@ class Peer:
         connection: connected; the peer owns it.
         name: of the peer, for messages.
         inbox: takes what arrives; None receives and forgets, as of a peer that is only told.
+        farewell: gives whole messages for a peer whose connection is ended here.
         clock: seconds, monotonic.
         message_s: time for a message that has begun.
     """
@@ -35,6 +36,7 @@ class Peer:
         connection: socket.socket,
         name: str,
         inbox: Inbox | None,
+        farewell: Callable[[], bytes] = bytes,
         clock: Callable[[], float] = time.monotonic,
         message_s: float = MESSAGE_S,
     ) -> None:
@@ -45,6 +47,7 @@ class Peer:
         """Messages that were not sent because the peer did not read those before."""
         self.received = self.refused = 0
         self._connection, self._inbox, self._clock, self._message_s = connection, inbox, clock, message_s
+        self._farewell = farewell
         self._unsent = b""
         self._stop = threading.Event()
         self._sending = threading.Lock()
@@ -106,6 +109,7 @@ class Peer:
         except (WireError, OSError) as error:
             if not self._stop.is_set():
                 self.ended = error
+                self.offer_last(self._farewell(), LOOK_EVERY_S)
         finally:
             with self._sending:
                 self._connection.close()
