@@ -180,6 +180,10 @@ def main() -> int:
         parser.add_argument(hidden, help=argparse.SUPPRESS)
     for hidden in ("--first", "--count"):
         parser.add_argument(hidden, type=int, help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--live", type=int, metavar="N", help="every live fault of `serve` N times, and no files"
+    )
+    parser.add_argument("--fault", action="append", metavar="NAME", help="of --live; default: all")
     given = parser.parse_args()
     if given.child == "cli":
         fuzz_cli.child(given.seed, given.first, given.count, Path(given.seeds))
@@ -187,6 +191,10 @@ def main() -> int:
     if given.child:
         child(given.child, given.seed, given.first, given.count, Path(given.seeds))
         return 0
+    if given.live:
+        from scripts.fuzz_live import fuzz_live
+
+        return 1 if fuzz_live(given.live, given.fault or []) else 0
     if given.kill:
         from scripts.fuzz_kill import WRITERS, fuzz_kill
 

@@ -17,6 +17,8 @@ NOISE_QUANTILE = 0.6
 """Noise is this quantile of the envelope, on which the complexes themselves have little influence."""
 MIN_CONTRAST = 3.0
 """While no beat comes, levels fall no lower than this many times the noise."""
+LEAST_LEVEL = 1e-9
+"""Lowest level, in the unit of the ECG: a lead without any signal has none, and weights divide by it."""
 NOISE_FLOOR = 0.02
 """Smallest noise assumed, as a share of the level: a noise-free lead does not exclude the others."""
 
@@ -48,10 +50,10 @@ class LeadLevels:
         tops = np.array([envelope[i : i + window].max(axis=0) for i in starts])
         # each beat lies in two of the overlapping windows; a single artefact is not taken for one
         second = np.sort(tops, axis=0)[-min(2, len(tops))]
-        self._level = [float(v) + 1e-9 for v in second]
-        flat = envelope[-max(1, window // 2) :].max(axis=0) < 1e-9
+        self._level = [float(v) + LEAST_LEVEL for v in second]
+        flat = envelope[-max(1, window // 2) :].max(axis=0) < LEAST_LEVEL
         self._off_samples = [self._relearn_samples if d else 0 for d in flat.tolist()]
-        self._noise = [float(v) + 1e-9 for v in np.quantile(envelope, NOISE_QUANTILE, axis=0)]
+        self._noise = [float(v) + LEAST_LEVEL for v in np.quantile(envelope, NOISE_QUANTILE, axis=0)]
         self._update_weights()
 
     def combined(self, row: Sequence[float], off: Sequence[bool]) -> float:
@@ -83,8 +85,8 @@ class LeadLevels:
             self._relearning[k] -= 1
             if self._relearning[k] == 0:
                 values = np.array(self._relearned[k])
-                self._level[k] = float(values.max()) + 1e-9
-                self._noise[k] = float(np.quantile(values, NOISE_QUANTILE)) + 1e-9
+                self._level[k] = float(values.max()) + LEAST_LEVEL
+                self._noise[k] = float(np.quantile(values, NOISE_QUANTILE)) + LEAST_LEVEL
                 self._update_weights()
 
     def background(self) -> float:
@@ -95,13 +97,14 @@ class LeadLevels:
         """Update the levels with the peak of an accepted complex."""
         for k in self._leads:
             deviation = min(row[k], 2.0 * self._level[k]) - self._level[k]
-            self._level[k] += (RISE_GAIN if deviation > 0 else FALL_GAIN) * deviation
+            gain = RISE_GAIN if deviation > 0 else FALL_GAIN
+            self._level[k] = max(LEAST_LEVEL, self._level[k] + gain * deviation)
         self._update_weights()
 
     def decay(self) -> None:
         """No beat for long: lower the levels, but not below what stands out from the noise."""
         self._level = [
-            min(level, max(0.8 * level, MIN_CONTRAST * noise))
+            min(level, max(0.8 * level, MIN_CONTRAST * noise, LEAST_LEVEL))
             for level, noise in zip(self._level, self._noise, strict=True)
         ]
         self._update_weights()

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, Signal
+from dvf_ig.core.plausible import ECG_VALUE, require_plausible
 
 from .beat_finder import BeatFinder, Complex, RPeakOptions
 from .lead_off import LeadChange, LeadOffDetector
@@ -57,13 +58,14 @@ class RPeakDetector:
             samples: (n, leads), in any unit; NaN where samples are missing.
             start_s: time of the first of them; after a gap the detector restarts.
         Raises:
-            InvalidInputError: wrong number of leads, or samples that go back in time.
+            InvalidInputError: wrong number of leads, values that no ECG has, or samples that go back in time.
         """
         chunk = np.asarray(samples, dtype=np.float64)
         if chunk.ndim != 2 or chunk.shape[1] != self.leads:
             raise InvalidInputError(f"ECG samples have shape {chunk.shape}; needed (n, {self.leads})")
         if len(chunk) == 0:
             return []
+        require_plausible(chunk, ECG_VALUE, "an ECG sample")
         self._check_start(start_s)
         filled, off = self._lead_off.push(chunk)
         envelope = self._feature.push(filled)

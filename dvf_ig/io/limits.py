@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.plausible import ECG_VALUE as ECG_VALUE
+from dvf_ig.core.plausible import LENGTH_MM as LENGTH_MM
+from dvf_ig.core.plausible import TIME_S as TIME_S
 
 FILE_BYTES = 8 << 30
 """A file that is read whole: ten minutes of uncompressed ultrasound at 30 frames/s (820 x 616) have 9 GB, and
@@ -34,16 +37,13 @@ ELEMENTS = 50_000_000
 """Vertices or triangles of a mesh; whole-heart surfaces have 10 000 to 1 000 000."""
 MODEL_BYTES = 2 << 30
 """Arrays of a model: 20 phases with knots every 3 mm have 55 MB, every 1 mm 1.5 GB."""
-LENGTH_MM = 1e6
-"""No coordinate in an operating room lies a kilometre from the origin; trackers reach 5 m, scanners 2 m."""
 SPACING_MM = (1e-4, 1e3)
 """Sides of voxels: micro-CT has 0.005 mm. Outside are wrong units or damaged headers."""
-TIME_S = 1e10
-"""Time stamps: seconds since 1970 reach 1.8e9 (2026); milliseconds since then are beyond this limit."""
-ECG_VALUE = 1e9
-"""An ECG's samples in any unit: converters of 24 bit count to 1.7e7, of 32 bit to 2.1e9 at most."""
 NESTING = 100
 """Lists within lists of a text; ours have five levels."""
+WIRE_TIME_S = 4.0e9
+"""A stamp that arrives by network (the year 2096): the protocol ends at 2**32 = 4.29e9 s, and answers, which
+are stamped on the sender's clock, must fit for as long as a session lasts."""
 WIRE_IMAGE_BYTES = 64 << 20
 """One image that arrives by network: a 3-D ultrasound volume of 400³ voxels."""
 WIRE_TEXT_BYTES = (1 << 16) - 1

@@ -48,7 +48,7 @@ def pose_message(state: GuidanceState, stamp_s: float) -> tuple[Message, ...]:
     return (Message(POSE_NAME, stamp_s, Transform(RAS_FROM_LPS @ matrix)),)
 
 
-def force_message(force_n: FloatArray, stamp_s: float) -> Message:
+def force_message(force_n: FloatArray, stamp_s: float | None) -> Message:
     """ToolForce.
 
     Args:
@@ -64,22 +64,30 @@ def state_messages(
     servo: SupervisorState,
     hazards: Hazard,
     stamp_s: float,
-    record_problem: str | None = None,
+    *problems: str | None,
 ) -> tuple[Message, ...]:
     """STATUS and STRING.
 
     Args:
         servo, hazards: state of the servo's supervisor, which has the last word on the force, and what it
             found.
-        record_problem: what is wrong with the session's record.
+        problems: what else is wrong, a sentence each: with the session's record, with who sends the tool.
     """
     worst = max(servo, state.supervisor)
     numbers = state_numbers(state, servo, hazards)
-    if record_problem is not None:
-        numbers["reasons"] = [*numbers["reasons"], record_problem]
+    numbers["reasons"] += [problem for problem in problems if problem is not None]
     text = json.dumps(numbers, allow_nan=False)
     status = Status(_CODES[worst], int(worst), worst.name, "; ".join(numbers["reasons"])[:1000])
     return Message(STATUS_NAME, stamp_s, status), Message(STATE_NAME, stamp_s, Text(text))
+
+
+def last_messages(sentence: str, stamp_s: float | None) -> tuple[Message, ...]:
+    """No force, and why there will be none any more."""
+    latched = SupervisorState.LATCHED
+    status = Status(StatusCode.DISABLED, int(latched), latched.name, sentence)
+    text = json.dumps({"supervisor": latched.name, "servo": latched.name, "reasons": [sentence]})
+    force = force_message(np.zeros(3), stamp_s)
+    return force, Message(STATUS_NAME, stamp_s, status), Message(STATE_NAME, stamp_s, Text(text))
 
 
 def state_numbers(state: GuidanceState, servo: SupervisorState, hazards: Hazard) -> dict[str, Any]:

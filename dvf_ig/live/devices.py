@@ -15,6 +15,8 @@ _LONG_NAME = "IGTL_DEVICE_NAME"
 """Field in which PLUS gives a name that is longer than a device name can be."""
 _STATUS = "TransformStatus"
 _NAME_CHARACTERS = 20
+SMALLEST_IMAGE = 16
+"""Rows and columns of an image that shows anything; scanners send hundreds."""
 
 
 class Role(Enum):
@@ -73,7 +75,7 @@ class DeviceNames:
         """The message's B-mode image, turned as the probe was calibrated; None where it is none of ours.
 
         Raises:
-            InvalidInputError: it is not one slice of grey bytes.
+            InvalidInputError: it is not one slice of grey bytes, or smaller than SMALLEST_IMAGE.
         """
         if not isinstance(message.content, Image) or message.device != self.image[:_NAME_CHARACTERS]:
             return None
@@ -82,6 +84,11 @@ class DeviceNames:
             raise InvalidInputError(
                 f"image '{message.device}' has shape {pixels.shape} and type {pixels.dtype}; needed one "
                 "slice of uint8: let PLUS send brightness images (US_IMG_BRIGHTNESS)"
+            )
+        if min(pixels.shape[1:]) < SMALLEST_IMAGE:
+            raise InvalidInputError(
+                f"image '{message.device}' has {pixels.shape[1]} x {pixels.shape[2]} pixels; needed "
+                f"{SMALLEST_IMAGE} x {SMALLEST_IMAGE} or more: check what PLUS sends"
             )
         return np.ascontiguousarray(np.flip(pixels[0], self.flips))
 

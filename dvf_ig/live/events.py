@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.io import limits
 from dvf_ig.live.igtl import Message, WireError
 from dvf_ig.session import Event, ToolPose
 
@@ -14,15 +15,18 @@ from .devices import DeviceNames, Posed, Role
 from .ecg.field import EcgField
 from .frames import SAME_S, FramePairing
 from .link import Arrival
+from .senders import ToolSenders
 from .timed import LiveEvent
 
 REFERENCE_S = 0.1
 """A reference's pose counts for poses stamped up to so long after it: three frames at 30 Hz."""
 MOST_HELD = 8192
+MOST_CLOCKS = 64
+"""Peers whose clocks are remembered: a server's clients come with a new name each time."""
 
 
 class EventSource:
-    """Turns what arrives into events; what is refused is counted, and told once a kind.
+    """Turns what arrives into events; what is refused is counted and told.
 
     Args:
         names: of the devices.
@@ -36,7 +40,7 @@ class EventSource:
         self._clocks: dict[str, PeerClock] = {}
         self._held: deque[Arrival] = deque(maxlen=MOST_HELD)
         self._reference: tuple[float, FloatArray | None] | None = None
-        self._told: set[str] = set()
+        self._senders = ToolSenders()
         self.refused = 0
         """Messages that were of no use though they were meant for the session."""
         self.tool_offset_s = 0.0
@@ -44,8 +48,14 @@ class EventSource:
 
     def events(self, arrival: Arrival) -> list[LiveEvent]:
         """Events that a message completes; those of a peer's first second come together at its end."""
-        clock = self._clocks.setdefault(arrival.peer, PeerClock())
         stamp_s = arrival.taken.stamp_s
+        if stamp_s is not None and stamp_s > limits.WIRE_TIME_S:
+            self._refuse(
+                f"a message of {arrival.peer} is stamped {stamp_s:.6g} s; needed at most "
+                f"{limits.WIRE_TIME_S:g} s since 1970 or since its start: set the sender's clock"
+            )
+            return []
+        clock = self._clock_of(arrival.peer)
         if stamp_s is not None:
             clock.see(stamp_s, arrival.arrived_s)
             if not clock.settled:
@@ -56,35 +66,46 @@ class EventSource:
             self._held = deque((one for one in self._held if one.peer != arrival.peer), maxlen=MOST_HELD)
         return [event for one in (*held, arrival) for event in self._events(one, clock)]
 
+    def problem(self, now_s: float) -> str | None:
+        """What is wrong with the senders now, as a user reads it."""
+        return self._senders.problem(now_s)
+
     def overdue(self, now_s: float) -> list[LiveEvent]:
         """Frames whose pose did not come."""
         return [LiveEvent(now_s, frame) for frame in self._frames.overdue(now_s)]
 
+    def _clock_of(self, peer: str) -> PeerClock:
+        """The clock of a peer; those that were asked for last are kept."""
+        clock = self._clocks.pop(peer) if peer in self._clocks else PeerClock()
+        self._clocks[peer] = clock
+        if len(self._clocks) > MOST_CLOCKS:
+            del self._clocks[next(iter(self._clocks))]
+        return clock
+
     def _events(self, arrival: Arrival, clock: PeerClock) -> list[LiveEvent]:
         try:
             if isinstance(arrival.taken, WireError):
-                self.refused += 1
-                self._say(str(arrival.taken))
-                events = self._of_refused(arrival.taken, arrival.arrived_s, clock)
+                self._refuse(str(arrival.taken))
+                events = self._of_refused(arrival.taken, arrival, clock)
             else:
-                events = self._of_message(arrival.taken, arrival.arrived_s, clock)
+                events = self._of_message(arrival.taken, arrival, clock)
         except InvalidInputError as error:
-            self.refused += 1
-            self._say(str(error))
+            self._refuse(str(error))
             return []
         return [LiveEvent(arrival.arrived_s, event) for event in events]
 
-    def _of_refused(self, error: WireError, arrived_s: float, clock: PeerClock) -> list[Event]:
+    def _of_refused(self, error: WireError, arrival: Arrival, clock: PeerClock) -> list[Event]:
         posed = self._names.refused_pose(error)
-        t_s = clock.local_s(error.stamp_s, arrived_s)
-        return [] if posed is None else self._posed(posed, t_s, clock)
+        t_s = clock.local_s(error.stamp_s, arrival.arrived_s)
+        return [] if posed is None else self._posed(posed, t_s, arrival, clock)
 
-    def _of_message(self, message: Message, arrived_s: float, clock: PeerClock) -> list[Event]:
+    def _of_message(self, message: Message, arrival: Arrival, clock: PeerClock) -> list[Event]:
+        arrived_s = arrival.arrived_s
         t_s = clock.local_s(message.stamp_s, arrived_s)
         found: list[Event] = []
         poses = sorted(self._names.poses(message), key=lambda posed: posed.role is not Role.REFERENCE)
         for posed in poses:
-            found += self._posed(posed, t_s, clock)
+            found += self._posed(posed, t_s, arrival, clock)
         if self._ecg is not None:
             samples = self._ecg.samples(message, t_s, clock.offset_s)
             found += [] if samples is None else [samples]
@@ -93,14 +114,15 @@ class EventSource:
             found += self._frames.add_image(t_s, image, arrived_s)
         return found
 
-    def _posed(self, posed: Posed, t_s: float, clock: PeerClock) -> list[Event]:
+    def _posed(self, posed: Posed, t_s: float, arrival: Arrival, clock: PeerClock) -> list[Event]:
         if posed.role is Role.REFERENCE:
             self._reference = (t_s, posed.matrix)
             return []
         matrix = self._against_reference(posed.matrix, t_s)
         if posed.role is Role.TOOL:
             self.tool_offset_s = clock.offset_s
-            return [ToolPose(t_s, matrix)]
+            alone = self._senders.alone(arrival.peer, arrival.arrived_s)
+            return [ToolPose(t_s, matrix if alone else None)]
         finite = matrix is not None and bool(np.isfinite(matrix).all())
         return list(self._frames.add_pose(t_s, matrix if finite else None))
 
@@ -115,7 +137,6 @@ class EventSource:
             return None
         return np.asarray(np.linalg.solve(tracker_from_reference, matrix), dtype=np.float64)
 
-    def _say(self, sentence: str) -> None:
-        if sentence not in self._told and len(self._told) < 100:
-            self._told.add(sentence)
-            self._tell(sentence)
+    def _refuse(self, sentence: str) -> None:
+        self.refused += 1
+        self._tell(sentence)

@@ -4,7 +4,9 @@ PLUS sends image and pose of one tracked frame with the same stamp. Where a peer
 the pose is interpolated between its neighbours.
 """
 
+from bisect import insort
 from collections import deque
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +38,8 @@ class FramePairing:
 
     def __init__(self) -> None:
         self._poses: deque[_Pose] = deque(maxlen=MOST_POSES)
-        self._images: deque[_Waiting] = deque()
+        self._images: list[_Waiting] = []
+        """In order of their stamps: one that is stamped far ahead keeps no other waiting."""
         self._same_stamps = False
         """Image and pose have come with one stamp: a pose of another is none of the image's."""
 
@@ -48,17 +51,16 @@ class FramePairing:
     def add_image(self, t_s: float, image: NDArray[np.uint8] | None, arrived_s: float) -> list[TrackedFrame]:
         """An image (None: not to be used), and the frames that it completes."""
         if len(self._images) == MOST_IMAGES:
-            self._images.popleft()
-        self._images.append(_Waiting(t_s, image, arrived_s))
+            del self._images[min(range(MOST_IMAGES), key=lambda i: self._images[i].arrived_s)]
+        insort(self._images, _Waiting(t_s, image, arrived_s), key=attrgetter("t_s"))
         return self._complete()
 
     def overdue(self, now_s: float) -> list[TrackedFrame]:
         """Frames whose pose has not come in time; they have none."""
-        done = []
-        while self._images and now_s - self._images[0].arrived_s > WAIT_S:
-            late = self._images.popleft()
-            done.append(TrackedFrame(late.t_s, late.image, None))
-        return done
+        late = [one for one in self._images if now_s - one.arrived_s > WAIT_S]
+        if late:
+            self._images = [one for one in self._images if now_s - one.arrived_s <= WAIT_S]
+        return [TrackedFrame(one.t_s, one.image, None) for one in late]
 
     def _complete(self) -> list[TrackedFrame]:
         done: list[TrackedFrame] = []
@@ -71,13 +73,13 @@ class FramePairing:
                 return done
             else:
                 matrix = None if self._same_stamps else self._between(first.t_s)
-            self._images.popleft()
+            del self._images[0]
             done.append(TrackedFrame(first.t_s, first.image, matrix))
         return done
 
     def _between(self, t_s: float) -> FloatArray | None:
-        after = next(p for p in self._poses if p.t_s > t_s)
-        before = next((p for p in reversed(self._poses) if p.t_s < t_s), None)
+        after = min((p for p in self._poses if p.t_s > t_s), key=attrgetter("t_s"))
+        before = max((p for p in self._poses if p.t_s < t_s), key=attrgetter("t_s"), default=None)
         if before is None or before.matrix is None or after.matrix is None:
             return None
         both = np.stack([before.matrix, after.matrix])

@@ -5,7 +5,7 @@
     servo's newest tick ─► force, pose, state to the peers, at most ANSWERS_HZ
 
 Nothing here waits for a peer, a registration or the servo. It begins with the first tool pose: before, no
-tool is lost.
+tool is lost. However it ends, the last that it sends is no force, and why.
 """
 
 import threading
@@ -17,9 +17,10 @@ from dvf_ig.core import DvfIgError, FloatArray, Rigid, read_only_arrays
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.guidance.devices.tracked import TrackedTool
 from dvf_ig.guidance.servo import Servo, ServoInputs
+from dvf_ig.io import limits
 from dvf_ig.session import Event, GuidanceState, Landmark, Rearm, Session, ToolPose
 
-from .answers import force_message, pose_message, state_messages
+from .answers import force_message, last_messages, pose_message, state_messages
 from .events import EventSource
 from .link import Inbox, Link
 from .priority import SESSION, schedule_first
@@ -33,6 +34,11 @@ STATES_SENT_EVERY_S = 0.1
 TICK_WITHIN_S = 0.005
 """A servo that has not ticked for so long after it was told something is not waited for."""
 LOOK_S = 0.0005
+OLDEST_TICK_S = 0.05
+"""The force of an older tick is not sent: the machine, or this process, stood still."""
+SENTENCE_CHARACTERS = 400
+MOST_AT_ONCE = 64
+"""Messages taken between two answers: a flood is worked off without keeping the answers waiting."""
 STILL = Rigid.identity("tracker", "device")
 
 
@@ -87,6 +93,8 @@ class LiveLoop:
     record: Record = NO_RECORD
     clock: Callable[[], float] = time.monotonic
     began: bool = False
+    refused: int = 0
+    """Events that the session did not use."""
     _state_s: float = float("-inf")
     _answer_s: float = float("-inf")
     _states_sent_s: float = float("-inf")
@@ -97,10 +105,21 @@ class LiveLoop:
     _rearm_asked: bool = False
 
     def run(self, stop: threading.Event) -> None:
-        """Until `stop`."""
+        """Until `stop`, or an error; either way the peers get no force, and why, before it returns."""
         schedule_first(SESSION)
-        while not stop.is_set():
-            self.step()
+        try:
+            while not stop.is_set():
+                self.step()
+        except BaseException as error:
+            self._withdraw(f"the session failed ({type(error).__name__}: {error}); start it again")
+            raise
+        self._withdraw("the session has ended")
+
+    def _withdraw(self, sentence: str) -> None:
+        """The last messages; nothing that can fail is asked for them."""
+        shown = sentence.encode("ascii", "replace").decode()[:SENTENCE_CHARACTERS]
+        stamp_s = min(max(0.0, self.clock() + self.source.tool_offset_s), limits.WIRE_TIME_S)
+        self.link.send_last(last_messages(shown, stamp_s))
 
     def ask_rearm(self) -> None:
         """The operator at this machine asks for force again; no peer can."""
@@ -109,7 +128,7 @@ class LiveLoop:
     def step(self) -> None:
         """Take what has arrived, and answer where an answer is due."""
         waiting = self._told_tick >= 0
-        arrivals = self.inbox.take(LOOK_S if waiting else STATE_EVERY_S)
+        arrivals = self.inbox.take(LOOK_S if waiting else STATE_EVERY_S, MOST_AT_ONCE)
         tool_came = False
         for arrival in arrivals:
             for event in self.source.events(arrival):
@@ -136,9 +155,12 @@ class LiveLoop:
                 self.session.push(landmark)
         self.record.event(event.event, event.arrived_s)
         try:
-            self.session.push(event.event, event.arrived_s)
+            used = self.session.push(event.event, event.arrived_s)
         except DvfIgError as error:
+            used = False
             self.tell(str(error))
+        if not used:
+            self.refused += 1
             return False
         if tool:
             self._tool_arrived_s = event.arrived_s
@@ -175,12 +197,13 @@ class LiveLoop:
         self._told_tick = -1
         if state is None or sent is None:
             return
-        offset_s = self.source.tool_offset_s
+        offset_s = self.source.tool_offset_s - self.session.clock_correction_s(ToolPose)
         stamp_s = max(0.0, state.now_s + offset_s)
         messages = [*pose_message(state, stamp_s), force_message(sent.force_n, max(0.0, sent.t_s + offset_s))]
         if state.now_s - self._states_sent_s >= STATES_SENT_EVERY_S:
             self._states_sent_s = state.now_s
-            messages += state_messages(state, sent.state, sent.hazards, stamp_s, self.record.problem)
+            problems = (self.source.problem(state.now_s), self.record.problem)
+            messages += state_messages(state, sent.state, sent.hazards, stamp_s, *problems)
         self.link.send(messages)
         sent_s = self._answer_s = self.clock()
         latency_s, self._tool_arrived_s = sent_s - self._tool_arrived_s, float("nan")

@@ -13,9 +13,11 @@ from dvf_ig.guidance.servo import Servo
 from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
 from dvf_ig.session import Beside, Event, Landmark, Session, SessionHistory, SessionSetup
 
+from .answers import last_messages
 from .devices import DeviceNames, flips_between
 from .ecg.field import EcgField
 from .events import EventSource
+from .igtl import encode
 from .igtl.header import checksum
 from .link import Inbox, Link, connect, listen
 from .link.link import LOOPBACK, is_loopback
@@ -26,6 +28,7 @@ from .timed import LiveEvent
 
 LATE_S = 0.02
 """No device holds the servo's force here: it is sent every 17 ms, and a servo that is later latches."""
+CUT_OFF = "the connection is ended because of a message that broke the protocol; connect again"
 EcgEvents = Callable[[], list[LiveEvent]]
 
 
@@ -76,7 +79,9 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
         servo = Servo(fixtures, device, limits=setup.device, watchdog=False, late_s=LATE_S)
         stack.enter_context(servo)
         stack.enter_context(answering_soon())
-        link = stack.enter_context(open_link(config, inbox))
+        link = open_link(config, inbox)
+        link.farewell = b"".join(map(encode, last_messages(CUT_OFF, None)))
+        stack.enter_context(link)
         yield LiveLoop(
             session=session,
             servo=servo,
@@ -94,12 +99,27 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
         )
 
 
-def run_in_thread(loop: LiveLoop) -> tuple[threading.Thread, threading.Event]:
-    """Run a live session beside the caller; set the event and join the thread to end it."""
-    stop = threading.Event()
-    thread = threading.Thread(target=loop.run, args=(stop,), name="dvf-ig session", daemon=True)
-    thread.start()
-    return thread, stop
+class SessionThread(threading.Thread):
+    """Runs a live session beside the caller."""
+
+    def __init__(self, loop: LiveLoop) -> None:
+        super().__init__(name="dvf-ig session", daemon=True)
+        self._loop, self._asked = loop, threading.Event()
+        self._error: BaseException | None = None
+
+    def run(self) -> None:
+        """Until `end`, or an error, which `end` raises."""
+        try:
+            self._loop.run(self._asked)
+        except BaseException as error:  # noqa: BLE001  raised again by `end`
+            self._error = error
+
+    def end(self) -> None:
+        """End the session; raises what ended it before."""
+        self._asked.set()
+        self.join()
+        if self._error is not None:
+            raise self._error
 
 
 def open_link(config: LiveConfig, inbox: Inbox) -> Link:

@@ -72,7 +72,7 @@ class LiveSummary:
             ],
             "connections": loop.link.connections,
             "turned_away": loop.link.turned_away,
-            "messages_refused": loop.source.refused,
+            "messages_refused": loop.source.refused + loop.refused,
             "messages_dropped_in": loop.inbox.dropped,
             "messages_dropped_out": loop.link.dropped,
             "servo_run_share": loop.servo.deadlines.run_share,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 from dvf_ig.core.arrays import frozen_floats
+from dvf_ig.core.plausible import ECG_VALUE, LENGTH_MM, TIME_S, require_plausible
 
 
 @read_only_arrays
@@ -28,8 +29,9 @@ class EcgSamples:
     samples: FloatArray
 
     def __post_init__(self) -> None:
-        _require_finite(self.start_s, "ECG samples")
+        _require_time(self.start_s, "ECG samples")
         samples = frozen_floats(self.samples, "ECG samples", (None, None), finite=False)
+        require_plausible(samples, ECG_VALUE, "an ECG sample")
         object.__setattr__(self, "samples", samples)
 
 
@@ -40,7 +42,7 @@ class Trigger:
     t_s: float
 
     def __post_init__(self) -> None:
-        _require_finite(self.t_s, "a trigger")
+        _require_time(self.t_s, "a trigger")
 
 
 @read_only_arrays
@@ -59,7 +61,7 @@ class TrackedFrame:
     tracker_from_probe: FloatArray | None
 
     def __post_init__(self) -> None:
-        _require_finite(self.t_s, "a tracked frame")
+        _require_time(self.t_s, "a tracked frame")
         if self.image is not None and (self.image.ndim != 2 or self.image.dtype != np.uint8):
             raise InvalidInputError(
                 f"the image of a tracked frame has shape {self.image.shape} and type {self.image.dtype}; "
@@ -83,7 +85,7 @@ class ToolPose:
     tracker_from_tool: FloatArray | None
 
     def __post_init__(self) -> None:
-        _require_finite(self.t_s, "a tool pose")
+        _require_time(self.t_s, "a tool pose")
         if self.tracker_from_tool is not None:
             object.__setattr__(self, "tracker_from_tool", _pose(self.tracker_from_tool, "tool"))
 
@@ -104,9 +106,11 @@ class Landmark:
     tracker_mm: FloatArray
 
     def __post_init__(self) -> None:
-        _require_finite(self.t_s, "a landmark")
+        _require_time(self.t_s, "a landmark")
         for field in ("mr_mm", "tracker_mm"):
-            object.__setattr__(self, field, frozen_floats(getattr(self, field), f"landmark {field}", (3,)))
+            point = frozen_floats(getattr(self, field), f"landmark {field}", (3,))
+            require_plausible(point, LENGTH_MM, f"landmark {field}")
+            object.__setattr__(self, field, point)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,17 +120,20 @@ class Rearm:
     t_s: float
 
     def __post_init__(self) -> None:
-        _require_finite(self.t_s, "a re-arm")
+        _require_time(self.t_s, "a re-arm")
 
 
 Event = EcgSamples | Trigger | TrackedFrame | ToolPose | Landmark | Rearm
 
 
-def _require_finite(t_s: float, what: str) -> None:
+def _require_time(t_s: float, what: str) -> None:
     if not np.isfinite(t_s):
         raise InvalidInputError(f"{what} is stamped {t_s} s; needed a finite time")
+    require_plausible(t_s, TIME_S, f"the stamp of {what}, s,")
 
 
 def _pose(matrix: FloatArray, source: str) -> FloatArray:
     """A session judges for itself what is finite and rigid."""
-    return frozen_floats(matrix, f"tracker_from_{source}", (4, 4), finite=False)
+    pose = frozen_floats(matrix, f"tracker_from_{source}", (4, 4), finite=False)
+    require_plausible(pose, LENGTH_MM, f"tracker_from_{source}, mm,")
+    return pose

@@ -60,15 +60,15 @@ class HeartClock:
         peak_s = self._peaks[0].detected_at_s if self._peaks else inf
         return min(peak_s, self._changes[0].t_s if self._changes else inf)
 
-    def push(self, event: EcgSamples | Trigger) -> None:
-        """Take the next samples, or the next pulse.
+    def push(self, event: EcgSamples | Trigger) -> bool:
+        """Take the next samples, or the next pulse; False if not later than all before, and dropped.
 
         Raises:
             InvalidInputError: of another source; another number of leads than before.
         """
         if isinstance(event, Trigger) and self._trigger is not None:
             if not self.order.accepts(event.t_s):
-                return
+                return False
             self._peaks.extend(self._trigger.push(event.t_s))
             self._changes.extend(self._trigger.take_lead_changes())
         elif isinstance(event, EcgSamples) and isinstance(self._source, EcgSource):
@@ -77,7 +77,7 @@ class HeartClock:
                 self._ecg = RPeakDetector(self._source.rate_hz, leads)
             last_s = event.start_s + (count - 1) / self._source.rate_hz
             if count and leads == self._ecg.leads and not self.order.accepts(event.start_s, last_s):
-                return
+                return False
             self._peaks.extend(self._ecg.push(event.samples, event.start_s))
             self._changes.extend(self._ecg.take_lead_changes())
         else:
@@ -85,6 +85,7 @@ class HeartClock:
                 f"{type(event).__name__} came to a session whose beats come from {self._source}; "
                 "set it up with the source that there is"
             )
+        return True
 
     def step(self) -> RPeak | None:
         """What happens at `next_s`; the R peak if it is one."""

@@ -117,12 +117,14 @@ class Session:
     ) -> None:
         self._threads.__exit__(kind, error, trace)
 
-    def push(self, event: Event, arrived_s: float | None = None) -> None:
+    def push(self, event: Event, arrived_s: float | None = None) -> bool:
         """Take an event; those of one kind in the order in which they came.
 
         Args:
             arrived_s: when it came, by the clock that `state` is asked by; with it a source's clock that runs
                 away is found and put right (`source_clock`). None of a recording, which has no arrivals.
+        Returns:
+            whether it is used: False where its stamp is not later than those before, or its clock went back.
         Raises:
             InvalidInputError: it does not fit those before: another number of leads, another image size, or
                 of an ECG where there is a trigger.
@@ -130,19 +132,24 @@ class Session:
         if arrived_s is not None:
             accepted = self._sources.on_local_clock(event, arrived_s)
             if accepted is None:
-                return
+                return False
             event = accepted
         if isinstance(event, EcgSamples | Trigger):
-            self._clock.push(event)
-        elif isinstance(event, ToolPose):
-            self._tool.push(event)
+            return self._clock.push(event)
+        if isinstance(event, ToolPose):
             self._tip.push(event)
-        elif isinstance(event, TrackedFrame):
-            first = not self._frames.any
-            if self._frames.push(event) and first:
+            return self._tool.push(event)
+        if isinstance(event, TrackedFrame):
+            first, used = not self._frames.any, self._frames.push(event)
+            if used and first:
                 self._pose.begin(event.t_s + self.setup.calibrations.lag_s)
-        else:
-            insort(self._actions, event, key=attrgetter("t_s"))
+            return used
+        insort(self._actions, event, key=attrgetter("t_s"))
+        return True
+
+    def clock_correction_s(self, kind: type[Event]) -> float:
+        """What is added to the stamps of events of a kind that come with their arrivals."""
+        return self._sources.correction_s(kind)
 
     def state(self, now_s: float) -> GuidanceState:
         """What is known at `now_s`, and the force to send then; the supervisor takes a step.
@@ -158,6 +165,7 @@ class Session:
         stepped_s, self._now_s = self._now_s, now_s
         self._advance(now_s, stepped_s)
         self._frames.advance(now_s)
+        self._tip.advance(now_s)
         self._clock.order.advance(now_s)
         self._update_transform(now_s)
         tool = self._tool.at(now_s)

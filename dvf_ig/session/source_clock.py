@@ -7,12 +7,14 @@ does. With L the least of arrival − stamp over the last blocks, and L₀ that 
 
 follows a clock that is fast or slow by up to LARGEST_RATE. A sudden rise of L may be a link that has become
 slow: it is followed at that rate too, and until then the samples are what they seem, late. Where stamps go
-back the clock did: samples are refused until they are no later than usual again.
+back the clock did: samples are refused until they are no later than usual again, or until the clock has run
+steadily for STEADY_S from where it went to (a source that restarted): then L is what it is now. So it is with
+a clock that went ahead, whose samples are stamped with their arrival meanwhile.
 Source: clock filter of NTP (Mills, RFC 5905): the sample of least delay is the best one.
 """
 
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf
 
 from .events import EcgSamples, Event, ToolPose, TrackedFrame, Trigger
@@ -29,6 +31,27 @@ FUTURE_S = 0.005
 """A stamp this far behind its arrival is wrong whatever the drift: its sample is stamped with its arrival."""
 LARGEST_RATE = 500e-6
 """No crystal is off by more; a faster change is followed so fast and no faster."""
+STEADY_S, STEADY_SAMPLES = 2.0, 3
+"""A clock that jumped is followed when so many samples over this time are stamped alike: longer than the
+second after which the force latches (`CLOCK_BACKWARDS`), so that an operator has to let it back."""
+
+
+@dataclass(slots=True)
+class _Jumped:
+    """A clock since it jumped: arrival of the first sample, newest stamp, latencies, samples."""
+
+    from_s: float
+    newest_s: float
+    first_latency_s: float
+    least_s: float
+    samples: int = 1
+
+    def goes_on(self, t_s: float, latency_s: float) -> bool:
+        """Whether a sample is stamped by the same clock."""
+        return t_s > self.newest_s and abs(latency_s - self.first_latency_s) <= JITTER_S
+
+    def steady(self, now_s: float) -> bool:
+        return now_s - self.from_s >= STEADY_S and self.samples >= STEADY_SAMPLES
 
 
 class SourceClock:
@@ -43,10 +66,11 @@ class SourceClock:
         self._block_min_s = inf
         self._blocks: deque[float] = deque(maxlen=round(SPAN_S / BLOCK_S))
         self._newest_s = -inf
+        self._jumped: _Jumped | None = None
         self.skewed = False
         """Whether the clock runs away: stamps from the future, or a drift beyond SKEW."""
         self.behind = False
-        """Whether the clock went back, and has not come back since."""
+        """Whether the clock went back, and is neither back nor known to be another one."""
 
     def local_s(self, t_s: float, arrived_s: float) -> float | None:
         """A stamp on the local clock; None where the sample is to be refused.
@@ -57,12 +81,15 @@ class SourceClock:
         """
         if self._first_s is None:
             self._first_s = self._last_s = self._block_s = arrived_s
-        if t_s + self.correction_s - arrived_s > FUTURE_S:
-            self.skewed = True
-            return arrived_s
         latency_s = arrived_s - t_s
-        if self._went_back(t_s, latency_s):
-            return None
+        ahead_s = self.correction_s - latency_s
+        if ahead_s > FUTURE_S or self._went_back(t_s, latency_s):
+            found = self._since_jump(t_s, arrived_s, latency_s)
+            if FUTURE_S < ahead_s <= JITTER_S or not found.steady(arrived_s):
+                self.skewed |= ahead_s > FUTURE_S
+                return arrived_s if ahead_s > FUTURE_S else None
+            self._follow_jump(found)
+        self._jumped = None
         if arrived_s - self._block_s >= BLOCK_S:
             self._blocks.append(self._block_min_s)
             self._block_s, self._block_min_s = arrived_s, inf
@@ -82,6 +109,25 @@ class SourceClock:
             self.behind = latency_s > self._least_s + JITTER_S
         self._newest_s = max(self._newest_s, t_s)
         return self.behind
+
+    def _since_jump(self, t_s: float, arrived_s: float, latency_s: float) -> _Jumped:
+        """What the clock has done since it jumped, or since it did so last."""
+        jumped = self._jumped
+        if jumped is None or not jumped.goes_on(t_s, latency_s):
+            jumped = self._jumped = _Jumped(arrived_s, t_s, latency_s, latency_s)
+        else:
+            jumped.newest_s, jumped.least_s = t_s, min(jumped.least_s, latency_s)
+            jumped.samples += 1
+        return jumped
+
+    def _follow_jump(self, jumped: _Jumped) -> None:
+        """The least latency since the jump is what the least before was; none, where no sample was used."""
+        if self._reference_s == inf:
+            self._reference_s = 0.0
+        self._first_s = -inf
+        self.correction_s = jumped.least_s - self._reference_s
+        self._blocks.clear()
+        self._block_min_s, self._newest_s, self.behind = jumped.least_s, jumped.newest_s, False
 
     @property
     def _least_s(self) -> float:
@@ -115,6 +161,10 @@ class SourceClocks:
     def behind(self) -> bool:
         """Whether any source's clock went back."""
         return any(clock.behind for clock in self._clocks.values())
+
+    def correction_s(self, kind: type) -> float:
+        """What is added to the stamps of a kind of event now."""
+        return self._clocks[kind].correction_s if kind in self._clocks else 0.0
 
     def on_local_clock(self, event: Event, arrived_s: float) -> Event | None:
         """The event, its stamp put right; None where it is to be refused."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import inf
 from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,11 @@ LATE_MM = 0.3
 """A jump of latency matters where the tip moves further than this in it: the prediction may err as much."""
 FROZEN_POSES = 5
 """So many bit-identical poses in a row are one old pose, whatever their status says."""
+TO_AND_FRO_MM, TO_AND_FRO_S = 3.0, 0.030
+"""A tip that goes so far, and back again so far, within this time each has been two tips: it would be 20 g at
+100 Hz. A tracker's noise at the end of a long tool stays below 2 mm."""
+CONTRADICTED_STEPS, JUDGED_STEPS = 4, 10
+"""So many of the last steps lead back, and the poses contradict each other."""
 RATE_POSES = 32
 """The tracker's rate is the median over so many poses."""
 
@@ -62,6 +68,17 @@ class _Tracked:
     rotation: FloatArray
 
 
+class _Step(NamedTuple):
+    """How far the tip went from one pose to the next, and in which time."""
+
+    moved_mm: FloatArray
+    seconds: float
+
+    @property
+    def large(self) -> bool:
+        return self.seconds <= TO_AND_FRO_S and float(np.linalg.norm(self.moved_mm)) > TO_AND_FRO_MM
+
+
 class ToolTracker:
     """Takes the tool's poses and predicts the tip by constant velocity (docs/theory/safety.md).
 
@@ -87,11 +104,16 @@ class ToolTracker:
         self._usual_late_s = 0.0
         self._latencies: deque[float] = deque(maxlen=RATE_POSES)
         self._delayed = False
+        self._step = _Step(_ZERO, inf)
+        self._back: deque[bool] = deque(maxlen=JUDGED_STEPS)
+        """Of the last steps of the tip, whether they led back."""
 
-    def push(self, pose: ToolPose) -> None:
-        """Take one pose; one that is not later than all before is dropped."""
-        if self.order.accepts(pose.t_s):
+    def push(self, pose: ToolPose) -> bool:
+        """Take one pose; False where it is not later than all before, and dropped."""
+        accepted = self.order.accepts(pose.t_s)
+        if accepted:
             self._waiting.append(pose)
+        return accepted
 
     def at(self, now_s: float) -> ToolReading:
         """The tool as known at `now_s`, from the poses stamped until then; times in order."""
@@ -117,6 +139,8 @@ class ToolTracker:
             return self._newest
         if age_s > limit_s:
             return Hazard.TOOL_LOST
+        if sum(self._back) >= CONTRADICTED_STEPS:
+            return Hazard.TOOL_CONTRADICTED
         return Hazard.LATENCY_JUMP if self._delayed else Hazard.NONE
 
     def _take_until(self, now_s: float) -> None:
@@ -143,8 +167,17 @@ class ToolTracker:
         if matrix is None or self._newest:
             return
         rotation = matrix[:3, :3]
-        self._tracked.append(_Tracked(pose.t_s, rotation @ self._tip_mm + matrix[:3, 3], rotation))
+        tip_mm = rotation @ self._tip_mm + matrix[:3, 3]
+        if self._tracked:
+            self._take_step(_Step(tip_mm - self._tracked[-1].tip_mm, pose.t_s - self._tracked[-1].t_s))
+        self._tracked.append(_Tracked(pose.t_s, tip_mm, rotation))
         self._update_velocity()
+
+    def _take_step(self, step: "_Step") -> None:
+        """Whether the tip's newest step, and the one before, were large and led there and back."""
+        before, self._step = self._step, step
+        large = before.large and step.large
+        self._back.append(large and float(before.moved_mm @ step.moved_mm) < 0.0)
 
     def _judged(self, matrix: FloatArray | None) -> Hazard:
         if matrix is None:

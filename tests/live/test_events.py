@@ -10,7 +10,7 @@ from dvf_ig.live.clock import SETTLE_S, PeerClock
 from dvf_ig.live.devices import DeviceNames, flips_between
 from dvf_ig.live.ecg.batches import BatchClock
 from dvf_ig.live.ecg.field import EcgField
-from dvf_ig.live.events import EventSource
+from dvf_ig.live.events import MOST_CLOCKS, EventSource
 from dvf_ig.live.frames import WAIT_S, FramePairing
 from dvf_ig.live.igtl import (
     Image,
@@ -27,7 +27,7 @@ from dvf_ig.session import EcgSamples, ToolPose, TrackedFrame
 
 ORIGIN_S = 1000.0
 NAMES = DeviceNames("ProbeToTracker", "ToolToTracker", "Image_Tracker")
-PICTURE = np.arange(12, dtype=np.uint8).reshape(3, 4)
+PICTURE = np.arange(16 * 20).astype(np.uint8).reshape(16, 20)
 
 
 def shifted(x_mm: float) -> np.ndarray:
@@ -245,3 +245,89 @@ def test_batches_are_even_whatever_their_delays():
     assert errors.max() < 0.006
     gap = clock.first_s(10, (10 * 260 + 9) / 500.0 + 0.002)
     assert gap == pytest.approx(5.2, abs=0.01)
+
+
+# ------------------------------------------------------------------ wrong stamps and senders
+
+
+def test_a_stamp_far_ahead_in_the_first_second_is_no_offset():
+    clock = PeerClock()
+    for stamp_s, arrived_s in ((20.0, 1.0), (10.1, 1.103), (10.2, 1.25), (10.3, 1.31)):
+        clock.see(stamp_s, arrived_s)
+    assert clock.offset_s == pytest.approx(8.997)
+    clock.see(12.0, 2.03)
+    assert clock.settled
+    assert clock.offset_s == pytest.approx(8.997)
+
+
+@pytest.mark.parametrize("stamp_s", [2.0**32 - 1.0, 4.1e9])
+def test_a_stamp_that_leaves_no_room_for_answers_is_refused(stamp_s):
+    """Of any message, also in a peer's first second, and it does not move the peer's clock."""
+    told: list[str] = []
+    source = EventSource(NAMES, None, told.append)
+    late = Message("ToolToTracker", stamp_s, Transform(np.eye(4)))
+    assert source.events(Arrival(0.0, "plus", late)) == []
+    assert source.events(Arrival(0.1, "plus", pose("ToolToTracker", 0.1, 1.0))) == []
+    found = source.events(Arrival(1.2, "plus", pose("ToolToTracker", 1.2, 1.0)))
+    assert [round(e.event.t_s, 3) for e in found if isinstance(e.event, ToolPose)] == [0.1, 1.2]
+    assert (source.refused, len(told)) == (1, 1)
+    assert "set the sender's clock" in told[0]
+
+
+def sent_by(source: EventSource, peer: str, arrived_s: float) -> list[ToolPose]:
+    message = Message("ToolToTracker", None, Transform(np.eye(4)))
+    found = source.events(Arrival(arrived_s, peer, message))
+    return [e.event for e in found if isinstance(e.event, ToolPose)]
+
+
+def test_two_programs_that_send_the_tool_lose_it_until_one_ends():
+    source = EventSource(NAMES, None, lambda _: None)
+    assert sent_by(source, "a", 0.00)[0].tracker_from_tool is not None
+    assert sent_by(source, "b", 0.01)[0].tracker_from_tool is not None, "it may take over"
+    for t_s in (0.02, 0.04, 0.06):
+        assert sent_by(source, "a", t_s)[0].tracker_from_tool is None
+        assert sent_by(source, "b", t_s + 0.01)[0].tracker_from_tool is None
+    problem = source.problem(0.1)
+    assert problem is not None
+    assert "a and b both send the tool" in problem
+    assert sent_by(source, "b", 1.2)[0].tracker_from_tool is not None
+    assert source.problem(1.2) is None
+
+
+def test_a_program_that_takes_over_the_tool_is_no_second_sender():
+    source = EventSource(NAMES, None, lambda _: None)
+    for k in range(50):
+        assert sent_by(source, "before" if k < 25 else "after", 0.01 * k)[0].tracker_from_tool is not None
+    assert source.problem(0.5) is None
+
+
+def test_clocks_of_peers_that_went_are_forgotten():
+    source = EventSource(NAMES, None, lambda _: None)
+    for k in range(10 * MOST_CLOCKS):
+        sent_by(source, f"127.0.0.1:{k}", 0.1 * k)
+    assert len(source._clocks) == MOST_CLOCKS
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 480, 8)])
+def test_an_image_that_shows_nothing_is_refused(shape):
+    with pytest.raises(InvalidInputError, match="needed 16 x 16 or more"):
+        NAMES.image_of(Message("Image_Tracker", 1.0, Image(np.zeros(shape, np.uint8), np.eye(4))))
+
+
+def test_a_pose_far_ahead_does_not_bend_those_between_others():
+    frames = FramePairing()
+    frames.add_pose(2.0, shifted(1.0))
+    frames.add_pose(12.0, shifted(99.0))
+    frames.add_pose(2.1, shifted(2.0))
+    (frame,) = frames.add_image(2.03, PICTURE, 2.04)
+    assert frame.tracker_from_probe is not None
+    assert frame.tracker_from_probe[0, 3] == pytest.approx(1.3)
+
+
+def test_samples_that_no_ecg_has_are_missing_and_a_batch_of_minutes_is_refused():
+    source, told = settled(ecg=EcgField("EcgData", 500.0))
+    (batch,) = events(source, Message("EcgData", 2.0 + ORIGIN_S, Text("0.1 1e200 -1e10 0.2")))
+    assert isinstance(batch, EcgSamples)
+    np.testing.assert_array_equal(batch.samples[:, 0], [0.1, np.nan, np.nan, 0.2])
+    assert events(source, Message("EcgData", 2.1 + ORIGIN_S, Text("0 " * 2501))) == []
+    assert "check its rate" in told[0]

@@ -1,6 +1,7 @@
 """Connections: half messages, peers that do not read, that come back, that nobody allowed."""
 
 import socket
+import threading
 import time
 
 import numpy as np
@@ -150,3 +151,33 @@ def test_other_machines_need_to_be_allowed(role):
 def test_port_that_is_taken_is_a_sentence():
     with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(InvalidInputError, match="--port"):
         listen("127.0.0.1", taken.getsockname()[1], None)
+
+
+def test_a_peer_that_is_cut_off_is_told(pair, no_delay):
+    peer = Peer(pair[0], "x", Inbox(), lambda: encode(POSE))
+    pair[1].sendall(bytes(200))
+    until(lambda: not peer.connected)
+    assert pair[1].recv(1 << 16) == encode(POSE)
+    assert pair[1].recv(1) == b""
+
+
+def test_the_last_message_comes_after_the_rest_of_those_before(pair, no_delay):
+    """A peer that reads late gets all of it; one that does not read keeps nobody for longer than was said."""
+    peer, data = Peer(pair[0], "x", None), encode(IMAGE)
+    peer.offer(data)
+    got = bytearray()
+
+    def read() -> None:
+        while len(got) < len(data) + len(encode(POSE)):
+            got.extend(pair[1].recv(1 << 16))
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    peer.offer_last(encode(POSE), WITHIN_S)
+    reader.join()
+    assert bytes(got) == data + encode(POSE)
+    for _ in range(20):
+        peer.offer(data)
+    peer.offer_last(encode(POSE), 0.05)
+    peer.close()
+    peer.offer_last(encode(POSE), 0.05)

@@ -1,7 +1,11 @@
 """A live session on the toy's patient: what it sends, and what it does when a source fails."""
 
 import json
+import threading
 from collections.abc import Iterator
+from dataclasses import replace
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,9 +13,21 @@ from live_toy import LATENCY_S, ORIGIN_S, LiveToy, arrival, arrivals_of
 from toy_session import GUIDED_S, HOME, run, toy_setup, toy_streams
 
 from dvf_ig.guidance import Hazard, Status, SupervisorState
-from dvf_ig.live.igtl import Message, StatusCode, Text, Transform, WireError, WireProblem
+from dvf_ig.live.igtl import (
+    Message,
+    StatusCode,
+    Text,
+    Transform,
+    WireError,
+    WireProblem,
+    decode,
+    encode,
+)
 from dvf_ig.live.igtl import Status as StatusMessage
 from dvf_ig.live.link import Arrival
+from dvf_ig.live.loop import LiveLoop
+from dvf_ig.live.serve import SessionThread
+from dvf_ig.live.summary import LiveSummary
 from dvf_ig.session import Session
 
 UNTIL_S = 14.5
@@ -35,6 +51,13 @@ def without(arrivals: list[Arrival], device: str, from_s: float, until_s: float)
         for a in arrivals
         if not (isinstance(a.taken, Message) and a.taken.device == device and from_s < a.arrived_s < until_s)
     ]
+
+
+def loop_of(toy: LiveToy) -> Any:
+    """The loop with the counts of a link and a servo that run."""
+    link = SimpleNamespace(connections=1, turned_away=0, dropped=0)
+    servo = SimpleNamespace(deadlines=SimpleNamespace(run_share=1.0))
+    return replace(toy.loop, link=link, servo=servo)
 
 
 def states(toy: LiveToy, from_s: float, until_s: float) -> list[SupervisorState]:
@@ -185,3 +208,121 @@ def test_image_of_another_size_is_told_and_does_no_harm(toy):
     toy.run(arrivals, 3.0)
     assert len(toy.told) == 2
     assert toy.answers[-1].state.now_s > 2.9
+
+
+# ------------------------------------------------------------------ ends
+
+
+def last_of(toy: LiveToy) -> tuple[float, StatusMessage]:
+    force, status = toy.sent.messages[-3].content, toy.sent.messages[-2].content
+    assert isinstance(force, Transform)
+    assert isinstance(status, StatusMessage)
+    return float(np.linalg.norm(force.matrix[:3, 3])), status
+
+
+def test_a_session_that_ends_withdraws_its_force(toy):
+    stop = threading.Event()
+    stop.set()
+    toy.loop.run(stop)
+    force_n, status = last_of(toy)
+    assert force_n == 0.0
+    assert (status.code, status.name, status.text) == (
+        StatusCode.DISABLED,
+        "LATCHED",
+        "the session has ended",
+    )
+
+
+@pytest.mark.parametrize("cause", [RuntimeError("a \u00fcnexpected fault"), OverflowError(34, "too large")])
+def test_an_unexpected_error_sends_no_force_and_its_cause_and_is_raised_by_who_ended_the_session(
+    toy, monkeypatch, cause
+):
+    def fail(_: LiveLoop) -> None:
+        raise cause
+
+    monkeypatch.setattr(LiveLoop, "step", fail)
+    thread = SessionThread(toy.loop)
+    thread.start()
+    thread.join()
+    force_n, status = last_of(toy)
+    assert force_n == 0.0
+    assert status.code == StatusCode.DISABLED
+    assert "the session failed" in status.text
+    assert type(cause).__name__ in status.text
+    assert all(decode(data[:58], data[58:]) for data in map(encode, toy.sent.messages))
+    with pytest.raises(type(cause)):
+        thread.end()
+
+
+def test_the_force_of_a_servo_that_stood_still_is_not_sent(toy):
+    """The process was stopped for 0.2 s: its servo has not ticked since, and the last tick gave a force."""
+    toy.run(streams_of(UNTIL_S), UNTIL_S)
+    assert np.linalg.norm(toy.answers[-1].force_n) > 0.02
+    toy.now_s += 0.2
+    count = len(toy.answers)
+    while len(toy.answers) == count:
+        toy.loop.step()
+        toy.now_s += 0.006
+    assert not toy.answers[-1].force_n.any()
+    assert "the servo stood still" in toy.sent.named("DvfIg")[-1].content.text
+
+
+# ------------------------------------------------------------------ wrong stamps and senders
+
+
+def restamped(arrivals: list[Arrival], by_s: float, from_s: float, until_s: float = 99.0) -> list[Arrival]:
+    """The same, stamped otherwise in a span."""
+
+    def changed(message: Message) -> Message:
+        fields = dict(message.fields)
+        if "EcgDataTimestamp" in fields:
+            fields["EcgDataTimestamp"] = repr(float(fields["EcgDataTimestamp"]) + by_s)
+        return replace(message, stamp_s=(message.stamp_s or 0.0) + by_s, fields=MappingProxyType(fields))
+
+    return [a._replace(taken=changed(a.taken)) if from_s <= a.arrived_s < until_s else a for a in arrivals]
+
+
+def test_a_peer_whose_clock_restarts_comes_back_when_the_operator_re_arms(toy):
+    arrivals = restamped(streams_of(24.0), -4000.0, 13.0)
+    toy.run(arrivals, 20.0)
+    gone = [a for a in toy.answers if 13.5 < a.state.now_s < 14.5]
+    assert all(a.state.supervised.hazards & Hazard.CLOCK_BACKWARDS for a in gone)
+    assert not np.any([a.force_n for a in gone])
+    assert states(toy, 18.0, 20.0)[-1] is SupervisorState.LATCHED
+    assert not toy.answers[-1].state.supervised.hazards & (Hazard.CLOCK_BACKWARDS | Hazard.STALE_TOOL)
+    assert toy.loop.refused > 300
+    assert abs(toy.sent.named("ToolForce")[-1].stamp_s - (ORIGIN_S - 4000.0 + 20.0)) < 0.1
+
+
+@pytest.mark.parametrize("device", ["ToolToTracker", "Image_Tracker", "ProbeToTracker"])
+def test_one_stamp_ten_seconds_ahead_disables_nothing(toy, device):
+    """In the first second, and while a force is given."""
+    arrivals = streams_of(16.0)
+    for from_s in (0.3, 13.0):
+        later = (i for i, a in enumerate(arrivals) if a.arrived_s > from_s)
+        at = next(i for i in later if getattr(arrivals[i].taken, "device", "") == device)
+        (arrivals[at],) = restamped([arrivals[at]], 10.0, 0.0)
+    toy.run(arrivals, 16.0)
+    assert states(toy, 15.0, 16.0)[-1] is SupervisorState.OK
+    assert np.linalg.norm(toy.answers[-1].force_n) > 0.02
+
+
+def test_two_programs_that_send_the_tool_fade_and_latch(toy):
+    arrivals = streams_of(16.0)
+    tools = [a for a in arrivals if isinstance(a.taken, Message) and a.taken.device == "ToolToTracker"]
+    other = [a._replace(peer="other", arrived_s=a.arrived_s + 0.003) for a in tools if a.arrived_s > 12.0]
+    toy.run(sorted(arrivals + other, key=lambda a: a.arrived_s), 16.0)
+    assert SupervisorState.OK in states(toy, 12.5, 13.0)
+    assert np.linalg.norm(toy.answers[-1].force_n) == 0.0
+    assert states(toy, 15.0, 16.0)[-1] is SupervisorState.LATCHED
+    assert "other and plus both send the tool" in toy.sent.named("DvfIg")[-1].content.text
+
+
+def test_what_the_session_refuses_is_counted(toy):
+    """Twice the same messages: half of them are of no use."""
+    twice = [one for a in streams_of(3.0) for one in (a, a)]
+    toy.run(twice, 3.0)
+    assert toy.loop.refused > 200
+    assert (
+        LiveSummary().result(loop_of(toy))["messages_refused"] == toy.loop.refused + toy.loop.source.refused
+    )

@@ -7,20 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from served_toy import ready, serve_toy
 from toy_session import toy_setup
 from typer.testing import CliRunner
 from waiting import until
 
 from dvf_ig.cli.main import app
-from dvf_ig.cli.serve.setup import LiveSetup
-from dvf_ig.core import DvfIgError, Points, Preop, Rigid, Scenario, UnreadableFileError
-from dvf_ig.io import LivePatient, read_live_patient
+from dvf_ig.core import DvfIgError, Points, Scenario, UnreadableFileError
+from dvf_ig.io import read_live_patient
 from dvf_ig.io.session_file.fit import require_live_fit
 from dvf_ig.io.session_file.live import EcgFieldConfig, EcgTailConfig, LiveConfig
 from dvf_ig.live.igtl import Image, Message, Transform
 from dvf_ig.live.link import Inbox, connect, listen
 from dvf_ig.live.player import ECG, IMAGE, PROBE, TOOL, messages_of, play
-from dvf_ig.replay.calibrations import calibrate
 from dvf_ig.replay.view_file import read_view_file
 
 RUNNER = CliRunner()
@@ -63,38 +62,10 @@ def test_recording_comes_over_loopback(scenario: Scenario) -> None:
     assert server.dropped == 0
 
 
-def ready(live: LiveConfig) -> LiveSetup:
-    setup = toy_setup()
-    held = setup.calibrations
-    patient = LivePatient(
-        preop=Preop("ball"),
-        model=setup.heart.model,
-        probe=held.probe_from_image,
-        latency=held.lag_s,
-        tip=held.tip,
-        fan=None,
-        start=setup.start,
-        landmarks_mr=None,
-        landmarks_tracker=None,
-        touched=None,
-        touched_phase=None,
-        fixtures=None,
-        retiming=None,
-        live=live,
-        folder=Path(),
-    )
-    start = setup.start or Rigid.identity("mr", "tracker")
-    return LiveSetup(patient, setup, None, calibrate(patient, 0), start, (), "toy")
-
-
 @pytest.fixture
 def toy_patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a configuration names is the toy's patient."""
-    live = LiveConfig(ecg=EcgFieldConfig(rate_hz=250.0))
-    patient = ready(live).patient
-    monkeypatch.setattr("dvf_ig.cli.serve.command.read_patient", lambda _: patient)
-    monkeypatch.setattr("dvf_ig.cli.serve.command.live_setup", lambda *_: ready(live))
-    monkeypatch.setattr("dvf_ig.live.page.feed.scene_payload", lambda _: {})
+    serve_toy(monkeypatch)
 
 
 @pytest.mark.usefixtures("toy_patient")

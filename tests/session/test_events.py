@@ -1,5 +1,7 @@
 """Events own what they hold, and refuse what no source can mean."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -65,5 +67,23 @@ def test_what_is_not_tracked_and_what_is_missing_is_let_in() -> None:
     ],
 )
 def test_what_has_another_shape_is_refused_in_a_sentence(make, message) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ToolPose(1e11, None), r"stamp of a tool pose, s, reaches 1e\+11; needed at most 1e\+10"),
+        (lambda: TrackedFrame(-1e300, None, None), r"stamp of a tracked frame, s, reaches 1e\+300"),
+        (lambda: EcgSamples(0.0, [[0.1], [1e200]]), r"an ECG sample reaches 1e\+200; needed at most 1e\+09"),
+        (lambda: Landmark(0.0, "apex", np.zeros(3), np.full(3, 1e9)), r"landmark tracker_mm reaches 1e\+09"),
+        (lambda: ToolPose(0.0, np.diag([1.0, 1.0, 1.0, 1e9])), r"tracker_from_tool, mm, reaches 1e\+09"),
+        (lambda: TrackedFrame(0.0, None, np.full((4, 4), 1e9)), r"tracker_from_probe, mm, reaches 1e\+09"),
+    ],
+)
+def test_numbers_that_nothing_in_an_operating_room_has_are_refused(
+    make: Callable[[], object], message: str
+) -> None:
     with pytest.raises(InvalidInputError, match=message):
         make()

@@ -6,7 +6,7 @@ import pytest
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.session import TrackedFrame
-from dvf_ig.session.ultrasound.frame_buffer import AROUND_S, KEEP_S, FrameBuffer
+from dvf_ig.session.ultrasound.frame_buffer import AROUND_S, KEEP_S, SETTLED_IMAGES, FrameBuffer
 
 STEP_S = 0.1
 NO_PLACE = np.eye(4)
@@ -101,8 +101,22 @@ def test_frames_without_image_are_blank_and_invalid() -> None:
 
 
 def test_another_image_size_is_refused_and_changes_nothing() -> None:
-    buffer = filled(2)
-    wrong = TrackedFrame(0.5, np.zeros((3, 3), dtype=np.uint8), np.eye(4))
-    with pytest.raises(InvalidInputError, match=r"frame at 0\.500 s is \(3, 3\) pixels.*new session"):
+    buffer = filled(SETTLED_IMAGES)
+    wrong = TrackedFrame(1.5, np.zeros((3, 3), dtype=np.uint8), np.eye(4))
+    with pytest.raises(InvalidInputError, match=r"frame at 1\.500 s is \(3, 3\) pixels.*new session"):
         buffer.push(wrong)
-    assert buffer.push(frame(2))
+    assert buffer.push(frame(SETTLED_IMAGES))
+
+
+def test_a_first_image_of_another_size_decides_nothing() -> None:
+    """The scanner's first images may be anything: what comes after them, ten in a row, is the size."""
+    buffer = FrameBuffer()
+    for k, shape in enumerate([(1, 1), (9, 9), (9, 9)]):
+        assert buffer.push(TrackedFrame(STEP_S * (k - 3), np.zeros(shape, dtype=np.uint8), np.eye(4)))
+    for k in range(SETTLED_IMAGES):
+        assert buffer.push(frame(k))
+    part = buffer.between(-1.0, 5.0)
+    assert part is not None
+    assert part[0].image_valid.tolist() == [False] * 3 + [True] * SETTLED_IMAGES
+    with pytest.raises(InvalidInputError, match="new session"):
+        buffer.push(TrackedFrame(9.0, np.zeros((9, 9), dtype=np.uint8), np.eye(4)))

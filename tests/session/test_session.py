@@ -331,3 +331,36 @@ def _lengths(value: object, path: str, seen: set[int]) -> dict[str, int]:
 
 def _slots(cls: type) -> list[str]:
     return [n for c in cls.__mro__ for n in getattr(c, "__slots__", ()) if not n.startswith("__")]
+
+
+def held(value: object, seen: set[int]) -> int:
+    """Elements of all containers that can be reached from a value of ours."""
+    if id(value) in seen:
+        return 0
+    seen.add(id(value))
+    if isinstance(value, dict):
+        return len(value) + sum(held(one, seen) for one in value.values())
+    if isinstance(value, list | tuple | deque | set):
+        return len(value) + sum(held(one, seen) for one in value)
+    if not type(value).__module__.startswith("dvf_ig"):
+        return 0
+    slots = [name for kind in type(value).__mro__ for name in getattr(kind, "__slots__", ())]
+    values = [getattr(value, name, None) for name in slots] + list(getattr(value, "__dict__", {}).values())
+    return sum(held(one, seen) for one in values)
+
+
+@pytest.mark.parametrize("missing", ["ecg", "frames", "tool"])
+def test_a_session_without_one_of_its_streams_holds_no_more_after_a_minute(missing: str) -> None:
+    """What is kept for a beat, a frame or a tool that never comes is forgotten.
+
+    In half a minute the history grows by 38 beats; poses would be 3000.
+    """
+    streams = toy_streams(60.0)
+    setattr(streams, missing, [])
+    sizes = []
+    with Session(toy_setup()) as session:
+        for until_s in (30.0, 60.0):
+            between = [e for e in streams.merged() if until_s - 30.0 <= stamp(e) < until_s]
+            run(session, between, ticks(until_s - 30.0, until_s, 0.1))
+            sizes.append(held(session, set()))
+    assert sizes[1] - sizes[0] < 500

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import FloatArray
+from dvf_ig.guidance.supervision.supervisor import LATCH_AFTER_S
 from dvf_ig.session import EcgSamples, EcgSource, Landmark, ToolPose
-from dvf_ig.session.source_clock import LARGEST_RATE, SourceClock, SourceClocks
+from dvf_ig.session.source_clock import LARGEST_RATE, STEADY_S, SourceClock, SourceClocks
 
 LATENCY_S = 0.004
 
@@ -78,3 +79,49 @@ def test_each_kind_of_event_has_its_own_clock_and_an_operators_action_none() -> 
     assert ahead_s.start_s == pytest.approx(1.11 - 49 / 500)
     landmark = Landmark(1.0, "apex", np.zeros(3), np.zeros(3))
     assert clocks.on_local_clock(landmark, 5.0) is landmark
+
+
+def after_jump(clock: SourceClock, by_s: float, seconds: float) -> FloatArray:
+    """(n, 3) arrival, local stamp, whether behind, of a clock that ran for 10 s and then jumped; 100 Hz."""
+    stamps(clock, 10.0, 0.0)
+    rows = []
+    for t_s in (10.0 + np.arange(round(100 * seconds)) / 100).tolist():
+        local_s = clock.local_s(t_s + by_s, t_s + LATENCY_S)
+        rows.append((t_s + LATENCY_S, np.nan if local_s is None else local_s, clock.behind))
+    return np.array(rows)
+
+
+def test_a_source_that_restarts_with_an_earlier_clock_is_followed_when_the_force_has_latched() -> None:
+    arrived_s, local_s, behind = after_jump(SourceClock(), -9.0, 60.0).T
+    back = int(np.flatnonzero(behind == 0.0)[0])
+    assert STEADY_S <= arrived_s[back] - arrived_s[0] < STEADY_S + 0.02
+    assert STEADY_S > LATCH_AFTER_S + 0.5
+    assert np.isnan(local_s[:back]).all()
+    assert np.abs(arrived_s - LATENCY_S - local_s)[back:].max() < 1e-3
+    assert not behind[back:].any()
+
+
+def test_a_clock_that_went_ahead_is_followed_and_no_longer_called_skewed() -> None:
+    clock = SourceClock()
+    arrived_s, local_s, _ = after_jump(clock, 500.0, 60.0).T
+    assert np.abs(arrived_s - local_s).max() <= LATENCY_S + 1e-3
+    assert np.abs(arrived_s - LATENCY_S - local_s)[210:].max() < 1e-3
+    assert not clock.skewed
+
+
+def test_a_first_stamp_far_ahead_and_a_jump_in_the_first_seconds_do_no_harm() -> None:
+    clock = SourceClock()
+    assert clock.local_s(50.0, 0.0) == 0.0
+    for t_s in (np.arange(1, 1000) / 100).tolist():
+        by_s = 100.0 if t_s > 2.0 else 0.0
+        local_s = clock.local_s(t_s + by_s, t_s + LATENCY_S)
+        assert local_s is not None
+        assert abs(local_s - t_s) <= LATENCY_S + 1e-9
+
+
+def test_samples_of_an_older_clock_between_those_of_the_right_one_are_refused_for_ever() -> None:
+    clock = SourceClock()
+    stamps(clock, 10.0, 0.0)
+    for t_s in (10.0 + np.arange(1000) / 100).tolist():
+        assert clock.local_s(t_s, t_s + LATENCY_S) == pytest.approx(t_s, abs=1e-3)
+        assert clock.local_s(t_s - 9.0, t_s + LATENCY_S) is None

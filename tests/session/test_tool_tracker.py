@@ -129,3 +129,30 @@ def test_poses_that_suddenly_come_late_are_noticed_where_the_tool_moves() -> Non
 
     assert hazards(2.0) == {Hazard.NONE, Hazard.LATENCY_JUMP}
     assert hazards(0.1) == {Hazard.NONE}
+
+
+def between(apart_mm: float, noise_mm: float = 0.0, apart_s: float = 0.003) -> set[Hazard]:
+    """Hazards while two programs send the tool, each at 100 Hz, one `apart_mm` beside the other."""
+    tracker, found, rng = ToolTracker(TIP), set(), np.random.default_rng(2)
+    for i in range(300):
+        for t_s, off_mm in ((0.01 * i, 0.0), (0.01 * i + apart_s, apart_mm)):
+            matrix = pose_at(t_s)
+            matrix[:3, 3] += np.array([off_mm, 0.0, 0.0]) + rng.normal(0.0, noise_mm, 3)
+            tracker.push(ToolPose(t_s, matrix))
+            found.add(tracker.at(t_s).hazard)
+    return found
+
+
+@pytest.mark.parametrize("apart_s", [0.0001, 0.003, 0.009])
+def test_two_tools_in_one_stream_contradict_each_other(apart_s: float) -> None:
+    assert Hazard.TOOL_CONTRADICTED in between(5.0, apart_s=apart_s)
+    assert Hazard.TOOL_CONTRADICTED in between(300.0, apart_s=apart_s)
+
+
+def test_a_noisy_tracker_and_a_single_wrong_pose_contradict_nothing() -> None:
+    assert between(0.0, noise_mm=0.5) <= {Hazard.NONE}
+    poses = steady()
+    wrong = pose_at(1.0)
+    wrong[0, 3] += 40.0
+    poses[100] = ToolPose(1.0, wrong)
+    assert not any(reading.hazard for reading in read(poses, np.arange(0.1, 1.9, 0.01)))

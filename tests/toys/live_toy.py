@@ -18,6 +18,7 @@ from dvf_ig.live.ecg.field import EcgField
 from dvf_ig.live.events import EventSource
 from dvf_ig.live.igtl import Image, Message, Text, Transform, WireError
 from dvf_ig.live.link import Arrival, Inbox
+from dvf_ig.live.link.inbox import MOST
 from dvf_ig.live.loop import Answer, LiveLoop, no_more
 from dvf_ig.session import Session
 
@@ -31,8 +32,8 @@ STEP_S = 0.01
 class ReadyInbox(Inbox):
     """Never waits: time is simulated."""
 
-    def take(self, wait_s: float) -> list[Arrival]:
-        return super().take(0.0)
+    def take(self, wait_s: float, most: int = MOST) -> list[Arrival]:
+        return super().take(0.0, most)
 
 
 class _Tip(TrackedTool):
@@ -81,6 +82,8 @@ class Sent:
 
     def send(self, messages: Iterable[Message]) -> None:
         self.messages += list(messages)
+
+    send_last = send
 
     def named(self, device: str) -> list[Message]:
         return [message for message in self.messages if message.device == device]

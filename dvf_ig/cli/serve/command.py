@@ -1,8 +1,10 @@
 """`dvf-ig serve`: a live session with PLUS or 3D Slicer."""
 
+import signal
 import sys
 import threading
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,6 +31,7 @@ from dvf_ig.cli.fixture_options import (
 from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, warn
 
 from .setup import live_setup, read_patient
+from .undrained import queued_stderr
 
 if TYPE_CHECKING:
     from dvf_ig.io.session_file.live import LiveConfig
@@ -117,7 +120,7 @@ def serve(
     (STRING). Other machines are refused unless --allow names them. At the end latency and counts are printed.
     In a terminal, r and Enter re-arms after a latch; the network never does.
     """
-    with command(threads):
+    with queued_stderr(), command(threads):
         from dvf_ig.live.serve import require_allowed
 
         patient = read_patient(config)
@@ -192,6 +195,7 @@ def _run_session(
     """Until it ends; what it did, as JSON values."""
     from dvf_ig.live.ecg.source import ecg_events
     from dvf_ig.live.page import PageFeed, PageServer
+    from dvf_ig.live.sentences import counted
     from dvf_ig.live.serve import LiveOptions, live_session
 
     feed = None if page is None else PageFeed(ready.setup, live.ecg.rate_hz, history)
@@ -201,11 +205,14 @@ def _run_session(
         if feed is not None:
             feed.observe(answer)
 
-    options = LiveOptions(live, ready.landmarks, observe=observe, tell=warn, history=history, record=record)
-    if feed is not None:
-        options = replace(options, watch=feed.event)
     with ExitStack() as stack:
-        options = replace(options, ecg=stack.enter_context(ecg_events(live, ready.patient.folder, warn)))
+        tell = stack.enter_context(counted(warn))
+        ecg = stack.enter_context(ecg_events(live, ready.patient.folder, tell))
+        options = LiveOptions(
+            live, ready.landmarks, ecg=ecg, observe=observe, tell=tell, history=history, record=record
+        )
+        if feed is not None:
+            options = replace(options, watch=feed.event)
         if feed is not None and page is not None:
             server = stack.enter_context(PageServer(feed, page))
             typer.echo(f"the session is shown at http://127.0.0.1:{server.port}", err=True)
@@ -223,18 +230,39 @@ def _tell_where(live: "LiveConfig", loop: "LiveLoop") -> None:
 
 
 def _run(loop: "LiveLoop", seconds: float | None) -> None:
-    """Until the time is over, or Ctrl-C."""
-    from dvf_ig.live.serve import run_in_thread
+    """Until the time is over, Ctrl-C, or a signal that ends; raises what ended the session before."""
+    from dvf_ig.live.serve import SessionThread
 
     if sys.stdin.isatty():
         threading.Thread(target=_watch_keys, args=(loop,), daemon=True).start()
-    thread, stop = run_in_thread(loop)
+    thread = SessionThread(loop)
+    with _interrupted_by(signal.SIGTERM, signal.SIGHUP):
+        thread.start()
+        try:
+            thread.join(seconds)
+        except KeyboardInterrupt:
+            typer.echo("ending", err=True)
+        thread.end()
+
+
+@contextmanager
+def _interrupted_by(*signals: signal.Signals) -> Iterator[None]:
+    """Let signals that would end the program at once do what Ctrl-C does; in the main thread alone."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(*_: object) -> None:
+        for one in signals:
+            signal.signal(one, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = {one: signal.signal(one, interrupt) for one in signals}
     try:
-        thread.join(seconds)
-    except KeyboardInterrupt:
-        typer.echo("ending", err=True)
-    stop.set()
-    thread.join()
+        yield
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
 
 
 def _watch_keys(loop: "LiveLoop") -> None:

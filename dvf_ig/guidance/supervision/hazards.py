@@ -31,6 +31,7 @@ class Hazard(IntFlag, boundary=STRICT):
     DEVICE_LOST = 1 << 16
     ENERGY = 1 << 17
     MISSED_DEADLINES = 1 << 18
+    TOOL_CONTRADICTED = 1 << 19
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -85,7 +86,9 @@ HAZARD_RULES: Mapping[Hazard, HazardRule] = MappingProxyType(
             Response.FADE, Latch.NEVER, "tool poses arrive so late that the tool may be 0.3 mm further on"
         ),
         Hazard.CLOCK_BACKWARDS: HazardRule(
-            Response.FADE, Latch.AFTER_1_S, "a source's clock went back; its samples are refused"
+            Response.FADE,
+            Latch.AFTER_1_S,
+            "a source's clock went back; its samples are refused until it has run on for 2 s",
         ),
         Hazard.REORDERED_STAMPS: HazardRule(
             Response.WARN, Latch.NEVER, "more than 10 % of a source's samples come twice or out of order"
@@ -128,6 +131,11 @@ HAZARD_RULES: Mapping[Hazard, HazardRule] = MappingProxyType(
             Response.NO_FORCE,
             Latch.AT_ONCE,
             "the servo was late by 2 ms in 3 of 100 ticks or silent for 10 ms (tenfold without a device)",
+        ),
+        Hazard.TOOL_CONTRADICTED: HazardRule(
+            Response.FADE,
+            Latch.AFTER_1_S,
+            "the tool's poses jump to and fro: two programs send it; end one of them",
         ),
     }
 )

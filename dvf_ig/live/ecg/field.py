@@ -12,9 +12,12 @@ from dvf_ig.live.igtl import Message, Text
 from dvf_ig.session import EcgSamples
 
 from .batches import BatchClock
+from .values import plausible
 
 LONGEST = 100_000
 """Values in one batch."""
+LONGEST_S = 5.0
+"""A batch is sent as it is taken: one this long is none."""
 
 
 class EcgField:
@@ -27,6 +30,7 @@ class EcgField:
 
     def __init__(self, name: str, rate_hz: float) -> None:
         self._name, self._clock = name, BatchClock(rate_hz)
+        self._longest = round(LONGEST_S * rate_hz)
         self._last: tuple[str, str | None] | None = None
 
     def samples(self, message: Message, seen_s: float, offset_s: float) -> EcgSamples | None:
@@ -49,6 +53,11 @@ class EcgField:
         self._last = (text, given)
         leads = len((message.fields.get(f"{self._name}Leads") or "one").split())
         values = _numbers(text, leads)
+        if len(values) > self._longest:
+            raise InvalidInputError(
+                f"an ECG batch has {len(values)} samples a lead; needed at most {LONGEST_S:g} s of them: "
+                "check its rate"
+            )
         first_s = self._clock.first_s(len(values), seen_s)
         if given is not None:
             first_s = _number(given) - offset_s
@@ -62,8 +71,7 @@ def _numbers(text: str, leads: int) -> FloatArray:
     parts = text.replace(",", " ").replace(";", " ").split()
     if not parts or len(parts) > LONGEST or len(parts) % leads:
         raise InvalidInputError(f"an ECG batch has {len(parts)} values of {leads} leads")
-    values = np.array([_number(part) for part in parts])
-    return np.where(np.isfinite(values), values, np.nan).reshape(-1, leads)
+    return plausible(np.array([_number(part) for part in parts]).reshape(-1, leads))
 
 
 def _number(text: str) -> float:

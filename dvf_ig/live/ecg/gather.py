@@ -26,16 +26,22 @@ class EcgReader(Protocol):
 def gathered(
     reader: EcgReader, clock: Callable[[], float] = time.monotonic
 ) -> Iterator[Callable[[], list[LiveEvent]]]:
-    """Read in a thread; yields what gives the events since its last call."""
+    """Read in a thread; yields what gives the events since its last call, or raises what ended the thread."""
     waiting: deque[LiveEvent] = deque(maxlen=MOST_BATCHES)
     stop = threading.Event()
+    failed: list[BaseException] = []
 
     def gather() -> None:
-        while not stop.wait(EVERY_S):
-            for samples in reader.read():
-                waiting.append(LiveEvent(clock(), samples))
+        try:
+            while not stop.wait(EVERY_S):
+                for samples in reader.read():
+                    waiting.append(LiveEvent(clock(), samples))
+        except BaseException as error:  # noqa: BLE001  raised again by the session's thread
+            failed.append(error)
 
     def taken() -> list[LiveEvent]:
+        if failed:
+            raise failed[0]
         return [waiting.popleft() for _ in range(len(waiting))]
 
     thread = threading.Thread(target=gather, name="dvf-ig ecg", daemon=True)

@@ -11,6 +11,8 @@ import numpy as np
 from dvf_ig.core import MissingDependencyError
 from dvf_ig.session import EcgSamples
 
+from .values import plausible
+
 FIND_WITHIN_S = 5.0
 CORRECT_EVERY_S = 5.0
 MOST_SAMPLES = 1 << 16
@@ -59,7 +61,7 @@ class LslEcg:
             return []
         if not stamps:
             return []
-        values = np.array(rows, dtype=np.float64)
+        values = plausible(np.array(rows, dtype=np.float64))
         if self._channels:
             values = values[:, self._channels]
         offset_s = self._clock() - self._lsl.local_clock() + self._correction_s

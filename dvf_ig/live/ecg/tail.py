@@ -16,6 +16,7 @@ from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.session import EcgSamples
 
 from .batches import BatchClock
+from .values import plausible
 
 PIECE_BYTES = 1 << 20
 LONGEST_LINE = 1 << 16
@@ -46,7 +47,7 @@ class _GrowingFile:
 
     def _just_read(self, values: FloatArray) -> list[EcgSamples]:
         """(n, leads) samples, the last of which was taken before now."""
-        return [EcgSamples(self._times.first_s(len(values), self.clock()), values)]
+        return [EcgSamples(self._times.first_s(len(values), self.clock()), plausible(values))]
 
 
 @dataclass(slots=True)

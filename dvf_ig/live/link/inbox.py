@@ -41,14 +41,13 @@ class Inbox:
             self._bytes += size
             self._changed.notify()
 
-    def take(self, wait_s: float) -> list[Arrival]:
-        """All that is there, after waiting for the first no longer than `wait_s`."""
+    def take(self, wait_s: float, most: int = MOST) -> list[Arrival]:
+        """The first `most` that are there, after waiting for one no longer than `wait_s`."""
         with self._changed:
             if not self._waiting:
                 self._changed.wait(wait_s)
-            taken = list(self._waiting)
-            self._waiting.clear()
-            self._bytes = 0
+            taken = [self._waiting.popleft() for _ in range(min(most, len(self._waiting)))]
+            self._bytes -= sum(map(_bytes_of, taken))
         return taken
 
 

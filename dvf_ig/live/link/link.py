@@ -13,6 +13,7 @@ from .peer import Peer
 
 RETRY_S = 0.2
 CONNECT_WITHIN_S = 2.0
+LAST_WITHIN_S = 0.1
 MOST_PEERS = 8
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 18944
@@ -34,6 +35,8 @@ class Link:
         """Why the last connection ended."""
         self.unreachable: str | None = None
         """Why a client could not connect when it last tried and failed."""
+        self.farewell = b""
+        """Whole messages for a peer that is cut off because of what it sent."""
         self.stop = threading.Event()
         self._peers: list[Peer] = []
         self._changed = threading.Lock()
@@ -68,7 +71,7 @@ class Link:
 
     def add(self, connection: socket.socket, name: str) -> None:
         """A new peer."""
-        peer = Peer(connection, name, self.inbox)
+        peer = Peer(connection, name, self.inbox, lambda: self.farewell)
         self.connections += 1
         with self._changed:
             self._peers.append(peer)
@@ -80,6 +83,12 @@ class Link:
         data = b"".join(encode(message) for message in messages)
         for peer in self.peers:
             peer.offer(data)
+
+    def send_last(self, messages: Sequence[Message]) -> None:
+        """Send the session's last messages; waits LAST_WITHIN_S at most for a peer that does not read."""
+        data = b"".join(encode(message) for message in messages)
+        for peer in self.peers:
+            peer.offer_last(data, LAST_WITHIN_S)
 
 
 def connect(host: str, port: int, inbox: Inbox | None) -> Link:

@@ -14,6 +14,7 @@ from .inbox import Arrival, Inbox
 PIECE_BYTES = 1 << 18
 MESSAGE_S = 0.5
 """A message that has begun ends within this, or the connection does: an image takes some 10 ms."""
+LAST_LOOK_S = 0.01
 LOOK_EVERY_S = 0.1
 """A thread that waits for bytes looks so often whether it is to end."""
 
@@ -25,6 +26,7 @@ class Peer:
         connection: connected; the peer owns it.
         name: of the peer, for messages.
         inbox: takes what arrives; None receives and forgets, as of a peer that is only told.
+        farewell: gives whole messages for a peer whose connection is ended here.
         clock: seconds, monotonic.
         message_s: time for a message that has begun.
     """
@@ -34,6 +36,7 @@ class Peer:
         connection: socket.socket,
         name: str,
         inbox: Inbox | None,
+        farewell: Callable[[], bytes] = bytes,
         clock: Callable[[], float] = time.monotonic,
         message_s: float = MESSAGE_S,
     ) -> None:
@@ -44,6 +47,7 @@ class Peer:
         """Messages that were not sent because the peer did not read those before."""
         self.received = self.refused = 0
         self._connection, self._inbox, self._clock, self._message_s = connection, inbox, clock, message_s
+        self._farewell = farewell
         self._unsent = b""
         self._stop = threading.Event()
         self._sending = threading.Lock()
@@ -71,6 +75,18 @@ class Peer:
             self._unsent = data
             self._flushed()
 
+    def offer_last(self, data: bytes, within_s: float) -> None:
+        """Send whole messages after what is left of those before, as far as the peer takes them in time."""
+        end_s = self._clock() + within_s
+        poll = select.poll()
+        with self._sending:
+            if not self.connected:
+                return
+            poll.register(self._connection, select.POLLOUT)
+            self._unsent += data
+            while not self._flushed() and not self._stop.is_set() and self._clock() < end_s:
+                poll.poll(1e3 * LAST_LOOK_S)
+
     def _flushed(self) -> bool:
         """Whether nothing is left of what was offered before."""
         while self._unsent:
@@ -93,6 +109,7 @@ class Peer:
         except (WireError, OSError) as error:
             if not self._stop.is_set():
                 self.ended = error
+                self.offer_last(self._farewell(), LOOK_EVERY_S)
         finally:
             with self._sending:
                 self._connection.close()

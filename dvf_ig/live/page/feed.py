@@ -1,14 +1,14 @@
 """What a running session tells its page: the scene, and an event up to 30 times a second.
 
-The session's thread only leaves references here; a thread of the page makes JSON of them, and of a picture
-what the page needs, and only while somebody looks.
+The session's thread only leaves references here, without a lock; a thread of the page makes JSON of them,
+and of a picture what the page needs, and only while somebody looks. The scene is made before the session
+runs: JSON of a whole heart holds the interpreter for longer than a session may wait.
 """
 
 import json
-import threading
 from collections import deque
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from dvf_ig.report.viewer.scene import image_payload
 from dvf_ig.session import EcgSamples, Event, GuidanceState, SessionHistory, SessionSetup, TrackedFrame
 from dvf_ig.session.pose.confirmation import MAX_AGE_S
 
+T = TypeVar("T")
 FRAMES_HZ = 10.0
 ECG_HZ = 250.0
 """The ECG is thinned to this."""
@@ -49,7 +50,8 @@ class PageFeed:
         self._setup, self._history = setup, history
         self._ecg_hz, self._every = ecg_hz, max(1, round(ecg_hz / ECG_HZ))
         self._shape: ImageShape | None = None
-        self._scene = scene_payload(
+        self._pixels: tuple[int, ...] = ()
+        scene = scene_payload(
             SceneInput(
                 kind="live",
                 title=f"live: {setup.heart.model.patient_id}",
@@ -60,7 +62,9 @@ class PageFeed:
                 age_limit_s=MAX_AGE_S,
             )
         )
-        self._changed = threading.Lock()
+        rest = {key: value for key, value in scene.items() if key != "image"}
+        self._scene = json.dumps(rest, allow_nan=False)[:-1].encode()
+        """But for its image and the closing brace."""
         self._answer: Answer | None = None
         self._ecg: deque[EcgSamples] = deque(maxlen=KEPT)
         self._frame: TrackedFrame | None = None
@@ -73,15 +77,13 @@ class PageFeed:
 
     def observe(self, answer: Answer) -> None:
         """An answer was sent."""
-        with self._changed:
-            self._answer = answer
-            self._note_history(answer.state.now_s)
+        self._note_history(answer.state.now_s)
+        self._answer = answer
 
     def event(self, event: Event) -> None:
         """An event was pushed."""
         if isinstance(event, EcgSamples):
-            with self._changed:
-                self._ecg.append(event)
+            self._ecg.append(event)
         elif isinstance(event, TrackedFrame) and event.image is not None:
             self._frame = event
 
@@ -108,24 +110,19 @@ class PageFeed:
 
     # ------------------------------------------------------------------ by the page's thread
 
-    def scene(self) -> str:
-        """scene.json; the image's size is known with the first frame."""
+    def scene(self) -> tuple[bytes, bytes]:
+        """scene.json in two parts; the image's size is known with the first frame."""
         shape = self._shape_of(self._frame)
-        return json.dumps(
-            {**self._scene, "image": None if shape is None else image_payload(shape)}, allow_nan=False
-        )
+        image = json.dumps(None if shape is None else image_payload(shape), allow_nan=False)
+        return self._scene, f', "image": {image}}}'.encode()
 
     def next_event(self) -> str | None:
         """What is new since the last call, as JSON; None where nothing is."""
-        with self._changed:
-            answer, batches = self._answer, list(self._ecg)
-            peaks, marks = list(self._peaks), list(self._marks)
-            if answer is None or answer.state.now_s <= self._told_s:
-                return None
-            self._told_s = answer.state.now_s
-            self._ecg.clear()
-            self._peaks.clear()
-            self._marks.clear()
+        answer = self._answer
+        if answer is None or answer.state.now_s <= self._told_s:
+            return None
+        self._told_s = answer.state.now_s
+        batches, peaks, marks = _taken(self._ecg), _taken(self._peaks), _taken(self._marks)
         state = _as_sent(answer)
         event = state_event(state)
         if batches:
@@ -152,8 +149,9 @@ class PageFeed:
         }
 
     def _shape_of(self, frame: TrackedFrame | None) -> ImageShape | None:
-        if self._shape is None and frame is not None and frame.image is not None:
-            rows, columns = frame.image.shape
+        image = None if frame is None else frame.image
+        if image is not None and (self._shape is None or self._pixels != image.shape):
+            self._pixels = rows, columns = image.shape
             pixel_mm = self._setup.calibrations.probe_from_image.scale_mm_per_px.tolist()
             self._shape = image_shape(rows, columns, pixel_mm, self._setup.fan, SENT_COLUMNS)
         return self._shape
@@ -174,6 +172,11 @@ class PageFeed:
         probe_from_pixel = self._setup.calibrations.probe_from_image.matrix[:, [0, 1, 3]]
         mr_from_tracker = pose.matrices(np.array([state.now_s]))[0]
         return np.asarray(mr_from_tracker @ frame.tracker_from_probe @ probe_from_pixel)
+
+
+def _taken(waiting: deque[T]) -> list[T]:
+    """What the session's thread has left by now."""
+    return [waiting.popleft() for _ in range(len(waiting))]
 
 
 def _as_sent(answer: Answer) -> GuidanceState:

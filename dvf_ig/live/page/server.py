@@ -1,39 +1,50 @@
 """The page's server: three fixed addresses, GET alone, this machine alone.
 
-Nothing that a browser sends is used beyond which of the three it wants; a page of another origin can neither
-read the answers nor, by a name of its own for this machine, pretend to be this one (the Host is checked).
+Nothing that a browser sends is used beyond which of the three it wants, and who asks: a page of another
+origin is refused (Host, Origin, Sec-Fetch-Site), whether or not it could read the answers. Requests are
+served at REQUESTS_HZ together, so that a flood takes little of the interpreter from the session. Threads
+here have no lower priority than others: one that is put off while it holds the interpreter puts off the
+session.
 """
 
+import socket
 import threading
+import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.report.viewer import live_page
 
 from .feed import PageFeed
+from .watchers import Watcher, Watchers
 
 EVENTS_HZ = 30.0
-MOST_WATCHERS = 4
 SILENT_S = 1.0
 """After so long without news a comment is sent, which tells whether anybody still listens."""
-REQUEST_S = 5.0
+REQUEST_S, READ_S = 2.0, 5.0
 """A browser that takes longer to ask, or to read, is cut off."""
+REQUESTS_HZ, MOST_AT_ONCE = 20.0, 10
+"""Connections that are accepted, on average and at once; a page needs three."""
 _HOSTS = ("127.0.0.1", "localhost")
+_SAME_SITE = (None, "same-origin", "none")
+"""What a browser says of a request by its user or by a page of this server; other programs say nothing."""
 
 
 class _Handler(BaseHTTPRequestHandler):
     server: "_Server"
     protocol_version = "HTTP/1.0"
-    timeout = REQUEST_S
+    timeout = READ_S
 
     def do_GET(self) -> None:
         """One of the three."""
-        if self.headers.get("Host", "").rpartition(":")[0] not in _HOSTS:
+        self.server.asked(self.connection)
+        if not self._of_this_site():
             self.send_error(403)
         elif self.path == "/":
-            self._send(live_page(), "text/html; charset=utf-8")
+            self._send("text/html; charset=utf-8", self.server.page)
         elif self.path == "/scene.json":
-            self._send(self.server.feed.scene(), "application/json")
+            self._send("application/json", *self.server.feed.scene())
         elif self.path == "/events":
             self._send_events()
         else:
@@ -42,60 +53,103 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, *_: object) -> None:
         """Nothing is logged."""
 
+    def _of_this_site(self) -> bool:
+        """Whether the user, a page of this server, or a program on this machine asks."""
+        host = self.headers.get("Host", "")
+        return (
+            host.rpartition(":")[0] in _HOSTS
+            and self.headers.get("Origin") in (None, f"http://{host}")
+            and self.headers.get("Sec-Fetch-Site") in _SAME_SITE
+        )
+
     def _begin(self, kind: str) -> None:
         self.send_response(200)
         self.send_header("Content-Type", kind)
         self.send_header("Cache-Control", "no-store")
         self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
         self.end_headers()
 
-    def _send(self, text: str, kind: str) -> None:
+    def _send(self, kind: str, *parts: bytes) -> None:
         self._begin(kind)
-        self.wfile.write(text.encode())
+        for part in parts:
+            self.wfile.write(part)
 
     def _send_events(self) -> None:
-        if not self.server.begin_watching():
+        own_page = self.headers.get("Sec-Fetch-Site") == "same-origin"
+        watcher = self.server.watchers.begin(own_page=own_page)
+        if watcher is None:
             self.send_error(503)
             return
         try:
             self._begin("text/event-stream")
-            seen = self.server.newest
-            while not self.server.stopped.is_set():
-                number, line = self.server.wait_newer(seen, SILENT_S)
-                self.wfile.write(b": quiet\n\n" if number == seen else f"data: {line}\n\n".encode())
-                seen = number
-                self.wfile.flush()
+            self._send_news(watcher)
         except OSError:
             return
         finally:
-            self.server.end_watching()
+            self.server.watchers.end(watcher)
+
+    def _send_news(self, watcher: Watcher) -> None:
+        seen = self.server.newest
+        while not self.server.stopped.is_set() and not watcher.gone.is_set():
+            number, line = self.server.wait_newer(seen, SILENT_S)
+            self.wfile.write(b": quiet\n\n" if number == seen else line)
+            seen = number
+            self.wfile.flush()
 
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
     allow_reuse_address = True
+    request_queue_size = 32
 
     def __init__(self, port: int, feed: PageFeed) -> None:
         super().__init__(("127.0.0.1", port), _Handler)
-        self.feed = feed
-        self._watchers = 0
+        self.feed, self.page = feed, live_page().encode()
+        self.watchers = Watchers()
         self.stopped = threading.Event()
         self._changed = threading.Condition()
-        self._number, self._line = 0, ""
+        self._number, self._line = 0, b""
+        self._asking: dict[Any, float] = {}
+        """Connections that have not asked yet, and since when."""
+        self._allowed, self._allowed_s = float(MOST_AT_ONCE), time.monotonic()
+
+    # ------------------------------------------------------------------ connections
+
+    def get_request(self) -> tuple[socket.socket, Any]:
+        """Accept a connection, when its turn has come."""
+        now_s = time.monotonic()
+        earned = (now_s - self._allowed_s) * REQUESTS_HZ
+        self._allowed, self._allowed_s = min(MOST_AT_ONCE, self._allowed + earned), now_s
+        self._allowed -= 1.0
+        if self._allowed < 0.0:
+            self.stopped.wait(-self._allowed / REQUESTS_HZ)
+        connection, address = super().get_request()
+        self._asking[connection] = time.monotonic()
+        return connection, address
+
+    def asked(self, connection: socket.socket) -> None:
+        """A connection's request has been read."""
+        self._asking.pop(connection, None)
+
+    def shutdown_request(self, request: Any) -> None:
+        self._asking.pop(request, None)
+        super().shutdown_request(request)
+
+    def service_actions(self) -> None:
+        """Cut off those that do not ask in time, however slowly they go on."""
+        late_s = time.monotonic() - REQUEST_S
+        for connection, since_s in list(self._asking.items()):
+            if since_s < late_s and self._asking.pop(connection, None) is not None:
+                try:
+                    connection.shutdown(socket.SHUT_RDWR)
+                except OSError:  # it has gone by itself
+                    continue
 
     def handle_error(self, *_: object) -> None:
         """A browser that went away is no error."""
 
-    def begin_watching(self) -> bool:
-        """Whether there is room for one more."""
-        with self._changed:
-            room = self._watchers < MOST_WATCHERS
-            self._watchers += room
-            return room
-
-    def end_watching(self) -> None:
-        with self._changed:
-            self._watchers -= 1
+    # ------------------------------------------------------------------ events
 
     @property
     def newest(self) -> int:
@@ -103,7 +157,7 @@ class _Server(ThreadingHTTPServer):
         with self._changed:
             return self._number
 
-    def wait_newer(self, seen: int, wait_s: float) -> tuple[int, str]:
+    def wait_newer(self, seen: int, wait_s: float) -> tuple[int, bytes]:
         """The newest event, once it is newer, or after `wait_s`; a slow browser skips some."""
         with self._changed:
             self._changed.wait_for(lambda: self._number != seen or self.stopped.is_set(), wait_s)
@@ -111,10 +165,10 @@ class _Server(ThreadingHTTPServer):
 
     def publish(self) -> None:
         """Make an event of what is new, if somebody looks."""
-        line = self.feed.next_event() if self._watchers else None
-        if line is not None:
+        event = self.feed.next_event() if self.watchers else None
+        if event is not None:
             with self._changed:
-                self._number, self._line = self._number + 1, line
+                self._number, self._line = self._number + 1, f"data: {event}\n\n".encode()
                 self._changed.notify_all()
 
     def wake(self) -> None:

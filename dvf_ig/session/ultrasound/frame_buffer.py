@@ -1,6 +1,7 @@
 """The ultrasound frames that a session may still need, and parts of them as a tracked sequence."""
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,10 +11,11 @@ from dvf_ig.session.stamp_order import StampOrder
 
 KEEP_S = 20.0
 """Frames older than this are forgotten: longer than a registration looks back, and its work is delayed."""
-
-
 AROUND_S = 0.6
 """Frames so long before those that are asked for come with them: their poses are smoothed over neighbours."""
+SETTLED_IMAGES = 10
+"""The images' size is that of so many in a row: until then one of another size replaces those before, so that
+a scanner's first image, which may be anything, decides nothing."""
 
 
 class FrameBuffer:
@@ -24,6 +26,8 @@ class FrameBuffer:
         self._frames: deque[TrackedFrame] = deque()
         self._first_number = 0
         self._shape: tuple[int, ...] | None = None
+        self._alike = 0
+        """Images in a row of this shape."""
 
     @property
     def any(self) -> bool:
@@ -34,19 +38,25 @@ class FrameBuffer:
         """Take one frame; False where its stamp is not later than all before.
 
         Raises:
-            InvalidInputError: its image has another size than those before.
+            InvalidInputError: its image has another size than SETTLED_IMAGES before.
         """
-        if frame.image is not None:
-            if self._shape not in (None, frame.image.shape):
-                raise InvalidInputError(
-                    f"the frame at {frame.t_s:.3f} s is {frame.image.shape} pixels, those before "
-                    f"{self._shape}; start a new session when the scanner's settings change"
-                )
-            self._shape = frame.image.shape
+        if frame.image is not None and frame.t_s > self.order.newest_s:
+            self._take_shape(frame.image.shape, frame.t_s)
         if not self.order.accepts(frame.t_s):
             return False
         self._frames.append(frame)
         return True
+
+    def _take_shape(self, shape: tuple[int, ...], t_s: float) -> None:
+        if self._shape != shape:
+            if self._alike >= SETTLED_IMAGES:
+                raise InvalidInputError(
+                    f"the frame at {t_s:.3f} s is {shape} pixels, those before {self._shape}; start a new "
+                    "session when the scanner's settings change"
+                )
+            self._frames = deque(replace(frame, image=None) for frame in self._frames)
+            self._shape, self._alike = shape, 0
+        self._alike += 1
 
     def advance(self, now_s: float) -> None:
         """Forget what nobody will ask for from now on; times in order."""

@@ -18,6 +18,7 @@ from dvf_ig.registration import (
 from dvf_ig.session.calibrations import CalibrationsInUse
 from dvf_ig.session.events import ToolPose
 
+from .frame_buffer import KEEP_S as FRAMES_KEPT_S
 from .frame_buffer import FrameBuffer
 from .gated_frames import sector_of
 
@@ -49,6 +50,11 @@ class TipWatch:
         """Take one pose; one that is not later than all before is dropped."""
         if not self._tool or pose.t_s > self._tool[-1].t_s:
             self._tool.append(pose)
+
+    def advance(self, now_s: float) -> None:
+        """Forget poses that belong to no frame that is kept; times in order. Beats may never come."""
+        while self._tool and self._tool[0].t_s < now_s - FRAMES_KEPT_S:
+            self._tool.popleft()
 
     def after_beat(self, until_s: float, known_s: float) -> TipSighting | None:
         """Look at the images of a beat.

@@ -17,7 +17,7 @@ from dvf_ig.live.igtl import Message, Transform, encode
 from dvf_ig.live.link import Link, listen
 from dvf_ig.live.loop import Answer, LiveLoop
 from dvf_ig.live.player import play
-from dvf_ig.live.serve import LiveOptions, live_session, run_in_thread
+from dvf_ig.live.serve import LiveOptions, SessionThread, live_session
 from dvf_ig.live.summary import LiveSummary
 from dvf_ig.replay.operator import REARM_AFTER_S, SimulatedOperator
 from dvf_ig.session import EcgSource, SessionHistory, SessionSetup
@@ -113,12 +113,12 @@ def _taken(
 
     options = LiveOptions(config, landmarks=landmarks, observe=observe, history=history)
     with live_session(setup, options) as loop:
-        thread, stop = run_in_thread(loop)
+        thread = SessionThread(loop)
+        thread.start()
         child.send("begin")
         child.recv()
         thread.join(SETTLE_S)
-        stop.set()
-        thread.join()
+        thread.end()
         result = summary.result(loop)
         child.send("end")
         return LiveRun(tuple(answers), history, _offset_s(loop), result)

@@ -31,6 +31,7 @@ FADING = [
     (Hazard.DEVICE_LOST, 0.020, Latch.AT_ONCE),
     (Hazard.ENERGY, 0.250, Latch.AT_ONCE),
     (Hazard.MISSED_DEADLINES, 0.0, Latch.AT_ONCE),
+    (Hazard.TOOL_CONTRADICTED, 0.250, Latch.AFTER_1_S),
 ]
 GIVEN_IN_FULL = [Hazard.REORDERED_STAMPS, Hazard.CLOCK_SKEW]
 
@@ -140,6 +141,6 @@ def test_every_status_of_a_force_is_a_hazard():
 def test_what_says_nothing_of_its_own_return_latches():
     late, at_once = hazards_that_latch(Latch.AFTER_1_S), hazards_that_latch(Latch.AT_ONCE)
     tool = Hazard.STALE_TOOL | Hazard.TOOL_LOST | Hazard.TOOL_FROZEN | Hazard.CLOCK_BACKWARDS
-    assert late == tool | Hazard.SESSION_SILENT
+    assert late == tool | Hazard.TOOL_CONTRADICTED | Hazard.SESSION_SILENT
     found_by_servo = Hazard.DEVICE_LOST | Hazard.ENERGY | Hazard.MISSED_DEADLINES
     assert at_once == Hazard.NOT_FINITE | Hazard.FORCE_CLAMPED | found_by_servo

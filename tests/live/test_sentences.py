@@ -1,0 +1,112 @@
+"""Sentences are counted by kind, and a terminal that nobody reads keeps nobody waiting."""
+
+import io
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+import typer
+from waiting import WITHIN_S, until
+
+from dvf_ig.cli.serve.undrained import MOST_CHARACTERS, queued_stderr
+from dvf_ig.live.sentences import MOST_KINDS, CountedSentences, counted
+
+
+def test_each_kind_is_told_at_once_and_then_counted() -> None:
+    told: list[str] = []
+    with counted(told.append) as sentences:
+        for k in range(412):
+            sentences(f"the frame at {k}.25 s is ({k}, 1) pixels")
+        sentences("another kind")
+        assert told == [
+            "the frame at 0.25 s is (0, 1) pixels",
+            "the frame at 9.25 s is (9, 1) pixels (10 times)",
+            "the frame at 99.25 s is (99, 1) pixels (100 times)",
+            "another kind",
+        ]
+    assert told[4:] == ["the frame at 411.25 s is (411, 1) pixels (412 times)"]
+
+
+def test_kinds_without_end_are_bounded() -> None:
+    told: list[str] = []
+    sentences = CountedSentences(told.append)
+    for k in range(1000):
+        sentences("x" * (k + 1))
+    sentences.finish()
+    assert len(told) == MOST_KINDS + 1
+    assert told[-1] == f"{1000 - MOST_KINDS} more sentences of other kinds are not shown"
+
+
+class Pipe:
+    """A stderr whose other end is read when a test wants it."""
+
+    def __init__(self) -> None:
+        self.read_end, write_end = os.pipe()
+        self.stream = os.fdopen(write_end, "w", buffering=1)
+
+    def close(self) -> None:
+        os.close(self.read_end)
+        self.stream.close()
+
+
+@pytest.fixture
+def pipe() -> Iterator[Pipe]:
+    one = Pipe()
+    yield one
+    one.close()
+
+
+def test_what_is_written_arrives_in_order(pipe: Pipe, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", pipe.stream)
+    before = sys.stderr
+    with queued_stderr():
+        for k in range(1000):
+            typer.echo(f"line {k}", err=True)
+    assert sys.stderr is before
+    assert os.read(pipe.read_end, 1 << 16).decode() == "".join(f"line {k}\n" for k in range(1000))
+
+
+def test_a_full_pipe_stops_nobody_and_the_end_has_a_limit(
+    pipe: Pipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More than the pipe and the queue hold; without the queue the first line too many waits for ever."""
+    monkeypatch.setattr(sys, "stderr", pipe.stream)
+    finished = threading.Event()
+
+    def write() -> None:
+        with queued_stderr():
+            for _ in range(2 * MOST_CHARACTERS // 100):
+                typer.secho("x" * 100, err=True)
+        finished.set()
+
+    writer = threading.Thread(target=write, daemon=True)
+    writer.start()
+    until(finished.is_set)
+    writer.join()
+    assert set(os.read(pipe.read_end, 1 << 16).decode()) == {"x", "\n"}
+
+
+def test_a_pipe_whose_reader_has_gone_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    stream = os.fdopen(write_end, "w", buffering=1)
+    monkeypatch.setattr(sys, "stderr", stream)
+    begin_s = time.monotonic()
+    with queued_stderr():
+        for _ in range(100):
+            typer.echo("nobody", err=True)
+    assert time.monotonic() - begin_s < WITHIN_S
+    stream.close()
+
+
+def test_a_stream_without_a_file_is_written_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    with queued_stderr():
+        sys.stderr.write("text\n")
+        with pytest.raises(TypeError, match="text is needed"):
+            sys.stderr.write(b"bytes")
+    assert stream.getvalue() == "text\n"
