@@ -129,3 +129,14 @@ def test_poses_that_suddenly_come_late_are_noticed_where_the_tool_moves() -> Non
 
     assert hazards(2.0) == {Hazard.NONE, Hazard.LATENCY_JUMP}
     assert hazards(0.1) == {Hazard.NONE}
+
+
+@pytest.mark.parametrize("rate_hz", [6.0, 12.0, 25.0])
+def test_the_velocity_of_a_slow_tracker_is_finite(rate_hz: float) -> None:
+    """Frames further apart than twice the span of the difference: at 12 Hz it was 0/0."""
+    poses = [ToolPose(t_s, pose_at(t_s)) for t_s in (np.arange(60) / rate_hz).tolist()]
+    for number in range(5, 60):
+        (reading,) = read(poses[:number], np.array([poses[number - 1].t_s + 0.001]))
+        assert reading.hazard is Hazard.NONE
+        assert np.isfinite(reading.velocity_mm_s).all()
+        assert np.isfinite(reading.tip_tracker_mm).all()
