@@ -54,9 +54,9 @@ class Disagreement(Enum):
     )
     PROBE_AND_TOOL_EXCHANGED = Rule(
         True,
-        "at this start {share:.0%} of the images reach the heart; with the poses of the tool {other:.0%} would: "
-        "probe and tool look exchanged; exchange their names (--probe-name and --tool-name, or in the "
-        "recording itself)",
+        "at this start {share:.0%} of the images reach the heart; with the poses of the tool {other:.0%} "
+        "would: probe and tool look exchanged; exchange their names (--probe-name and --tool-name, or in "
+        "the recording itself)",
     )
     TOOL_IS_PIVOT = Rule(
         True,
