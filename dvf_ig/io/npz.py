@@ -91,8 +91,7 @@ def _array(path: Path, name: str, content: bytes) -> AnyArray:
         raise damaged("has a header that is too long")
     header = _HEADER.fullmatch(content[8 + width : begin])
     if header is None:
-        shown = content[8 + width : begin][:80].decode("ascii", "backslashreplace").rstrip()
-        raise damaged(f"is not of numbers: {shown}")
+        raise damaged(f"is not of numbers: {content[8 + width : begin][:80]!r}")
     try:
         dtype = np.dtype(header[1].decode("ascii"))
     except TypeError as exc:
