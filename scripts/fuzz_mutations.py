@@ -22,7 +22,11 @@ WORDS = (
     "MET_UCHAR nan OK INVALID",
     f"\0 \u2028x \xe9 {'x' * 300} {'x' * 3000}",
 )
+ENDINGS = "x0 x-1 x00 x9999 :999999999 +999999999 /0 (1e400) (9999999999) e400 , ; : x"
+"""Put after a number: fields of WFDB's headers begin so."""
 _NUMBER = re.compile(rb"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+ZEROS = 600 << 20
+"""More than a reader may take for a file of 600 kB, which they pack to."""
 _WORD = re.compile(rb"[A-Za-z_][\w.-]*")
 
 
@@ -37,7 +41,9 @@ def _changed(data: bytes, rng: random.Random) -> bytes:
     head = data[:65536]
     is_text = b"\0" not in head[:200] and head[:200].isascii()
     ways = (
-        (_number, _number, _number, _word, _line, _bytes, _cut) if is_text else (_bytes, _bytes, _field, _cut)
+        (_number, _number, _number, _ending, _word, _line, _bytes, _cut)
+        if is_text
+        else (_bytes, _bytes, _field, _cut)
     )
     return rng.choice(ways)(data, rng)
 
@@ -52,6 +58,14 @@ def _replaced(data: bytes, pattern: re.Pattern[bytes], by: tuple[str, ...], rng:
 
 def _number(data: bytes, rng: random.Random) -> bytes:
     return _replaced(data, _NUMBER, NUMBERS, rng)
+
+
+def _ending(data: bytes, rng: random.Random) -> bytes:
+    places = [match.end() for match in _NUMBER.finditer(data[:65536])]
+    if not places:
+        return _bytes(data, rng)
+    at = rng.choice(places[: rng.choice((20, len(places)))])
+    return data[:at] + rng.choice(ENDINGS.split(" ")).encode() + data[at:]
 
 
 def _word(data: bytes, rng: random.Random) -> bytes:
@@ -107,6 +121,8 @@ def _opened(data: bytes, rng: random.Random) -> bytes:
         )
     if data[:2] == b"PK":
         return _model(data, rng) if _unpacks(_archive, data) else data
+    if data[:5] == b"\x89MCAP":
+        return _log(data, rng)
     place = data.find(b"ElementDataFile = LOCAL\n")
     if place > 0 and b"CompressedData = True" in data:
         body = data[place + 24 :]
@@ -125,21 +141,85 @@ def _unpacks(unpack: Callable[[bytes], object], data: bytes) -> bool:
 
 def _archive(data: bytes) -> dict[str, bytes]:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        if sum(member.file_size for member in archive.infolist()) >= ZEROS:
+            raise zipfile.BadZipFile
         return {name: archive.read(name) for name in archive.namelist()}
+
+
+def _array(content: bytes, rng: random.Random) -> bytes:
+    """An array whose header states another shape."""
+    shapes = (
+        "()",
+        "(0,)",
+        "(0, 1000000000000000000)",
+        f"({'9' * 400},)",
+        "(1e400,)",
+        "(-1,)",
+        "None",
+        "(1,)",
+    )
+    shape = re.compile(rb"\([\d, ]*\)")
+    return shape.sub(rng.choice(shapes).encode(), content[:200], count=1) + content[200:]
 
 
 def _model(data: bytes, rng: random.Random) -> bytes:
     """A model whose header or arrays are changed and whose file checksum is right again."""
     members = _archive(data)
     name = rng.choice(sorted(members))
-    members[name] = _changed(members[name], rng)
+    members[name] = _array(members[name], rng) if rng.random() < 0.3 else _changed(members[name], rng)
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
+    packed = rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_STORED, zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
+    with zipfile.ZipFile(buffer, "w", packed, compresslevel=1) as archive:
         for one, content in members.items():
             archive.writestr(one, content)
+        if packed == zipfile.ZIP_DEFLATED and rng.random() < 0.01:
+            with archive.open("zeros.npy", "w") as stream:
+                for _ in range(ZEROS >> 20):
+                    stream.write(bytes(1 << 20))
         archive.comment = b"dvf_ig sha256 " + b"0" * 64
     body = buffer.getvalue()[:-64]
     return body + hashlib.sha256(body).hexdigest().encode()
+
+
+def _log(data: bytes, rng: random.Random) -> bytes:
+    """A log with a change inside a chunk or an attached file, whose sizes and digests are right again."""
+    from mcap.data_stream import RecordBuilder
+    from mcap.exceptions import McapError
+    from mcap.records import Attachment, Chunk, DataEnd, Footer, Metadata
+    from mcap.stream_reader import MAGIC_SIZE, StreamReader
+    from zstandard import ZstdError, compress, decompress
+
+    records = []
+    try:
+        for record in StreamReader(io.BytesIO(data), emit_chunks=True).records:
+            if isinstance(record, DataEnd):
+                break
+            records.append(record)
+    except (McapError, ValueError, struct.error, OverflowError, MemoryError):
+        pass  # a log that was cut off
+    chosen = [record for record in records if isinstance(record, Chunk | Attachment)]
+    if not chosen:
+        return _changed(data, rng)
+    changed = rng.choice(chosen)
+    try:
+        if isinstance(changed, Chunk):
+            content = _changed(decompress(changed.data, changed.uncompressed_size), rng)
+            changed.data, changed.uncompressed_size = compress(content), len(content)
+            changed.uncompressed_crc = 0
+        else:
+            changed.data = _changed(changed.data, rng)
+    except ZstdError:
+        return _changed(data, rng)
+    digests = {r.name: hashlib.sha256(r.data).hexdigest() for r in records if isinstance(r, Attachment)}
+    builder = RecordBuilder()
+    for record in records:
+        if isinstance(record, Metadata) and record.name == "sha256":
+            record.metadata = digests
+        record.write(builder)
+    DataEnd(0).write(builder)
+    Footer(0, 0, 0).write(builder)
+    mark = data[:MAGIC_SIZE]
+    return b"".join((mark, builder.end(), mark))
 
 
 def resealed(data: bytes) -> bytes:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dvf_ig import io
-from dvf_ig.core import PoseStream, Volume
+from dvf_ig.core import Points, PoseStream, Volume
 
 Read = Callable[[Path], Any]
 GAPS = {"samples", "values", "points_px"}
@@ -50,8 +50,10 @@ def write_seeds(folder: Path) -> None:
     (out / "trigger.csv").write_text("# delay_s 0.03\nt_s\n0.1\n0.9\n1.7\n")
     (out / "ecg.csv").write_text("t_s,II,V1\n" + "".join(f"{i / 250},{i % 7},{i % 5}\n" for i in range(60)))
     edf(out / "ecg.edf")
-    (out / "r.hea").write_text("r 1 250 2000\nr.dat 16 200(0)/mV 16 0 0 0 0 II\n")
+    (out / "r.hea").write_text("r 1 250 1500\nr.dat 16 200(0)/mV 16 0 0 0 0 II\n")
     (out / "r.dat").write_bytes(np.arange(2000).astype("<i2").tobytes())
+    (out / "m.hea").write_text("m/3 2 250 2000\nlayout 0\nr 1500\n~ 500\n")
+    (out / "layout.hea").write_text("layout 2 250 0\n~ 0 200/mV 16 0 0 0 0 II\n~ 0 0 16 0 0 0 0 V\n")
     (out / "r.atr").write_bytes(bytes([10, 4, 200, 4, 0, 236, 0, 0, 44, 1, 5, 20, 2, 252, 40, 78, 0, 0]))
     (out / "session.yaml").write_text(
         "schema: dvf_ig.session/1\npreop: {model: a.npz, organ_labels: [1, 2]}\nultrasound: {file: b.mha}\n"
@@ -74,6 +76,51 @@ def write_seeds(folder: Path) -> None:
         f'Matrix="{" ".join(str(v) for row in matrix for v in row)}" Error="0.3"/></CoordinateDefinitions>'
         "</PlusConfiguration>"
     )
+    _write_logs(folder)
+
+
+def _write_logs(folder: Path) -> None:
+    """Logs of a replay, and of a live session that was finished or cut off, none with more than moments."""
+    from toy_ball import ball_model
+    from toy_run import TIP, recorded
+
+    from dvf_ig.io.ros import messages as ros
+    from dvf_ig.io.ros.live_log import STATE, STATE_COLUMNS, event_messages
+    from dvf_ig.io.ros.log_file import LogWriter
+    from dvf_ig.session import EcgSamples, ToolPose, TrackedFrame
+    from tests.live.test_record import attach
+    from tests.replay.test_session_log import logged
+
+    (folder / "run").mkdir()
+    log = logged(folder / "run", dataclasses.replace(recorded(), tip=Points("tool", TIP)), given=ball_model())
+    log.rename(folder / "log.mcap")
+    image = np.arange(48, dtype=np.uint8).reshape(6, 8)
+    with (folder / "live.mcap").open("wb") as stream:
+        writer = LogWriter(stream, 512)
+        attach(writer)
+        writer.end_attachments()
+        for t_s in (0.0, 0.1, 0.2):
+            for event in (
+                EcgSamples(t_s, np.full((25, 1), 0.1)),
+                TrackedFrame(t_s, image, np.eye(4)),
+                ToolPose(t_s, np.eye(4)),
+            ):
+                for at_s, topic, kind, message in event_messages(event, t_s):
+                    writer.write(topic, kind, at_s, message)
+            row = np.full(len(STATE_COLUMNS), t_s)
+            row[-1] = 0.0
+            writer.write(STATE, ros.ARRAY, t_s, ros.array(row, (", ".join(STATE_COLUMNS),)))
+        writer.note("lost", 0)
+        writer.finish()
+    (folder / "live.unfinished.mcap").write_bytes((folder / "live.mcap").read_bytes()[:-700])
+
+
+def _log(path: Path) -> Any:
+    """What a live session answered, and the messages that it refused, may be anything."""
+    from dvf_ig.replay.export.session_log_read import read_session_log
+
+    found = read_session_log(path)
+    return [found.scenario, found.model]
 
 
 def _tfm(path: Path) -> Any:
@@ -106,7 +153,7 @@ READERS: dict[str, tuple[tuple[str, ...], Read]] = {
     "series-nrrd": (("series.nrrd", "series.nhdr"), io.read_volume_series),
     "series-mha": (("series.mha",), io.read_volume_series),
     "series-nifti": (("series.nii", "series.nii.gz"), io.read_volume_series),
-    "labels": (("volume.nrrd",), io.read_labels),
+    "labels": (("volume.nrrd", "volume.nii", "volume.mha", "series.nii"), io.read_labels),
     "mesh-text": (("mesh.obj",), io.read_mesh),
     "mesh-stl": (("mesh.stl",), io.read_mesh),
     "mesh-ply": (("mesh.ply",), io.read_mesh),
@@ -130,13 +177,14 @@ READERS: dict[str, tuple[tuple[str, ...], Read]] = {
     "lag": (("lag.json",), io.read_lag),
     "ecg-csv": (("ecg.csv",), lambda p: io.read_ecg(f"csv:{p}")),
     "ecg-edf": (("ecg.edf",), lambda p: io.read_ecg(f"edf:{p}")),
-    "ecg-wfdb": (("r.hea", "r.dat"), lambda p: io.read_ecg(f"wfdb:{p}")),
+    "ecg-wfdb": (("r.hea", "r.dat", "m.hea"), lambda p: io.read_ecg(f"wfdb:{p}")),
     "annotations": (("r.atr",), lambda p: io.read_annotations(f"wfdb:{p}")),
     "trigger": (("trigger.csv",), io.read_triggers),
     "timing": (("scenario/preop/timing.json",), lambda p: io.read_timing(p, beside=p.parent, phases=3)),
     "session": (("session.yaml",), _session),
     "scenario": (("scenario/scenario.yaml",), _scenario_config),
     "fixtures": (("fixtures.yaml",), io.read_fixtures),
+    "log": (("log.mcap", "live.mcap", "live.unfinished.mcap"), _log),
     "truth": (
         ("scenario/truth/truth.json", "scenario/truth/tool.npz"),
         lambda p: io.truth.read_truth(p.parent),

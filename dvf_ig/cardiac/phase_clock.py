@@ -13,6 +13,8 @@ SAME_BEAT_S = 0.25
 """An R peak this soon after the last one replaces it: a correction by the detector."""
 R_TIMING_S = 0.005
 """Standard deviation of the time of a detected R peak."""
+LATEST_S = 1e10
+"""No clock reaches it: seconds since 1970 are below 1e10 for another 200 years."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +89,12 @@ class PhaseClock:
         """An R peak that has just been detected.
 
         Raises:
-            InvalidInputError: it lies before the last one.
+            InvalidInputError: it lies before the last one, or its times or its quality are no numbers.
         """
+        _require_time(peak.t_s)
+        _require_time(peak.detected_at_s)
+        if not 0.0 <= peak.quality < math.inf:
+            raise InvalidInputError(f"an R peak has the quality {peak.quality:g}; needed 0 or more")
         if peak.t_s <= self._last_r_s:
             raise InvalidInputError(
                 f"R peak at {peak.t_s:.3f} s came after the one at {self._last_r_s:.3f} s; feed them in order"
@@ -102,7 +108,12 @@ class PhaseClock:
         self._update_forecast(self._now_s)
 
     def signal_changed(self, t_s: float, on: bool) -> None:
-        """The ECG was lost (flat, railed or missing for 200 ms) or has returned."""
+        """The ECG was lost (flat, railed or missing for 200 ms) or has returned.
+
+        Raises:
+            InvalidInputError: the time is no number.
+        """
+        _require_time(t_s)
         self._advance(t_s)
         if not on:
             self._continuous = False
@@ -113,8 +124,9 @@ class PhaseClock:
         """Phase from now on, as known now.
 
         Raises:
-            InvalidInputError: `now_s` lies before an event or an earlier query.
+            InvalidInputError: `now_s` is no number, or lies before an event or an earlier query.
         """
+        _require_time(now_s)
         if not now_s >= self._now_s:
             raise InvalidInputError(
                 f"phase at {now_s:.4f} s was requested after {self._now_s:.4f} s; needed times in order"
@@ -241,3 +253,11 @@ class PhaseClock:
         if self._state != PhaseState.INIT:
             self._state = PhaseState.LOST
         self._consistent = 0
+
+
+def _require_time(t_s: float) -> None:
+    """Refuse a time that no clock shows: with it, every later one would come too early."""
+    if not abs(t_s) <= LATEST_S:
+        raise InvalidInputError(
+            f"the phase clock was given the time {t_s:g} s; needed at most {LATEST_S:g} s"
+        )

@@ -1,7 +1,12 @@
-"""Arrays of an `.npz` archive: none of objects, and none that unpacks to more than it may."""
+"""Arrays of an `.npz` archive, not packed: of numbers alone, and no larger than the archive itself.
 
-import ast
+What we write is not packed (`numpy.savez`). A packed archive of 2 MB may state 2 GB, which a reader knows to
+be false only after it has taken the memory.
+"""
+
 import io
+import re
+import struct
 import zipfile
 import zlib
 from pathlib import Path
@@ -11,7 +16,12 @@ import numpy as np
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.errors import UnreadableFileError
 
-_KINDS = "biuf"
+MOST_ARRAYS = 1000
+_HEADER = re.compile(
+    rb"\{'descr': '([<>|=][biuf]\d{1,2})', 'fortran_order': (True|False), "
+    rb"'shape': \(((?:\d{1,18}, ?){0,8}(?:\d{1,18})?)\),? ?\} *\n?"
+)
+"""As numpy writes it, of numbers in at most eight axes."""
 
 
 def read_npz(path: Path, data: bytes, most_bytes: int) -> dict[str, AnyArray]:
@@ -22,48 +32,75 @@ def read_npz(path: Path, data: bytes, most_bytes: int) -> dict[str, AnyArray]:
         data: the archive.
         most_bytes: of all arrays together.
     Raises:
-        UnreadableFileError: damaged, more than `most_bytes`, or an array of something else than numbers.
+        UnreadableFileError: damaged, packed, more than `most_bytes`, or of anything but numbers.
     """
     arrays: dict[str, AnyArray] = {}
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
-            total = sum(member.file_size for member in members)
-            if total > most_bytes or len(members) > 1000:
-                raise UnreadableFileError(
-                    f"{path} states {total} bytes in {len(members)} arrays; at most {most_bytes} are read"
-                )
+            _require_sizes(path, members, len(data), most_bytes)
             for member in members:
+                name = member.filename.removesuffix(".npy")
+                if name in arrays:
+                    raise UnreadableFileError(f"{path} holds two arrays named {name[:60]!r}; write it again")
                 with archive.open(member) as stream:
-                    content = stream.read(member.file_size + 1)
-                arrays[member.filename.removesuffix(".npy")] = _array(content)
-    except (zipfile.BadZipFile, zlib.error, OSError, RuntimeError, NotImplementedError, EOFError) as exc:
+                    arrays[name] = _array(path, name, stream.read(member.file_size + 1))
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        struct.error,
+        OSError,
+        RuntimeError,
+        NotImplementedError,
+        EOFError,
+        OverflowError,
+        LookupError,
+        UnicodeError,
+    ) as exc:
         raise UnreadableFileError(
             f"{path} is not a readable archive of arrays ({exc}); write it again"
         ) from exc
-    except (ValueError, TypeError, LookupError, SyntaxError, UnicodeError, RecursionError) as exc:
-        if isinstance(exc, UnreadableFileError):
-            raise
-        raise UnreadableFileError(f"{path} holds an array that is damaged ({exc}); write it again") from exc
     return arrays
 
 
-def _array(content: bytes) -> AnyArray:
+def _require_sizes(path: Path, members: list[zipfile.ZipInfo], held: int, most_bytes: int) -> None:
+    """Refuse an archive that states more than it holds, before anything of it is read."""
+    if any(member.compress_type != zipfile.ZIP_STORED for member in members):
+        raise UnreadableFileError(f"{path} holds packed arrays; write it again, not packed (numpy.savez)")
+    total = sum(member.file_size for member in members)
+    if total > min(most_bytes, held) or len(members) > MOST_ARRAYS:
+        raise UnreadableFileError(
+            f"{path} states {total} bytes in {len(members)} arrays and holds {held}; at most {most_bytes} "
+            f"in {MOST_ARRAYS} are read: write it again"
+        )
+
+
+def _array(path: Path, name: str, content: bytes) -> AnyArray:
     """Source: numpy.lib.format, versions 1.0 to 3.0."""
+
+    def damaged(why: str) -> UnreadableFileError:
+        return UnreadableFileError(
+            f"{path} holds an array that is damaged ({name[:60]!r} {why}); write it again"
+        )
+
     if content[:6] != b"\x93NUMPY" or len(content) < 12 or content[6] not in (1, 2, 3):
-        raise ValueError("it does not begin as one")
+        raise damaged("does not begin as one")
     width = 2 if content[6] == 1 else 4
     begin = 8 + width + int.from_bytes(content[8 : 8 + width], "little")
     if begin > min(len(content), 10_000):
-        raise ValueError("its header is too long")
-    header = ast.literal_eval(content[8 + width : begin].decode("utf-8"))
-    dtype, shape = np.dtype(header["descr"]), tuple(int(size) for size in header["shape"])
-    if dtype.kind not in _KINDS or dtype.names is not None or min(shape, default=0) < 0 or len(shape) > 8:
-        raise ValueError(f"it holds {header['descr']!r} in the shape {shape}")
+        raise damaged("has a header that is too long")
+    header = _HEADER.fullmatch(content[8 + width : begin])
+    if header is None:
+        raise damaged(f"is not of numbers: {content[8 + width : begin][:80]!r}")
+    try:
+        dtype = np.dtype(header[1].decode("ascii"))
+    except TypeError as exc:
+        raise damaged(f"is of no type of numbers: {exc}") from exc
+    shape = tuple(int(size) for size in header[3].replace(b",", b" ").split())
     count = 1
     for size in shape:
         count *= size
-    if count * dtype.itemsize != len(content) - begin:
-        raise ValueError(f"its shape {shape} does not fit its {len(content) - begin} bytes")
+    if count * dtype.itemsize != len(content) - begin or (count == 0 and max(shape) > len(content)):
+        raise damaged(f"has the shape {shape}, which does not fit its {len(content) - begin} bytes")
     flat = np.frombuffer(content, dtype, count, begin)
-    return flat.reshape(shape, order="F" if header["fortran_order"] else "C")
+    return flat.reshape(shape, order="F" if header[2] == b"True" else "C")

@@ -58,7 +58,7 @@ def fuse(
     if data.visible_boundary is not None:
         boundary = fit_boundary(data.visible_boundary, chart.base, data.center_mm)
     agreed = None
-    if covered.masks.any():
+    if covered.masks.any() and len(refined.inside.patches.centers):
         agreed = _agreed(data, _match(data, refined, boundary, options, chart), chart)
     if agreed is None:
         unknown = np.full((6, 6), np.nan)

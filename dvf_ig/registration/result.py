@@ -70,6 +70,8 @@ class RegistrationResult:
         if self.stop is Stop.PHASE_OFFSET and self.evidence.phase_offset is not None:
             return self.evidence.phase_offset.sentence
         pair = self.evidence.pair
+        if self.stop is Stop.LOW_OVERLAP and pair is None:
+            return f"{self.stop.value}, and check that its poses are the probe's and not the tool's"
         if pair is not None and self.stop in (Stop.DISAGREEMENT, Stop.AMBIGUOUS):
             return pair.sentence
         return str(self.stop.value)

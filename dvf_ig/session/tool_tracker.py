@@ -203,7 +203,7 @@ class ToolTracker:
             span_s = newest.t_s - before.t_s
             if span_s > 2 * VELOCITY_SPAN_S:
                 return
-            if span_s > VELOCITY_SPAN_S - 0.5 * self._frame_s:
+            if span_s > max(VELOCITY_SPAN_S - 0.5 * self._frame_s, 0.0):
                 self._velocity = (newest.tip_mm - before.tip_mm) / span_s
                 return
 

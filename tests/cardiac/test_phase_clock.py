@@ -1,11 +1,15 @@
 """The phase clock: never backwards, states that hold, causal, accurate."""
 
+import math
+from contextlib import suppress
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dvf_ig.cardiac import PhaseClock, PhaseClockOptions, RhythmOptions, RPeak, phase_from_peaks
+from dvf_ig.cardiac.phase_clock import LATEST_S
 from dvf_ig.cardiac.rr_predictor import PREDICTORS, PredictorName, make_predictor
 from dvf_ig.core import FloatArray, InvalidInputError, PhaseState, PhaseTrack
 
@@ -238,10 +242,54 @@ def test_refusals() -> None:
     clock.at(1.0)
     with pytest.raises(InvalidInputError, match="in order"):
         clock.at(0.5)
-    with pytest.raises(InvalidInputError, match="in order"):
+    with pytest.raises(InvalidInputError, match="nan s"):
         clock.at(float("nan"))
     clock.add(RPeak(2.0, 2.1, 1.0))
     with pytest.raises(InvalidInputError, match="in order"):
         clock.add(RPeak(1.5, 2.2, 1.0))
     with pytest.raises(InvalidInputError, match="choose ar8"):
         PhaseClock(PhaseClockOptions(rhythm=RhythmOptions(predictor="magic")))
+
+
+NUMBERS = st.one_of(
+    st.floats(0.0, 60.0), st.floats(), st.sampled_from([math.nan, math.inf, -math.inf, 1e300, -1e300, 1e10])
+)
+
+
+@given(calls=st.lists(st.tuples(st.sampled_from(["add", "changed", "at"]), NUMBERS, NUMBERS, NUMBERS)))
+def test_any_number_is_refused_or_harms_nothing(calls: list[tuple[str, float, float, float]]) -> None:
+    """A time without end, once taken, would make every later one too early; a phase in use is a phase."""
+    clock = PhaseClock()
+    for beat in range(8):
+        clock.add(RPeak(0.8 * beat, 0.8 * beat + 0.1, 1.0))
+    for call, first, second, quality in calls:
+        with suppress(InvalidInputError):
+            if call == "add":
+                clock.add(RPeak(first, second, quality))
+            elif call == "changed":
+                clock.signal_changed(first, quality > 0.5)
+            else:
+                reading = clock.at(first)
+                assert reading.state is not PhaseState.LOCKED or 0.0 <= reading.phi < 1.0
+                assert reading.state is not PhaseState.LOCKED or math.isfinite(reading.sigma_phi)
+    reading = clock.at(LATEST_S)
+    assert reading.state is not PhaseState.LOCKED
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf, 1e300])
+def test_times_that_are_none_are_refused(wrong: float) -> None:
+    clock, same = PhaseClock(), PhaseClock()
+    for beat in range(8):
+        for one in (clock, same):
+            one.add(RPeak(0.8 * beat, 0.8 * beat + 0.1, 1.0))
+    for peak in (
+        RPeak(wrong, 6.6, 1.0),
+        RPeak(6.5, wrong, 1.0),
+        RPeak(6.4, 6.5, wrong if wrong < 1e99 else -1.0),
+    ):
+        with pytest.raises(InvalidInputError):
+            clock.add(peak)
+    for call in (clock.at, clock.forecast, lambda t_s: clock.signal_changed(t_s, on=False)):
+        with pytest.raises(InvalidInputError, match="the phase clock was given the time"):
+            call(wrong)
+    assert clock.at(6.0) == same.at(6.0)

@@ -4,7 +4,11 @@ import base64
 import hashlib
 import io
 import json
+import math
+import struct
 import tarfile
+import tracemalloc
+import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -185,12 +189,13 @@ def test_an_archive_of_other_things(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         read_surface_series(tmp_path, "A")
 
 
-def test_arrays_that_unpack_to_more(tmp_path: Path) -> None:
-    def archive(**arrays: Any) -> bytes:
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, **arrays)
-        return buffer.getvalue()
+def archive(packed: bool = False, **arrays: Any) -> bytes:
+    buffer = io.BytesIO()
+    (np.savez_compressed if packed else np.savez)(buffer, **arrays)
+    return buffer.getvalue()
 
+
+def test_arrays_that_unpack_to_more(tmp_path: Path) -> None:
     whole = archive(a=np.eye(3), b=np.zeros((1 << 20), np.uint8))
     assert read_npz(tmp_path, whole, 1 << 21)["a"].tolist() == np.eye(3).tolist()
     with pytest.raises(UnreadableFileError, match="at most"):
@@ -205,6 +210,71 @@ def test_arrays_that_unpack_to_more(tmp_path: Path) -> None:
     damaged[60] ^= 0xFF
     with pytest.raises(UnreadableFileError):
         read_npz(tmp_path, bytes(damaged), 1 << 21)
+
+
+@pytest.mark.parametrize("dtype", ["<f8", ">f4", "<i8", "|b1", "|u1", "<f2", ">u4"])
+@pytest.mark.parametrize("shape", [(), (0,), (0, 3), (5,), (2, 3), (1, 2, 1, 3)])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_arrays_as_numpy_reads_them(tmp_path: Path, dtype: str, shape: tuple[int, ...], order: Any) -> None:
+    data = archive(a=np.asarray(np.arange(math.prod(shape)).reshape(shape), dtype, order=order))
+    with np.load(io.BytesIO(data)) as loaded:
+        expected = loaded["a"]
+    found = read_npz(tmp_path, data, 1 << 20)["a"]
+    assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
+    np.testing.assert_array_equal(found, expected)
+
+
+def peak_of(read: Callable[[], object]) -> int:
+    """The most bytes of Python's and numpy's memory that were in use while something was refused."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(UnreadableFileError):
+            read()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_small_archive_that_states_much_takes_no_memory(tmp_path: Path) -> None:
+    packed = archive(packed=True, a=np.zeros(1 << 28, np.uint8))
+    assert len(packed) < 1 << 19
+    assert peak_of(lambda: read_npz(tmp_path, packed, 2 << 30)) < 1 << 20
+    plain = archive(a=np.zeros(1 << 16, np.uint8))
+    end = plain.rindex(b"PK\x01\x02")
+    many = zipfile.ZipFile(io.BytesIO(plain)).infolist()[0]
+    entry = plain[end : plain.rindex(b"PK\x05\x06")]
+    count = 900
+    tail = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, count, count, count * len(entry), end, 0)
+    assert many.file_size > 1 << 16
+    overlapping = plain[:end] + count * entry + tail
+    assert peak_of(lambda: read_npz(tmp_path, overlapping, 2 << 30)) < 4 << 20
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000000000, 1000000000000000000), }",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (0, 1000000000000000000), }",
+        f"{{'descr': '<f8', 'fortran_order': False, 'shape': (0, {'9' * 400}), }}",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (1e400,), }",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (-1,), }",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': None, }",
+        "{'descr': '<f99', 'fortran_order': False, 'shape': (1,), }",
+        "{'descr': ('<f8', (1000000000,)), 'fortran_order': False, 'shape': (), }",
+        "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }",
+        "{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (1,), }",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (1,), 'shape': (2,), }",
+        "(" * 3000,
+        "",
+    ],
+)
+def test_headers_of_arrays(tmp_path: Path, header: str) -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as zipped:
+        text = header.encode() + b"\n"
+        zipped.writestr("a.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + bytes(8))
+    with pytest.raises(UnreadableFileError, match="holds an array that is damaged"):
+        read_npz(tmp_path, buffer.getvalue(), 1 << 21)
 
 
 CHANGES: list[tuple[dict[str, Any], dict[str, Any], str]] = [

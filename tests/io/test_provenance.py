@@ -185,8 +185,12 @@ def test_versions_name_what_computes() -> None:
 
 def test_every_segment_of_a_wfdb_record_counts(tmp_path: Path) -> None:
     (tmp_path / "all.hea").write_text("all/3 1 250 1000\n~ 100\none 400\ntwo 500\n")
-    for name, signals in (("one", ["a.dat", "a.dat"]), ("two", ["b.dat"])):
-        lines = [f"{name} {len(signals)} 250 400", *(f"{signal} 16 200" for signal in signals), "# a remark"]
+    for name, length, signals in (("one", 400, ["a.dat", "a.dat"]), ("two", 500, ["b.dat"])):
+        lines = [
+            f"{name} {len(signals)} 250 {length}",
+            *(f"{signal} 16 200" for signal in signals),
+            "# a remark",
+        ]
         (tmp_path / f"{name}.hea").write_text("\n".join(lines))
         for signal in signals:
             (tmp_path / signal).write_bytes(bytes(1600))

@@ -254,19 +254,6 @@ def test_an_unexpected_error_sends_no_force_and_its_cause_and_is_raised_by_who_e
         thread.end()
 
 
-def test_the_force_of_a_servo_that_stood_still_is_not_sent(toy):
-    """The process was stopped for 0.2 s: its servo has not ticked since, and the last tick gave a force."""
-    toy.run(streams_of(UNTIL_S), UNTIL_S)
-    assert np.linalg.norm(toy.answers[-1].force_n) > 0.02
-    toy.now_s += 0.2
-    count = len(toy.answers)
-    while len(toy.answers) == count:
-        toy.loop.step()
-        toy.now_s += 0.006
-    assert not toy.answers[-1].force_n.any()
-    assert "the servo stood still" in toy.sent.named("DvfIg")[-1].content.text
-
-
 # ------------------------------------------------------------------ wrong stamps and senders
 
 

@@ -130,6 +130,47 @@ def test_slices_beside_the_model_are_low_overlap() -> None:
     assert result.stop is Stop.LOW_OVERLAP
 
 
+def _eight_landmarks(pose: Rigid) -> LandmarkPrior:
+    """Eight landmarks that were touched rightly, to 2 mm."""
+    rng = np.random.default_rng(3)
+    mr = 40.0 * rng.normal(size=(8, 3))
+    tracker = pose.inverse().apply_array(mr) + 2.0 * rng.normal(size=(8, 3))
+    names = tuple("abcdefgh")
+    prior = prior_from_landmarks(
+        Landmarks(names, Points("mr", mr)), Landmarks(names, Points("tracker", tracker))
+    )
+    assert prior is not None
+    return prior
+
+
+@pytest.mark.parametrize("touched", [False, True])
+@pytest.mark.parametrize("away_mm", [80.0, 120.0, 160.0, 1000.0])
+def test_slices_at_the_edge_of_the_model_or_far_from_it_are_refused(away_mm: float, touched: bool) -> None:
+    """As with the poses of another marker: few pixels within the model, or none."""
+    levels = _levels(speckle=0.3)
+    for shift in ([away_mm, 0, 0], [0, -away_mm, 0], [0, 0, away_mm]):
+        away = toy_pose().perturbed_left(np.zeros(3), shift, CENTER_MM)
+        prior = _eight_landmarks(away) if touched else None
+        result = _register(levels, away, prior=prior, options=RegistrationOptions(starts=1))
+        assert not result.stop.usable
+        told = "the probe's and not the tool's" in result.sentence
+        assert told is (result.stop is Stop.LOW_OVERLAP)
+        assert told or away_mm < 1000.0
+
+
+@pytest.mark.parametrize("touched", [False, True])
+@pytest.mark.parametrize("part", ["images", "masks"])
+def test_slices_that_show_nothing_are_refused(part: str, touched: bool) -> None:
+    """Black images, and a sector without a pixel."""
+    coarse, fine = (
+        replace(level, slices=replace(level.slices, **{part: np.zeros_like(getattr(level.slices, part))}))
+        for level in _levels(speckle=0.3)
+    )
+    prior = _eight_landmarks(toy_pose()) if touched else None
+    result = _register((coarse, fine), toy_pose(), prior=prior, options=RegistrationOptions(starts=1))
+    assert not result.stop.usable
+
+
 def test_target_error_of_a_known_shift_composes_and_is_frame_invariant() -> None:
     truth = toy_pose()
     shifted = Rigid("mr", "tracker", truth.rotation, truth.translation_mm + np.array([0, 3.0, 4.0]))

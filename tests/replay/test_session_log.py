@@ -1,7 +1,9 @@
 """A log read back: by the decoder of another package for ROS tools, and by ours to the last bit."""
 
 import json
+import tracemalloc
 from dataclasses import replace
+from io import BytesIO
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -227,6 +229,57 @@ def test_a_changed_bit_of_an_attached_file_is_found(tmp_path: Path, log: Path) -
     (tmp_path / "bad.mcap").write_bytes(data)
     with pytest.raises(UnreadableFileError, match="attached files are not those that were written"):
         read_session_log(tmp_path / "bad.mcap")
+
+
+def with_chunk(log: Path, place: Path, content: bytes | None, **changes: Any) -> Path:
+    """A log with one chunk, of zeros unless a content is given, in place of its messages."""
+    from mcap.data_stream import RecordBuilder
+    from mcap.records import Chunk, DataEnd, Footer
+    from mcap.stream_reader import StreamReader
+    from zstandard import compress
+
+    data, builder = log.read_bytes(), RecordBuilder()
+    for record in StreamReader(BytesIO(data), emit_chunks=True).records:
+        if isinstance(record, DataEnd):
+            break
+        if isinstance(record, Chunk):
+            held = record.data if content is None else compress(content)
+            size = record.uncompressed_size if content is None else len(content)
+            record = replace(
+                record, **{"data": held, "uncompressed_size": size, "uncompressed_crc": 0} | changes
+            )
+        record.write(builder)
+    DataEnd(0).write(builder)
+    Footer(0, 0, 0).write(builder)
+    place.write_bytes(data[:8] + builder.end() + data[:8])
+    return place
+
+
+@pytest.mark.parametrize(
+    ("content", "changes", "sentence"),
+    [
+        (300 << 20, {}, "states 314572800 bytes of messages and has"),
+        (100, {"uncompressed_size": 1 << 40}, "states a chunk of 1099511627776 bytes that holds 100"),
+        (100, {"uncompressed_size": 1}, "states a chunk of 1 bytes that holds 100"),
+        (100, {"compression": "lz4"}, "packed as 'lz4'; needed zstd"),
+        (100, {"compression": ""}, "states a chunk of 100 bytes that holds"),
+        (b"\x05" + bytes(4), {}, "cut off or damaged"),
+        (b"\x05" + (30).to_bytes(8, "little") + bytes(30), {}, "cut off or damaged|lacks messages"),
+    ],
+)
+def test_chunks_that_are_not_what_they_state(
+    tmp_path: Path, log: Path, content: bytes | int, changes: dict[str, Any], sentence: str
+) -> None:
+    """Zeros, or bytes: what unpacks to more than a log can hold takes no memory."""
+    assert read_session_log(with_chunk(log, tmp_path / "same.mcap", None)).scenario.name == "known shift"
+    bad = with_chunk(log, tmp_path / "bad.mcap", bytes(content), **changes)
+    tracemalloc.start()
+    try:
+        with pytest.raises(UnreadableFileError, match=sentence):
+            read_session_log(bad)
+        assert tracemalloc.get_traced_memory()[1] < 64 << 20
+    finally:
+        tracemalloc.stop()
 
 
 def test_damaged_logs_are_refused_in_one_sentence(tmp_path: Path, log: Path) -> None:

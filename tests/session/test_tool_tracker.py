@@ -156,3 +156,14 @@ def test_a_noisy_tracker_and_a_single_wrong_pose_contradict_nothing() -> None:
     wrong[0, 3] += 40.0
     poses[100] = ToolPose(1.0, wrong)
     assert not any(reading.hazard for reading in read(poses, np.arange(0.1, 1.9, 0.01)))
+
+
+@pytest.mark.parametrize("rate_hz", [6.0, 12.0, 25.0])
+def test_the_velocity_of_a_slow_tracker_is_finite(rate_hz: float) -> None:
+    """Frames further apart than twice the span of the difference: at 12 Hz it was 0/0."""
+    poses = [ToolPose(t_s, pose_at(t_s)) for t_s in (np.arange(60) / rate_hz).tolist()]
+    for number in range(5, 60):
+        (reading,) = read(poses[:number], np.array([poses[number - 1].t_s + 0.001]))
+        assert reading.hazard is Hazard.NONE
+        assert np.isfinite(reading.velocity_mm_s).all()
+        assert np.isfinite(reading.tip_tracker_mm).all()

@@ -46,7 +46,8 @@ class PhaseReadings(NamedTuple):
 class PhaseForecast:
     """Phase from a moment on, unless an event of the ECG comes first: a pure function of time.
 
-    Before `since_s` it says nothing: phase and σ_φ are NaN and the state is INIT. After `until_s` the state
+    Before `since_s`, and at a time so late that it is no number, it says nothing: phase and σ_φ are NaN, the
+    state is INIT. After `until_s` the state
     is `state_after`, which is never LOCKED.
 
     Attributes:
@@ -82,8 +83,13 @@ class PhaseForecast:
             )
         if self.state_after == PhaseState.LOCKED:
             raise InvalidInputError("a forecast is never LOCKED after its end")
-        if self.state == PhaseState.LOCKED and not self.rr_s > 0:
+        if self.state == PhaseState.LOCKED and not 0 < self.rr_s < math.inf:
             raise InvalidInputError(f"a forecast is LOCKED with RR {self.rr_s:g} s; needed above 0")
+        if self.state == PhaseState.LOCKED and not math.isfinite(self.r_s + self.cycles + self.since_s):
+            raise InvalidInputError(
+                f"a forecast is LOCKED from {self.since_s:g} s on an R peak at {self.r_s:g} s, "
+                f"{self.cycles:g} cycles; needed numbers"
+            )
 
     @classmethod
     def unknown(cls) -> "PhaseForecast":
@@ -99,23 +105,24 @@ class PhaseForecast:
 
     def at_many(self, t_s: FloatArray) -> PhaseReadings:
         """Phase at (n,) times, in any order."""
-        t = np.asarray(t_s, dtype=np.float64)
-        with np.errstate(invalid="ignore"):
+        t, rr_s = np.asarray(t_s, dtype=np.float64), np.float64(self.rr_s)
+        with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
             target, caught = self._target(t), self._caught_up(t)
             unwrapped = self.unwrapped(t)
-            share = np.maximum(0.0, t - self.r_s) / self.rr_s
+            share = np.maximum(0.0, t - self.r_s) / rr_s
             lag = target - unwrapped
-            variance = (self.spread * share) ** 2 + (self.r_timing_s / self.rr_s) ** 2 + lag**2
+            variance = (self.spread * share) ** 2 + (self.r_timing_s / rr_s) ** 2 + lag**2
             rate = np.where(caught < target, self.catch_up, np.where(target > self.phi, 1.0, 0.0))
             phi = unwrapped - np.floor(unwrapped)
-            known = t >= self.since_s
+            rate_hz = rate / rr_s
+            known = (t >= self.since_s) & np.isfinite(phi) & ~np.isinf(variance)
         state = np.where(t <= self.until_s, int(self.state), int(self.state_after))
         return PhaseReadings(
             np.where(known, phi, np.nan),
             np.where(known, np.sqrt(variance), np.nan),
             np.full(t.shape, self.rr_s),
             np.where(known, state, int(PhaseState.INIT)),
-            np.where(known & (self.rr_s > 0), rate / self.rr_s, 0.0),
+            np.where(known & (rr_s > 0), rate_hz, 0.0),
         )
 
     def unwrapped(self, t_s: FloatArray | float) -> FloatArray:
@@ -126,7 +133,7 @@ class PhaseForecast:
         return np.asarray(np.maximum(self.phi, np.minimum(self._target(t), self._caught_up(t))))
 
     def _target(self, t_s: FloatArray) -> FloatArray:
-        return self.cycles + (t_s - self.r_s) / self.rr_s
+        return np.asarray(self.cycles + (t_s - self.r_s) / np.float64(self.rr_s))
 
     def _caught_up(self, t_s: FloatArray) -> FloatArray:
-        return self.phi + self.catch_up * (t_s - self.since_s) / self.rr_s
+        return np.asarray(self.phi + self.catch_up * (t_s - self.since_s) / np.float64(self.rr_s))

@@ -58,12 +58,16 @@ def read_ecg(spec: str, rate_hz: float | None = None) -> Signal:
             signal = read_ecg_field(path, _field(spec))
         else:
             signal = read_edf(path) if kind == "edf" else read_ecg_table(path, rate_hz)
-        _require_plausible(path, signal)
+        require_plausible(path, signal)
         return signal
 
 
-def _require_plausible(path: Path, signal: Signal) -> None:
-    """Refuse what is no voltage, and a recording without any sample; warn of a lead without."""
+def require_plausible(path: Path, signal: Signal) -> None:
+    """Refuse what is no voltage, and a recording without any sample; warn of a lead without.
+
+    Raises:
+        UnreadableFileError: says which.
+    """
     limits.require_times(signal.start_s, "its first time")
     largest = _largest(signal.samples)
     if np.isnan(largest):

@@ -33,8 +33,15 @@ _DAMAGE = (
 """What the package raises on damaged files."""
 
 
+UNIT = "mV"
+"""Of a signal that states none, as of a lead that no segment holds (WFDB header(5))."""
+
+
 def read_wfdb(record: Path) -> Signal:
     """All leads of a WFDB record in mV; the record is named without suffix.
+
+    A signal without a gain is taken at 200 units in a mV (WFDB header(5)), with a warning. A lead that no
+    segment holds has NaN alone; one without a name is called "signal 0" and so on.
 
     Raises:
         MissingDependencyError: the package wfdb is absent.
@@ -61,8 +68,9 @@ def read_wfdb(record: Path) -> Signal:
         raise UnreadableFileError(f"{record}: the record has several sampling rates; resample it to one")
     limits.require_count(data.p_signal.size, limits.SAMPLES, "samples")
     samples = np.asarray(data.p_signal, dtype=np.float64)
-    labels = tuple(str(name) for name in data.sig_name)
-    return Signal(in_millivolts(record, samples, list(data.units)), header.rate_hz, 0.0, labels)
+    labels = tuple(name or f"signal {n}" for n, name in enumerate(data.sig_name))
+    units = [unit or UNIT for unit in data.units]
+    return Signal(in_millivolts(record, samples, units), header.rate_hz, 0.0, labels)
 
 
 def existing_record(record: Path) -> Path:

@@ -4,6 +4,8 @@ Source: WFDB header(5): a record line "name[/segments] signals rate samples …"
 "file format gain …", or for each segment "name samples".
 """
 
+import logging
+import math
 import re
 from dataclasses import dataclass
 from fractions import Fraction
@@ -15,6 +17,8 @@ from dvf_ig.io.file_within import file_within
 from dvf_ig.io.reading import read_text
 
 MOST_LEADS = 512
+MOST_GAPS = 100
+"""A record of segments states at most so many times the samples that these hold."""
 _BYTES = {
     "8": Fraction(1),
     "16": Fraction(2),
@@ -35,7 +39,15 @@ _NUMBER = r"\d{1,6}(?:\.\d{1,12})?"
 _RECORD = re.compile(
     rf"(\S+?)(?:/(\d{{1,5}}))?(?:\s+(\d{{1,4}}))(?:\s+({_NUMBER})(?:/\S+)?(?:\s+(\d{{1,12}})\b.*)?)?"
 )
-_SIGNAL = re.compile(r"(\S+)\s+(\d{1,3})(?:x(\d{1,4}))?(?::\d{1,9})?(?:\+(\d{1,9}))?(?:\s.*)?")
+_GAIN = r"-?(?:\d{1,20}\.?\d{0,20}|\.\d{1,20})(?:e[-+]?\d{1,3})?"
+_SIGNAL = re.compile(
+    r"(\S+)\s+(\d{1,3})(?:x(\d{1,4}))?(?::(\d{1,9}))?(?:\+(\d{1,9}))?"
+    rf"(?:\s+({_GAIN})(?:\(-?\d{{1,10}}\))?(?:/\S*)?(?:\s.*)?)?"
+)
+"""File, format, samples in a frame, skew in frames, offset in bytes, gain."""
+_SEGMENT = re.compile(r"(\S+)\s+(\d{1,12})")
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +81,10 @@ def read_record_header(record: Path) -> RecordHeader:
     if len(lines) != count:
         raise UnreadableFileError(f"{header} has lines of {len(lines)} of {count} signals; copy it again")
     if line[2]:
-        return RecordHeader((header, *_of_segments(header, lines, record.name)), rate_hz, stated, None)
-    files, held = _of_signals(header, lines)
+        files = _of_segments(header, lines, rate_hz, stated)
+        limits.require_count((stated or 0) * leads, limits.SAMPLES, "samples")
+        return RecordHeader((header, *files), rate_hz, stated, None)
+    files, held = _of_signals(header, lines, stated)
     return RecordHeader((header, *files), rate_hz, stated, held)
 
 
@@ -101,39 +115,81 @@ def _record_line(header: Path) -> tuple[re.Match[str], list[str]]:
     return found, lines[1:]
 
 
-def _of_segments(header: Path, lines: list[str], name: str) -> list[Path]:
+def _of_segments(header: Path, lines: list[str], rate_hz: float, stated: int | None) -> tuple[Path, ...]:
     """The files of every segment, which has a header of its own."""
+    segments = [_SEGMENT.fullmatch(line) for line in lines]
+    if not all(segments):
+        shown = next(line for line, found in zip(lines, segments, strict=True) if found is None)
+        raise UnreadableFileError(f"{header}: the line of a segment is '{shown[:60]}'; copy it again")
+    lengths = {found[1]: int(found[2]) for found in segments if found is not None}
+    total = sum(int(found[2]) for found in segments if found is not None)
+    if stated is not None and total != stated:
+        raise UnreadableFileError(f"{header} states {stated} samples, its segments {total}; copy it again")
+    limits.require_count(total, limits.SAMPLES, "samples")
+    held = total - sum(int(found[2]) for found in segments if found is not None and found[1] == "~")
+    if total > MOST_GAPS * held:
+        raise UnreadableFileError(
+            f"{header} states {total} samples, of which its segments hold {held}; copy it again"
+        )
     files: list[Path] = []
-    for segment in dict.fromkeys(line.split()[0] for line in lines):
+    for segment, length in lengths.items():
         if segment == "~":
             continue
         own = file_within(header.parent, f"{segment}.hea", header)
-        begin = own.read_bytes()[:4096].decode("latin-1").lstrip().split("\n")[0]
-        if segment == name or "/" in begin.split(" ")[0]:
+        line, signals = _record_line(own)
+        if line[2]:
             raise UnreadableFileError(f"{header}: its segment '{segment}' has segments itself; copy it again")
-        if re.search(r"\n\s*~\s", "\n" + own.read_bytes().decode("latin-1")):
+        if line[4] is not None and float(line[4]) != rate_hz:
+            raise UnreadableFileError(
+                f"{own} states {float(line[4]):g} Hz, its record {rate_hz:g} Hz; resample it to one rate"
+            )
+        if line[5] is not None and int(line[5]) != length:
+            raise UnreadableFileError(
+                f"{own} states {line[5]} samples, its record {length} of it; copy it again"
+            )
+        if any(signal.split()[0] == "~" for signal in signals):
             files.append(own)  # the layout of a record whose leads vary: no samples
             continue
         files += read_record_header(own.with_suffix("")).files
-    return files
+    return tuple(files)
 
 
-def _of_signals(header: Path, lines: list[str]) -> tuple[list[Path], int | None]:
+def _of_signals(header: Path, lines: list[str], stated: int | None) -> tuple[tuple[Path, ...], int | None]:
     """The signal files in order, and whole samples of each lead that all of them hold."""
     frames: dict[Path, Fraction | None] = {}
     offsets: dict[Path, int] = {}
-    for line in lines:
+    uncalibrated: list[int] = []
+    each, skew = 0, 0
+    for number, line in enumerate(lines):
         found = _SIGNAL.fullmatch(line)
-        if found is None or found[2] not in _BYTES:
+        if found is None or found[2] not in _BYTES or (count := int(found[3] or 1)) < 1:
             raise UnreadableFileError(f"{header}: the line of a signal is '{line[:60]}'; copy it again")
         path, size = file_within(header.parent, found[1], header), _BYTES[found[2]]
         before = frames.get(path, Fraction(0))
-        frames[path] = None if size is None or before is None else before + size * int(found[3] or 1)
-        offsets[path] = int(found[4] or 0)
+        frames[path] = None if size is None or before is None else before + size * count
+        offsets[path] = int(found[5] or 0)
+        each, skew = each + count, max(skew, int(found[4] or 0))
+        gain = float(found[6] or 0.0)
+        if not math.isfinite(gain):
+            raise UnreadableFileError(f"{header}: the gain of a signal is {found[6]}; copy it again")
+        if gain == 0.0:
+            uncalibrated.append(number)
     held = [
-        None if frame is None else int((path.stat().st_size - offsets[path]) / frame)
+        None if frame is None else max(int((path.stat().st_size - offsets[path]) / frame), 0)
         for path, frame in frames.items()
     ]
     known = [count for count in held if count is not None]
-    limits.require_count(min(known, default=0) * len(lines), limits.SAMPLES, "samples")
-    return list(frames), min(known) if len(known) == len(held) else None
+    length = min(known, default=0) if stated is None else stated
+    limits.require_count(length * each, limits.SAMPLES, "samples")
+    if skew and skew >= length:
+        raise UnreadableFileError(
+            f"{header}: a signal of {length} samples begins {skew} samples late; copy it again"
+        )
+    if uncalibrated:
+        log.warning(
+            "%s states no gain of signal %s: 200 units in a mV are taken, as WFDB says; its times are right, "
+            "its amplitude was not calibrated",
+            header,
+            ", ".join(map(str, uncalibrated)),
+        )
+    return tuple(frames), min(known) if len(known) == len(held) else None

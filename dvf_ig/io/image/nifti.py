@@ -70,7 +70,7 @@ class NiftiHeader:
     """What matters here of a NIfTI-1 or -2 header.
 
     Attributes:
-        sizes: of the axes, the fastest first, without those of one voxel beyond the fourth.
+        sizes: of the axes, the fastest first, without last ones of one voxel beyond the third, as ITK has it.
         dtype: of a voxel, with its byte order.
         axes: (3, 3) of the sform; None where it is not used.
         offset: bytes before the first voxel, in the file that holds them.
@@ -229,4 +229,6 @@ def _checked(
         )
     slope, intercept = fields["scaling"]
     sform = axes[:, :3] if uses_sform else None
-    return NiftiHeader(tuple(used[:4]), dtype, sform, int(offset), (slope, intercept))
+    while len(used) > 3 and used[-1] == 1:
+        used.pop()
+    return NiftiHeader(tuple(used), dtype, sform, int(offset), (slope, intercept))

@@ -75,17 +75,22 @@ def read_volume_series(
 
 
 def image_dimension(path: Path | str) -> int:
-    """3 or 4 (or whatever the file says), from the header alone; a folder of DICOM images has 4.
+    """3 or 4, from the header alone; a folder of DICOM images has 4.
 
     Raises:
-        UnreadableFileError: absent or not an image.
+        UnreadableFileError: absent, not an image, or of another dimension.
     """
     path = Path(path)
     if is_dicom_folder(path):
         return 4
     with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
         header = image_header(path)
-        return len(read_nifti_header(path).sizes if header is None else header.sizes)
+        count = len(read_nifti_header(path).sizes if header is None else header.sizes)
+        if count not in (3, 4):
+            raise UnreadableFileError(
+                f"{path} is {count}-D; needed a 3-D image, or 4-D of the phases of a cycle"
+            )
+        return count
 
 
 def image_header(path: Path) -> ImageHeader | None:

@@ -3,13 +3,15 @@
 The key covers the patient, every array, grid and phase time that the build reads, its options, the source
 files of the packages that build, and the versions of the libraries below them: change any and another key
 results, so that nothing stale is found. An entry names its key and is a model file with checksums; one that
-is damaged, or was put there under another name, is built again.
+is damaged, or was put there under another name, is built again. So is one that somebody else could have
+written: an entry counts only as a regular file of this user that nobody else may write.
 
 The folder is DVF_IG_CACHE ("off" for none), else dvf_ig within XDG_CACHE_HOME or ~/.cache.
 """
 
 import hashlib
 import os
+import stat
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -27,8 +29,8 @@ from dvf_ig.core.model import DvfModel
 from dvf_ig.core.recordings.scenario import Preop
 from dvf_ig.core.space.mesh import SurfaceSeries
 from dvf_ig.core.space.volume import Grid, VolumeSeries
+from dvf_ig.io.limits import MODEL_BYTES
 from dvf_ig.io.provenance import not_recorded
-from dvf_ig.io.reading import read_bytes
 from dvf_ig.io.writing.atomic import write_own
 from dvf_ig.io.writing.place import make_folder
 
@@ -90,20 +92,21 @@ def cached_model(
     key = model_key(preop, options)
     path = folder / f"{key}{SUFFIX}"
     why = "model built"
-    if path.exists():
+    if os.path.lexists(path):
         try:
             with not_recorded():
                 model = _read(path, key, preop.patient_id)
         except (UnreadableFileError, InvalidInputError) as error:
             why = f"model built again ({error})"
+            with suppress(OSError):
+                path.unlink()  # a link would lead the new entry elsewhere
         else:
             with suppress(OSError):
-                os.utime(path)
+                os.utime(path, follow_symlinks=False)
             return CachedModel(model, True, path, f"model from the cache: {path}")
     model = model_from_preop(preop, options=options, progress=progress)
     try:
-        make_folder(folder)
-        write_own(path, [_MAGIC + key.encode("ascii") + b"\n", *model_bytes(model)])
+        _write(path, key, model)
     except OutputError as error:
         return CachedModel(model, False, None, f"{why}, but not kept: {error}")
     _remove_oldest(folder, path)
@@ -195,9 +198,40 @@ def _program() -> tuple[str, ...]:
     return (dvf_ig.__version__, digest.hexdigest(), *libraries)
 
 
+def _write(path: Path, key: str, model: DvfModel) -> None:
+    """Write an entry that nobody else may change, whatever the user's umask."""
+    make_folder(path.parent)
+    write_own(path, [_MAGIC + key.encode("ascii") + b"\n", *model_bytes(model)])
+    try:
+        path.chmod(0o600)
+    except OSError as exc:
+        raise OutputError(f"cannot set the permissions of {path}: {exc.strerror or exc}") from exc
+
+
+def _own_bytes(path: Path) -> bytes:
+    """The content of a regular file of this user; never waits, and follows no link.
+
+    Raises:
+        UnreadableFileError: something else, or a file that somebody else owns or may write.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
+        with open(descriptor, "rb") as stream:
+            held = os.fstat(descriptor)
+            if not stat.S_ISREG(held.st_mode):
+                raise UnreadableFileError(f"{path} is not a regular file")
+            if held.st_uid != os.getuid() or held.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+                raise UnreadableFileError(f"{path} could have been written by somebody else")
+            if held.st_size > MODEL_BYTES:
+                raise UnreadableFileError(f"{path} has {held.st_size} bytes; at most {MODEL_BYTES} are read")
+            return stream.read(held.st_size)
+    except OSError as exc:
+        raise UnreadableFileError(f"cannot read {path} as a cached model: {exc.strerror or exc}") from exc
+
+
 def _read(path: Path, key: str, patient_id: str) -> DvfModel:
     """The model of an entry that was written for this key."""
-    data = read_bytes(path, "a cached model")
+    data = _own_bytes(path)
     if data[:_HEADER_BYTES] != _MAGIC + key.encode("ascii") + b"\n":
         raise UnreadableFileError(f"{path} is damaged or belongs to other data")
     model = parse_model(data[_HEADER_BYTES:], path)
@@ -209,10 +243,12 @@ def _read(path: Path, key: str, patient_id: str) -> DvfModel:
 def _remove_oldest(folder: Path, newest: Path) -> None:
     """Entries that were used longest ago go until MAX_BYTES is kept; never the newest."""
     with suppress(OSError):
-        entries = sorted((path.stat().st_mtime, path) for path in folder.glob(f"*{SUFFIX}") if path != newest)
-        total = newest.stat().st_size + sum(path.stat().st_size for _, path in entries)
+        entries = sorted(
+            (path.lstat().st_mtime, path) for path in folder.glob(f"*{SUFFIX}") if path != newest
+        )
+        total = newest.stat().st_size + sum(path.lstat().st_size for _, path in entries)
         for _, path in entries:
             if total <= MAX_BYTES:
                 return
-            total -= path.stat().st_size
+            total -= path.lstat().st_size
             path.unlink()

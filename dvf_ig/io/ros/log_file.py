@@ -5,6 +5,7 @@ import os
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,13 +19,15 @@ from .messages import Message, nanoseconds, typestore
 MARK = b"\x89MCAP0\r\n"
 WHAT = "an MCAP log"
 DIGESTS, COUNTS = "sha256", "messages"
-"""Metadata of a log: of each attached file; how many messages each topic has. mcap's reader checks the CRC of
-chunks, but not of attachments nor of the index, by which it finds the messages of a topic."""
+"""Metadata of a log: of each attached file; how many messages each topic has. The CRC of chunks is checked,
+but not that of attachments."""
 
 UNFINISHED = "unfinished.mcap"
 """Ending of the name of a log that is being written, or was when its program was killed."""
-_DAMAGE = (struct.error, MemoryError, RuntimeError, LookupError, AttributeError, ArithmeticError)
-"""What mcap and rosbags raise on damaged files, besides ValueError."""
+MOST_PACKED = 100
+"""Bytes of messages for each byte of a log: ultrasound packs to a third, a sector's black margins to more."""
+LEAST_UNPACKED_BYTES = 256 << 20
+"""That many are read of any log: images that are all alike pack to nothing."""
 
 
 class LogWriter:
@@ -111,20 +114,15 @@ def opened_log(path: Path) -> Iterator["LogReader"]:
         UnreadableFileError: absent, not MCAP, cut off or damaged.
     """
     require_log_packages()
-    from mcap.exceptions import McapError
-    from zstandard import ZstdError
-
     with reading(path, WHAT), path.open("rb") as stream:
         if path.stat().st_size > limits.FILE_BYTES or stream.read(len(MARK)) != MARK:
             raise UnreadableFileError(f"{path} is not {WHAT}, or larger than {limits.FILE_BYTES:.3g} bytes")
         stream.seek(0)
         try:
             yield CutLogReader(stream, path) if path.name.endswith(UNFINISHED) else LogReader(stream, path)
-        except (McapError, ZstdError, *_DAMAGE) as exc:
-            raise UnreadableFileError(f"{path} is cut off or damaged ({exc}); copy it again") from exc
-        except ValueError as exc:
-            if isinstance(exc, UnreadableFileError):
-                raise
+        except UnreadableFileError:
+            raise
+        except _damage() as exc:
             raise UnreadableFileError(f"{path} is cut off or damaged ({exc}); copy it again") from exc
 
 
@@ -135,10 +133,9 @@ class LogReader:
     """Whether it was finished."""
 
     def __init__(self, stream: IO[bytes], path: Path) -> None:
-        from mcap.reader import make_reader
-
-        self._reader: Any = make_reader(stream, validate_crcs=True)
+        self._stream = stream
         self._path = path
+        self._size = os.fstat(stream.fileno()).st_size
 
     def attachments(self) -> dict[str, bytes]:
         """Every file within the log by its name.
@@ -147,11 +144,11 @@ class LogReader:
             UnreadableFileError: a name that is there twice, or a file that is not the one that was attached.
         """
         found: dict[str, bytes] = {}
-        for one in self._reader.iter_attachments():
+        for one in self._of_kind("Attachment"):
             if one.name in found:
                 raise UnreadableFileError(f"{self._path} holds two files of the name {one.name[:80]!r}")
             found[one.name] = one.data
-        if self._metadata(DIGESTS) != {
+        if self._metadata.get(DIGESTS, {}) != {
             name: hashlib.sha256(data).hexdigest() for name, data in found.items()
         }:
             raise UnreadableFileError(
@@ -168,84 +165,136 @@ class LogReader:
             UnreadableFileError: a topic is of another type, or lacks messages.
         """
         store = typestore()
-        wanted, counts = list(kinds), dict.fromkeys(kinds, 0)
-        for schema, channel, message in self._reader.iter_messages(topics=wanted, log_time_order=False):
-            kind = kinds[channel.topic]
-            if schema is None or schema.name != kind:
-                raise UnreadableFileError(f"{self._path}: {channel.topic} is not of type {kind}")
-            counts[channel.topic] += 1
-            yield channel.topic, store.deserialize_cdr(message.data, kind)
+        counts = dict.fromkeys(kinds, 0)
+        schemas: dict[int, Any] = {}
+        channels: dict[int, Any] = {}
+        for name, found in self._unpacked():
+            if name == "Schema":
+                schemas[found.id] = found
+            elif name == "Channel":
+                channels[found.id] = found
+            elif name == "Message":
+                channel = channels[found.channel_id]
+                kind = kinds.get(channel.topic)
+                if kind is None:
+                    continue
+                schema = schemas.get(channel.schema_id)
+                if schema is None or schema.name != kind:
+                    raise UnreadableFileError(f"{self._path}: {channel.topic} is not of type {kind}")
+                counts[channel.topic] += 1
+                yield channel.topic, store.deserialize_cdr(found.data, kind)
         self._require_all(counts)
 
     def number(self, name: str) -> int | None:
         """A number that was noted; None where none was."""
-        text = self._metadata(name).get(name, "")
+        text = self._metadata.get(name, {}).get(name, "")
         return int(text) if text.isdecimal() else None
 
     def _require_all(self, counts: Mapping[str, int]) -> None:
-        stated = self._metadata(COUNTS)
+        stated = self._metadata.get(COUNTS, {})
         if any(stated.get(topic, "0") != str(n) for topic, n in counts.items()):
             raise UnreadableFileError(f"{self._path} lacks messages that were written; copy it again")
 
-    def _metadata(self, name: str) -> dict[str, str]:
-        found: dict[str, str] = {}
-        for record in self._reader.iter_metadata():
-            found |= record.metadata if record.name == name else {}
+    @cached_property
+    def _metadata(self) -> dict[str, dict[str, str]]:
+        found: dict[str, dict[str, str]] = {}
+        for record in self._of_kind("Metadata"):
+            found[record.name] = found.get(record.name, {}) | record.metadata
         return found
+
+    def _of_kind(self, wanted: str) -> Iterator[Any]:
+        return (one for one in self._records() if type(one).__name__ == wanted)
+
+    def _records(self) -> Iterator[Any]:
+        """Every record in the order of the file, whose types have the names of the format's specification.
+
+        The index at the end is not used: it may lead to what lies in no record.
+        """
+        from mcap.stream_reader import StreamReader
+
+        self._stream.seek(0)
+        reader = StreamReader(
+            self._stream, emit_chunks=True, validate_crcs=True, record_size_limit=self._size
+        )
+        yield from reader.records
+
+    def _unpacked(self) -> Iterator[tuple[str, Any]]:
+        """Each record with the name of its type; those of chunks in place of the chunks."""
+        from mcap.stream_reader import breakup_chunk
+
+        held = 0
+        for record in self._records():
+            if type(record).__name__ != "Chunk":
+                yield type(record).__name__, record
+                continue
+            held += self._size_of(record)
+            if held > max(LEAST_UNPACKED_BYTES, MOST_PACKED * self._size):
+                raise UnreadableFileError(
+                    f"{self._path} states {held} bytes of messages and has {self._size}; at most "
+                    f"{MOST_PACKED} times as many are read: copy it again"
+                )
+            for one in breakup_chunk(record, validate_crc=True):
+                yield type(one).__name__, one
+
+    def _size_of(self, chunk: Any) -> int:
+        """Bytes that a chunk unpacks to.
+
+        Raises:
+            UnreadableFileError: packed otherwise than we do, or what it states is not what it holds.
+        """
+        import zstandard
+
+        if chunk.compression not in ("", "zstd"):
+            raise UnreadableFileError(
+                f"{self._path}: its messages are packed as {chunk.compression[:20]!r}; needed zstd"
+            )
+        packed = chunk.compression == "zstd"
+        held = zstandard.frame_content_size(chunk.data) if packed else len(chunk.data)
+        if held != chunk.uncompressed_size:
+            raise UnreadableFileError(
+                f"{self._path} states a chunk of {chunk.uncompressed_size} bytes that holds {held}; copy it "
+                "again"
+            )
+        return int(held)
 
 
 class CutLogReader(LogReader):
-    """The same of a log that ends anywhere: what was written whole, in order, and nothing after damage."""
+    """Reader of a log that ends anywhere: what was written whole, in order, and nothing after damage."""
 
     whole = False
 
-    def __init__(self, stream: IO[bytes], path: Path) -> None:
-        self._reader: Any = _InOrder(stream)
-        self._path = path
+    def _records(self) -> Iterator[Any]:
+        with suppress(*_damage()):
+            yield from super()._records()
+
+    def _unpacked(self) -> Iterator[tuple[str, Any]]:
+        with suppress(*_damage()):
+            yield from super()._unpacked()
 
     def _require_all(self, counts: Mapping[str, int]) -> None:
         """Nobody had counted."""
 
 
-class _InOrder:
-    """As mcap's reader with an index, for a file that has none; every pass reads the file again."""
+def _damage() -> tuple[type[Exception], ...]:
+    """What mcap, zstandard and rosbags raise on damaged files."""
+    from mcap.exceptions import McapError
+    from rosbags.serde import SerdeError
+    from zstandard import ZstdError
 
-    def __init__(self, stream: IO[bytes]) -> None:
-        self._stream = stream
-
-    def _records(self) -> Iterator[Any]:
-        from mcap.exceptions import McapError
-        from mcap.stream_reader import StreamReader
-        from zstandard import ZstdError
-
-        self._stream.seek(0)
-        size = os.fstat(self._stream.fileno()).st_size
-        with suppress(McapError, ZstdError, ValueError, *_DAMAGE):
-            reader = StreamReader(self._stream, validate_crcs=True, record_size_limit=size)
-            yield from reader.records
-
-    def iter_attachments(self) -> Iterator[Any]:
-        return (one for kind, one in self._named() if kind == "Attachment")
-
-    def iter_metadata(self) -> Iterator[Any]:
-        return (one for kind, one in self._named() if kind == "Metadata")
-
-    def iter_messages(self, topics: list[str], log_time_order: bool) -> Iterator[tuple[Any, Any, Any]]:
-        schemas: dict[int, Any] = {}
-        channels: dict[int, Any] = {}
-        for kind, found in self._named():
-            if kind == "Schema":
-                schemas[found.id] = found
-            elif kind == "Channel":
-                channels[found.id] = found
-            elif kind == "Message":
-                channel = channels[found.channel_id]
-                if channel.topic in topics:
-                    yield schemas.get(channel.schema_id), channel, found
-
-    def _named(self) -> Iterator[tuple[str, Any]]:
-        """Each record with the name of its type in the format's specification."""
-        return ((type(one).__name__, one) for one in self._records())
+    return (
+        McapError,
+        SerdeError,
+        ZstdError,
+        struct.error,
+        ValueError,
+        TypeError,
+        MemoryError,
+        RuntimeError,
+        LookupError,
+        AttributeError,
+        ArithmeticError,
+        AssertionError,
+    )
 
 
 def _require_mcap() -> None:

@@ -13,13 +13,16 @@ from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Landmarks, Points
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.timing.trigger import TriggerTimes
+from dvf_ig.io import limits
 from dvf_ig.io.plus.names import split_transform
 from dvf_ig.io.session_file.live_read import LivePatient
 from dvf_ig.io.session_file.schema import FanConfig, PreopConfig
 from dvf_ig.io.yaml_config import Section, validated
 
 SCHEMA = "dvf_ig.log/1"
-Row = tuple[float, float, float]
+Length = Annotated[float, Field(ge=-limits.LENGTH_MM, le=limits.LENGTH_MM)]
+Time = Annotated[float, Field(ge=-limits.TIME_S, le=limits.TIME_S)]
+Row = tuple[Length, Length, Length]
 
 
 class RigidEntry(Section):
@@ -47,8 +50,8 @@ class ImageEntry(Section):
     """probe_from_image."""
 
     rigid: RigidEntry
-    scale_mm_per_px: tuple[float, float]
-    shear_deg: float
+    scale_mm_per_px: tuple[Length, Length]
+    shear_deg: Annotated[float, Field(gt=-90.0, lt=90.0)]
 
     @classmethod
     def of(cls, image: ImageMap) -> "ImageEntry":
@@ -83,10 +86,10 @@ class BeatsEntry(Section):
 
     kind: Literal["ecg", "trigger"]
     rate_hz: float | None = None
-    start_s: float | None = None
+    start_s: Time | None = None
     leads: tuple[str, ...] = ()
     unit: str = "mV"
-    delay_s: float = 0.0
+    delay_s: Time = 0.0
 
 
 class SessionDocument(Section):
@@ -102,7 +105,7 @@ class SessionDocument(Section):
     orientation: str
     fan: FanConfig | None
     probe_from_image: ImageEntry
-    lag_s: float
+    lag_s: Time
     tip: PointsEntry
     start: RigidEntry | None
     landmarks_mr: PointsEntry | None

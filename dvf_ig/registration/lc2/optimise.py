@@ -99,12 +99,16 @@ def optimise(
     """Minimise −log posterior per observation from `start`.
 
     With S the explained share of variance over n observations, −n/2·log(1 − S) is the log likelihood of the
-    local linear model up to a constant; touched landmarks, if any, add their own.
+    local linear model up to a constant; touched landmarks, if any, add their own. Images that hold no
+    observation, as where no pixel lies within the model, say nothing: the search ends where it began, not
+    converged.
 
     Args:
         center_mm: (3,) about which poses turn, target frame.
         prior: what the pose must also agree with, as touched landmarks.
     """
+    if metric.information <= 0.0:
+        return Optimum(start, 0.0, 0, False)
     pose, (here, curvature) = start, _first(metric, start, center_mm, prior)
     used, rejected = 1, 0
     while used < options.steps:

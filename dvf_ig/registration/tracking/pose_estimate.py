@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from dvf_ig.core import FloatArray, Rigid, mean_displacement_mm, read_only_arrays
+from dvf_ig.core import FloatArray, InvalidInputError, Rigid, mean_displacement_mm, read_only_arrays
 from dvf_ig.registration.gaussian_prior import PRIOR_SIGMA_MM, GaussianPrior
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
@@ -52,6 +52,8 @@ tuning seeds 101 to 103 good poses have 3.1 or more with poor images, 8 with few
 have 0, noise and speckle of any grain up to 0.44."""
 MEAN_SQUARE_OF_COORDINATES = np.array([2 / 3] * 3 + [1.0] * 3)
 """What a unit of each coordinate adds to the mean square distance over points at the heart's radius."""
+LARGEST = 1e12
+"""Of any number of a beat, in s, mm and 1/mm²: larger ones are no measurement, and their squares overflow."""
 BEAT_OPTIMISER = OptimiserOptions(steps=10, cap_mm=5.0, tolerance_mm=0.1)
 """Of a beat's slices, from the pose in use:"""
 
@@ -173,6 +175,8 @@ class BeatMeasurement:
         moved_mm: mean distance over the heart between `pose` and `best`.
         overlap: share of the slices inside the model's volume.
         evaluations: effort.
+    Raises:
+        InvalidInputError: a number that is not finite, or beyond LARGEST; such a beat confirms nothing.
     """
 
     pose: Rigid
@@ -186,6 +190,16 @@ class BeatMeasurement:
     moved_mm: float
     overlap: float
     evaluations: int
+
+    def __post_init__(self) -> None:
+        told = (
+            *(self.offset_information_mm, self.information, self.similarity, self.best_similarity),
+            *(self.log_likelihood_ratio, self.wrong_pose_log_ratio, self.moved_mm, self.overlap),
+        )
+        if not all((np.abs(values) <= LARGEST).all() for values in told):
+            raise InvalidInputError(
+                f"a beat tells numbers that are not finite, or beyond {LARGEST:g}; it confirms nothing"
+            )
 
     def of(self, estimate: PoseEstimate) -> "BeatMeasurement":
         """A measurement at the estimate's `matched_pose`, as one of its pose."""

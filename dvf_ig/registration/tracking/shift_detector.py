@@ -26,11 +26,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid, mean_displacement_mm, read_only_arrays
+from dvf_ig.core import FloatArray, InvalidInputError, Rigid, mean_displacement_mm, read_only_arrays
 from dvf_ig.registration.gaussian_prior import PRIOR_SIGMA_MM
 from dvf_ig.registration.pose_chart import PoseChart
 
-from .pose_estimate import BeatMeasurement, PoseEstimate
+from .pose_estimate import LARGEST, BeatMeasurement, PoseEstimate
 
 WINDOW_BEATS = 8
 """Beats among which a shift may have begun."""
@@ -122,7 +122,10 @@ class ShiftDetector:
         Args:
             estimate: of before it, at the pose that it was compared with.
             in_use: that pose was; otherwise it may be wrong, and tells nothing of how beats scatter.
+        Raises:
+            InvalidInputError: a time or an estimate that is not finite, which would stay in the window.
         """
+        _require_known(begin_s, estimate)
         step = np.zeros(6)
         if self.compared and self.compared[-1].estimate.pose is not estimate.pose:
             before = PoseChart(self.compared[-1].estimate.matched_pose, estimate.center_mm)
@@ -160,6 +163,15 @@ class ShiftDetector:
                 worst = ShiftTest(statistic, beat.begin_s, count, beat.estimate, xi)
             at = at - beat.step_mm
         return worst
+
+
+def _require_known(begin_s: float, estimate: PoseEstimate) -> None:
+    known = (begin_s, estimate.covariance_mm2, estimate.matched_pose.translation_mm)
+    if not all((np.abs(values) <= LARGEST).all() for values in known):
+        raise InvalidInputError(
+            f"a beat at {begin_s:g} s was compared with a pose that is not known; needed finite numbers "
+            f"below {LARGEST:g}"
+        )
 
 
 def _statistic(offset_information_mm: FloatArray, information: FloatArray, known_mm2: FloatArray) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, PoseStream, Signal, TrackedSequence, UnreadableFileError
+from dvf_ig.io import limits
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.live_log import EVENT, LIVE_STREAMS, LOST, STATE, WORK, EventKind, LiveDocument
 from dvf_ig.io.ros.log_file import LogReader
@@ -63,6 +64,8 @@ class _Reading:
             self.numbers = values.reshape(-1, leads) if topic == ECG else values
             return
         self.end_event()
+        if topic in (EVENT, STATE):
+            limits.require_times(values[topic == EVENT], "the time of an event or a state")
         if topic == EVENT:
             self.announced = (EventKind(int(values[0])), float(values[1]), float(values[2]))
         elif topic == STATE:
@@ -199,13 +202,20 @@ def _sequence(frames: Sequence[TrackedFrame], orientation: str) -> TrackedSequen
 
 
 def _stream(source: str, poses: Sequence[tuple[float, FloatArray | None]]) -> PoseStream:
-    """What is not rigid counts as not tracked, as in a session."""
+    """What is not rigid, or out of any tracker's reach, counts as not tracked, as in a session."""
     t_s = np.array([one for one, _ in poses])
-    return PoseStream.of_matrices("tracker", source, t_s, [matrix for _, matrix in poses])
+    near = [
+        None if matrix is None or not (np.abs(matrix[:3, 3]) <= limits.LENGTH_MM).all() else matrix
+        for _, matrix in poses
+    ]
+    return PoseStream.of_matrices("tracker", source, t_s, near)
 
 
 def _signal(batches: Sequence[EcgSamples], rate_hz: float, begin_s: float) -> Signal:
-    """Batches at their places on one clock; without any, unknown samples from `begin_s` on."""
+    """Batches at their places on one clock; without any, unknown samples from `begin_s` on.
+
+    What is no voltage, as a session may have been sent, is not known either.
+    """
     if not batches:
         return Signal(np.full((2, 1), np.nan), rate_hz, begin_s, ("ECG",), UNIT)
     first_s, leads = batches[0].start_s, batches[0].samples.shape[1]
@@ -215,8 +225,9 @@ def _signal(batches: Sequence[EcgSamples], rate_hz: float, begin_s: float) -> Si
         if 0.0 <= one.start_s - first_s <= LONGEST_ECG_S and one.samples.shape[1] == leads
     ]
     length = max(2, *(at + len(samples) for at, samples in placed))
+    limits.require_count(length * leads, limits.SAMPLES, "samples of an ECG")
     signal = np.full((length, leads), np.nan)
     for at, samples in placed:
-        signal[at : at + len(samples)] = samples
+        signal[at : at + len(samples)] = np.where(np.abs(samples) <= limits.ECG_VALUE, samples, np.nan)
     names = tuple(f"lead {n + 1}" for n in range(leads)) if leads > 1 else ("ECG",)
     return Signal(signal, rate_hz, first_s, names, UNIT)

@@ -16,6 +16,8 @@ from dvf_ig.core import (
     TriggerTimes,
     UnreadableFileError,
 )
+from dvf_ig.io import limits
+from dvf_ig.io.ecg.recording import require_plausible
 from dvf_ig.io.file_within import path_within
 from dvf_ig.io.model.model_file import read_model
 from dvf_ig.io.provenance import not_recorded
@@ -66,6 +68,8 @@ def read_session_log(path: Path, *, images: bool = True) -> SessionRecordings:
             else:
                 arrays[topic].append(_numbers(message))
         scenario = _recorded(document, heart, arrays, shown)
+        if isinstance(scenario.ecg, Signal):
+            require_plausible(path, scenario.ecg)
     return SessionRecordings(scenario, heart.model, None, None)
 
 
@@ -143,8 +147,10 @@ def _beats(document: SessionDocument, arrays: dict[str, list[FloatArray]]) -> Si
 
 def _stream(source: str, rows: FloatArray) -> PoseStream:
     """tracker_from_source from rows of a stamp, a validity, a rotation and a translation."""
-    rotations, translations = rows[:, 2:11].reshape(-1, 3, 3), rows[:, 11:]
-    return PoseStream("tracker", source, rows[:, 0], rotations, translations, rows[:, 1] == 1.0)
+    rotations, translations, valid = rows[:, 2:11].reshape(-1, 3, 3), rows[:, 11:], rows[:, 1] == 1.0
+    limits.require_times(rows[:, 0], f"the {source}'s poses")
+    limits.require_lengths(translations[valid], f"the {source}'s poses")
+    return PoseStream("tracker", source, rows[:, 0], rotations, translations, valid)
 
 
 def _heart(path: Path, document: SessionDocument, attached: dict[str, bytes]) -> PreopFiles:

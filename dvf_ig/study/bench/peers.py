@@ -1,7 +1,7 @@
 """Distance to a mesh by other libraries, for `dvf-ig bench`. Imports open3d and vtk where installed."""
 
 import importlib
-import importlib.util
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dvf_ig.core import FloatArray, Mesh, read_only_arrays
+from dvf_ig.kernels.mesh.winding import winding_numbers
 
 from .covariance_tree import CovarianceTreeSearch, build_covariance_tree
 from .timing import KERNEL_CALLS, Row, row, time_batches, time_calls
@@ -17,6 +18,8 @@ from .timing import KERNEL_CALLS, Row, row, time_batches, time_calls
 STATIC = "static python"
 TREE = "static tree"
 TREE_KERNEL = "static tree kernel"
+
+_LOG = logging.getLogger(__name__)
 
 
 @read_only_arrays
@@ -51,9 +54,12 @@ def peer_rows(
 
 
 def signs(mesh: Mesh, points_mm: FloatArray) -> FloatArray:
-    """(n,) 1 inside a closed mesh, −1 outside, by counting crossings of rays."""
-    occupied = _scene(mesh).compute_occupancy(_tensor(points_mm.astype(np.float32))).numpy()
-    return np.where(occupied > 0.5, 1.0, -1.0)
+    """(n,) 1 inside a closed mesh, −1 outside, by its winding number about each point."""
+    winding = np.empty((len(points_mm), 1, 1, 1), dtype=np.int16)
+    triangles = np.array(mesh.triangles, order="C")
+    for point_mm, node in zip(points_mm, winding, strict=True):
+        winding_numbers(mesh.vertices_mm - point_mm, triangles, node)
+    return np.where(winding.ravel() != 0, 1.0, -1.0)
 
 
 def _error_mm(distance_mm: FloatArray, exact_mm: FloatArray) -> float:
@@ -76,9 +82,9 @@ def _covariance_rows(
 
 
 def _peers(mesh: Mesh) -> Iterator[Peer]:
-    if importlib.util.find_spec("open3d") is not None:
+    if _loads("open3d"):
         yield _open3d(mesh)
-    if importlib.util.find_spec("vtkmodules") is not None:
+    if _loads("vtk"):
         yield _vtk(mesh)
     tree = cKDTree(mesh.vertices_mm)
     yield Peer(
@@ -89,6 +95,16 @@ def _peers(mesh: Mesh) -> Iterator[Peer]:
         lambda points: np.asarray(tree.query(points)[0]),
         "nearest vertex, unsigned",
     )
+
+
+def _loads(library: str) -> bool:
+    """Whether a library can be compared with; says why if not, as where a system library is absent."""
+    try:
+        importlib.import_module(library)
+    except (ImportError, OSError) as exc:
+        _LOG.warning("%s cannot be loaded, and its rows are left out (%s)", library, exc)
+        return False
+    return True
 
 
 def _scene(mesh: Mesh) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from config_runs import errors, run, write
-from toy_lab import SESSION, poses
+from toy_lab import SECONDS, SESSION, poses
 from toy_sphere import sphere
 
 from dvf_ig.core import (
@@ -102,6 +102,14 @@ def tool_is(name: str) -> Change:
         return replace(parts, tip=replace(parts.tool, t_s=parts.tool.t_s))
 
     return change
+
+
+def exchanged(parts: SessionParts) -> SessionParts:
+    """Images by the tool's poses, which never bring them to the heart, and the tool by the probe's."""
+    parts = heart_of(90.0)(parts)
+    assert parts.sweep is not None
+    away = moved(poses("needle", 0.5, SECONDS - 1, 20.0), by_mm=-70.0)
+    return replace(parts, sweep=replace(parts.sweep, probe=away), tool=parts.sweep.probe)
 
 
 def probe(factor: float) -> Change:
@@ -219,6 +227,11 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
     "a tool of another tracker": (tool(by_mm=900.0), Disagreement.TOOL_OFF_HEART, "tool"),
     "a tool away from the heart": (tool(by_mm=150.0), Disagreement.TOOL_FAR_FROM_HEART, "tool"),
     "the probe as tool": (tool_is("probe"), Disagreement.TOOL_IS_PROBE, "tool"),
+    "probe and tool exchanged": (
+        exchanged,
+        Disagreement.PROBE_AND_TOOL_EXCHANGED,
+        "ultrasound.probe_name",
+    ),
     "the pivoting as tool": (tool_is("pivot"), Disagreement.TOOL_IS_PIVOT, "tool"),
     "a tool's stamps in ms": (milliseconds, Disagreement.STAMPS_NOT_IN_S, "tool"),
     "a probe in m": (probe(1e-3), Disagreement.POSES_NOT_IN_MM, "ultrasound"),

@@ -94,3 +94,35 @@ def test_the_rate_is_that_of_phase() -> None:
 def test_refusals(change: dict[str, float], message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         replace(LOCKED, **change)
+
+
+@given(
+    t_s=st.one_of(st.floats(), st.sampled_from([np.inf, -np.inf, np.nan, 1e300, -1e300])),
+    rr_s=st.sampled_from([0.8, 1e-300, 1e300, np.nan, 0.0, np.inf]),
+    until_s=st.sampled_from([11.2, np.inf]),
+)
+def test_a_phase_in_use_is_a_phase_at_any_time(t_s: float, rr_s: float, until_s: float) -> None:
+    """Never LOCKED with a phase or an uncertainty that is none, and no warning on the way."""
+    state = PhaseState.LOCKED if 0.0 < rr_s < np.inf else PhaseState.SUSPECT
+    reading = replace(LOCKED, rr_s=rr_s, until_s=until_s, state=state).at(t_s)
+    if reading.state is PhaseState.LOCKED:
+        assert 0.0 <= reading.phi < 1.0
+        assert np.isfinite([reading.sigma_phi, reading.rate_hz]).all()
+    if not np.isfinite(t_s):
+        assert reading.state is not PhaseState.LOCKED
+
+
+@pytest.mark.parametrize("t_s", [np.inf, -np.inf, np.nan])
+def test_times_that_are_none_are_not_known(t_s: float) -> None:
+    reading = replace(LOCKED, until_s=np.inf).at(t_s)
+    assert reading.state is PhaseState.INIT
+    assert np.isnan([reading.phi, reading.sigma_phi]).all()
+    assert reading.rate_hz == 0.0
+
+
+@pytest.mark.parametrize(
+    "changes", [{"rr_s": np.inf}, {"r_s": np.nan}, {"r_s": np.inf}, {"cycles": np.inf}, {"since_s": -np.inf}]
+)
+def test_a_locked_forecast_of_numbers_that_are_none_is_refused(changes: dict[str, float]) -> None:
+    with pytest.raises(InvalidInputError, match="LOCKED"):
+        replace(LOCKED, **changes)

@@ -100,7 +100,21 @@ def wfdb_record(folder: Path, header: str, samples: bytes = SAMPLES) -> str:
         ("r 2 250 2000\nr.dat 16 200 16 0 0 0 0 II\n", "lines of 1 of 2 signals"),
         ("r 1 250 2000\nr.dat 17 200 16 0 0 0 0 II\n", "line of a signal"),
         ("r 1 250 2000\nr.dat 516 200 16 0 0 0 0 II\n", "not a readable WFDB record"),
+        ("r 1 250 2000\nr.dat 16x0 200/mV\n", "the line of a signal is 'r.dat 16x0 200/mV'"),
+        ("r 1 250 2000\nr.dat 16x00\n", "the line of a signal is 'r.dat 16x00'"),
+        ("r 1 250 2000\nr.dat 16x-1 200/mV\n", "the line of a signal"),
+        ("r 1 250 2000\nr.dat 16x9999 200/mV\n", "truncated: 0 of 2000"),
+        ("r 1 250 20000000\nr.dat 516x9999 200/mV\n", "states 199980000000 samples"),
+        ("r 1 250 2000\nr.dat 16:999999999 200/mV\n", "begins 999999999 samples late"),
+        ("r 1 250\nr.dat 16:2000 200/mV\n", "begins 2000 samples late"),
+        ("r 1 250 2000\nr.dat 16+999999999 200/mV\n", "truncated: 0 of 2000"),
+        ("r 1 250\nr.dat 16+999999999 200/mV\n", "not a readable WFDB record"),
+        ("r 1 250 2000\nr.dat 16 1e400/mV\n", "the gain of a signal is 1e400"),
+        ("r 1 250 2000\nr.dat 16 200(99999999999999999999)/mV\n", "the line of a signal"),
         ("r/2 1 250 2000\nr 1000\nr 1000\n", "has segments itself"),
+        ("r/2 1 250 2000\nr 1000\nr 99999\n", "states 2000 samples, its segments 100999"),
+        ("r/2 1 250\nr 1000\n~ 199999000\n", "states 200000000 samples, of which its segments hold 1000"),
+        ("r/2 1 250\nr 1000\nr\n", "the line of a segment is 'r'"),
         ("r 1 250 2000\nr.dat 16 nan 16 0 0 0 0 II\n", "r"),
         ("", "record line is 'empty'"),
     ],
@@ -109,6 +123,50 @@ def test_wfdb_headers(tmp_path: Path, header: str, sentence: str) -> None:
     assert len(read_ecg(wfdb_record(tmp_path, "r 1 250 2000\nr.dat 16 200 16 0 0 0 0 II\n"))) == 2000
     with pytest.raises(UnreadableFileError, match=sentence):
         read_ecg(wfdb_record(tmp_path, header))
+
+
+@pytest.mark.parametrize("gain", ["", " 0", " 0/mV", " 0(0)/mV 16 0 0 0 0", " 200", " 200/"])
+def test_wfdb_signals_that_state_no_gain_or_unit(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, gain: str
+) -> None:
+    """WFDB header(5): a gain that is absent or 0 means 200 units in a mV, not calibrated."""
+    with caplog.at_level(logging.WARNING):
+        found = read_ecg(wfdb_record(tmp_path, f"r 1 250 2000\nr.dat 16{gain}\n"))
+    np.testing.assert_allclose(found.samples[:, 0], np.arange(2000) / 200.0)
+    assert (found.rate_hz, found.leads, found.unit) == (250.0, ("signal 0",), "mV")
+    assert ("was not calibrated" in caplog.text) is ("200" not in gain)
+
+
+def segments(folder: Path, leads: str, **headers: str) -> str:
+    """A record of a layout and two segments that hold lead II alone."""
+    named = {"a": "a 1 250 1000", "b": "b 1 250 1000"} | headers
+    for number, (name, line) in enumerate(named.items()):
+        (folder / f"{name}.hea").write_text(f"{line}\n{name}.dat 16 0 16 0 0 0 0 II\n")
+        (folder / f"{name}.dat").write_bytes(SAMPLES[2000 * number : 2000 * (number + 1)])
+    layout = "".join(f"~ 0 0 16 0 0 0 0 {lead}\n" for lead in leads.split())
+    (folder / "layout.hea").write_text(f"layout {len(leads.split())} 250 0\n{layout}")
+    (folder / "r.hea").write_text(f"r/3 {len(leads.split())} 250 2000\nlayout 0\na 1000\nb 1000\n")
+    return f"wfdb:{folder / 'r'}"
+
+
+def test_a_lead_that_no_segment_of_a_record_holds_is_a_gap(tmp_path: Path) -> None:
+    """The package knows no unit of it."""
+    pytest.importorskip("wfdb")
+    found = read_ecg(segments(tmp_path, "II V"))
+    assert found.leads == ("II", "V")
+    np.testing.assert_allclose(found.samples[:, 0], np.arange(2000) / 200.0)
+    assert np.isnan(found.samples[:, 1]).all()
+    with pytest.raises(UnreadableFileError, match="holds no sample of I, V, only gaps"):
+        read_ecg(segments(tmp_path, "I V"))
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [("b 1 500 1000", "states 500 Hz, its record 250 Hz"), ("b 1 250 900", "states 900 samples")],
+)
+def test_segments_that_contradict_their_record(tmp_path: Path, line: str, sentence: str) -> None:
+    with pytest.raises(UnreadableFileError, match=sentence):
+        read_ecg(segments(tmp_path, "II", b=line))
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -10,7 +10,7 @@ import pytest
 import SimpleITK
 
 from dvf_ig.core import UnreadableFileError
-from dvf_ig.io import read_label_names, read_volume, read_volume_series
+from dvf_ig.io import describe, read_label_names, read_labels, read_volume, read_volume_series
 from dvf_ig.io.image.volume import image_dimension
 
 VOXELS = bytes(range(24))
@@ -183,6 +183,34 @@ def test_nifti_headers(tmp_path: Path, field: tuple[int, str, float], sentence: 
     assert read_volume(nifti(tmp_path / "good.nii", 80, "f", 1.0)).values.shape == (2, 3, 4)
     with pytest.raises(UnreadableFileError, match=sentence):
         read_volume(nifti(tmp_path / "a.nii", *field))
+
+
+@pytest.mark.parametrize("sizes", [(24,), (6, 4), (24, 1)])
+def test_images_of_one_or_two_axes(tmp_path: Path, sizes: tuple[int, ...]) -> None:
+    count = len(sizes)
+    files = [nifti(tmp_path / "a.nii", 40, f"{count + 1}h", count, *sizes)]
+    named = {"sizes": " ".join(map(str, sizes)), "dimension": str(count)}
+    plain = {"space": None, "space directions": None, "space origin": None, "kinds": None}
+    files.append(nrrd(tmp_path / "a.nrrd", named | plain))
+    shape = {"NDims": str(count), "DimSize": named["sizes"], "Offset": "0 " * count}
+    axes = {"TransformMatrix": " ".join(map(str, np.eye(count, dtype=int).ravel()))}
+    files.append(meta(tmp_path / "a.mha", {**shape, **axes, "ElementSpacing": "1 " * count}))
+    for path in files:
+        for read in (read_labels, read_volume, read_volume_series, image_dimension, describe):
+            with pytest.raises(UnreadableFileError, match=f"is {count}-D"):
+                read(str(path))
+
+
+@pytest.mark.parametrize("sizes", [(2, 3, 4, 1), (2, 3, 4, 1, 1), (2, 3, 4, 1, 1, 1, 1)])
+def test_nifti_with_last_axes_of_one_voxel_is_3d(tmp_path: Path, sizes: tuple[int, ...]) -> None:
+    path = nifti(tmp_path / "a.nii", 40, f"{len(sizes) + 1}h", len(sizes), *sizes)
+    expected = SimpleITK.GetArrayFromImage(SimpleITK.ReadImage(str(path))).T
+    assert image_dimension(path) == 3
+    np.testing.assert_array_equal(read_volume(path).values, expected.reshape(2, 3, 4))
+    (labels,) = read_labels(path)
+    np.testing.assert_array_equal(labels.values, expected.reshape(2, 3, 4))
+    with pytest.raises(UnreadableFileError, match="is 3-D"):
+        read_volume_series(path)
 
 
 @pytest.mark.parametrize(

@@ -157,6 +157,78 @@ def test_a_damaged_entry_is_built_again(preop: Preop, folder: Path, damage: str)
     assert cached_model(preop, options=COARSE).was_cached
 
 
+def fifo(path: Path, content: bytes) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def link(path: Path, content: bytes) -> None:
+    path.unlink()
+    path.with_name("elsewhere").write_bytes(content)
+    path.with_name("elsewhere").chmod(0o600)
+    path.symlink_to(path.with_name("elsewhere"))
+
+
+def dangling(path: Path, content: bytes) -> None:
+    path.unlink()
+    path.symlink_to(path.with_name("nowhere"))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (fifo, "is not a regular file"),
+        (link, "symbolic links"),
+        (dangling, "symbolic links"),
+        (lambda path, _: path.chmod(0o620), "could have been written by somebody else"),
+        (lambda path, _: path.chmod(0o602), "could have been written by somebody else"),
+    ],
+)
+def test_an_entry_that_is_not_ours_alone_is_replaced(
+    preop: Preop, folder: Path, spoil: Callable[[Path, bytes], None], sentence: str
+) -> None:
+    """A pipe is not waited for, and a link leads nowhere: neither to read nor to write."""
+    first = cached_model(preop, options=COARSE)
+    path = entry(first)
+    spoil(path, path.read_bytes())
+    others = {other: other.read_bytes() for other in folder.iterdir() if other.is_file() and other != path}
+    again = cached_model(preop, options=COARSE)
+    assert not again.was_cached
+    assert sentence in again.remark
+    assert (again.path, path.is_symlink(), path.stat().st_mode & 0o777) == (path, False, 0o600)
+    assert {other: other.read_bytes() for other in folder.iterdir() if other != path} == others
+    assert cached_model(preop, options=COARSE).was_cached
+
+
+def test_a_model_that_another_user_put_there_is_not_used(
+    preop: Preop, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = entry(cached_model(preop, options=COARSE))
+    owner = path.stat().st_uid
+    monkeypatch.setattr(os, "getuid", lambda: owner + 1)
+    again = cached_model(preop, options=COARSE)
+    assert not again.was_cached
+    assert "could have been written by somebody else" in again.remark
+
+
+def test_a_folder_in_the_place_of_an_entry_costs_only_the_cache(preop: Preop, folder: Path) -> None:
+    path = entry(cached_model(preop, options=COARSE))
+    path.unlink()
+    path.mkdir()
+    again = cached_model(preop, options=COARSE)
+    assert (again.was_cached, again.path) == (False, None)
+    assert "is in the way" in again.remark
+
+
+def test_entries_do_not_depend_on_the_umask(preop: Preop, folder: Path) -> None:
+    before = os.umask(0o002)
+    try:
+        assert not cached_model(preop, options=COARSE).was_cached
+        assert cached_model(preop, options=COARSE).was_cached
+    finally:
+        os.umask(before)
+
+
 def test_an_entry_of_other_data_is_not_trusted(preop: Preop, folder: Path) -> None:
     mine = cached_model(preop, options=COARSE)
     moved = with_surface(preop, vertices_mm=preop.surfaces[0].vertices_mm + 1.0)

@@ -1,10 +1,15 @@
 """Beats that agree on another place are told from beats that scatter about the pose."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, InvalidInputError, Rigid
 from dvf_ig.registration import BeatMeasurement, PoseChart, PoseEstimate, ShiftDetector
 from dvf_ig.registration.tracking.shift_detector import WINDOW_BEATS
 
@@ -141,3 +146,38 @@ def test_a_registration_that_says_anew_how_shape_pulls_images_aside_is_no_shift(
         detector = detector.after(float(k), estimate, told)
     assert detector.test is not None
     assert detector.test.statistic < 1e-6
+
+
+WRONG = st.sampled_from([np.nan, np.inf, -np.inf, 1e300, -1e300])
+
+
+@given(wrong=WRONG, place=st.sampled_from(["information", "offset", "begin", "covariance", "ratio"]))
+def test_numbers_that_are_none_are_refused_and_change_nothing(wrong: float, place: str) -> None:
+    estimate, information = at(np.zeros(6), 0.3), np.diag(BEAT_MM**-2.0)
+    good = beat(estimate, BEAT_MM, information)
+    detector = ShiftDetector().after(0.0, estimate, good)
+    calls: dict[str, Callable[[], object]] = {
+        "begin": lambda: detector.after(wrong, estimate, good),
+        "covariance": lambda: detector.after(
+            0.8, replace(estimate, covariance_mm2=np.full((6, 6), wrong)), good
+        ),
+        "information": lambda: replace(good, information=np.full((6, 6), wrong)),
+        "offset": lambda: replace(good, offset_information_mm=np.full(6, wrong)),
+        "ratio": lambda: replace(good, wrong_pose_log_ratio=wrong),
+    }
+    with pytest.raises(InvalidInputError):
+        calls[place]()
+
+
+@given(exponent=st.floats(-12.0, 12.0), seed=st.integers(0, 9))
+def test_the_statistic_of_any_allowed_beat_is_a_number(exponent: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    factor = rng.normal(size=(6, 6))
+    information = factor @ factor.T
+    information *= 10.0**exponent / np.abs(information).max()
+    estimate, detector = at(np.zeros(6), 0.3), ShiftDetector()
+    for k in range(WINDOW_BEATS + 2):
+        told = replace(beat(estimate, np.zeros(6), information), offset_information_mm=information[0] / 6)
+        detector = detector.after(0.8 * k, estimate, told)
+        assert detector.test is not None
+        assert np.isfinite([detector.test.statistic, detector.test.distance_mm, detector.variance]).all()

@@ -1,18 +1,21 @@
 """The mesh search that the fixture is compared with, the points, and the shape of `dvf-ig bench`."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from toy_sphere import sphere
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import DvfModel, InvalidInputError
+from dvf_ig.core import DvfModel, InvalidInputError, Mesh
 from dvf_ig.io import write_model
 from dvf_ig.preop import build_triangle_tree
 from dvf_ig.study.bench.covariance_tree import CovarianceTreeSearch, build_covariance_tree
 from dvf_ig.study.bench.heart import REACH_MM, bench_model, hand_path, random_points
+from dvf_ig.study.bench.peers import signs
 from dvf_ig.study.bench.rows import BenchOptions
 from dvf_ig.study.bench.timing import time_batches, time_calls
 
@@ -86,3 +89,28 @@ def test_bench_prints_rows_and_ratios(
     )
     assert payload["first_call_s"] == 0.25
     assert [c["violations"] for c in payload["continuity"]] == [0] * 6
+
+
+def test_bench_without_open3d_leaves_its_rows_out_and_says_so(
+    model: DvfModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dvf_ig.study.bench.rows.first_call_seconds", lambda: 0.25)
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    write_model(model, tmp_path / "model.npz")
+    arguments = [str(tmp_path / "model.npz"), "--calls", "100", "--repeats", "1", "--json"]
+    result = CliRunner().invoke(app, ["bench", *arguments])
+    assert result.exit_code == 0, result.output
+    assert "open3d cannot be loaded, and its rows are left out" in result.stderr
+    rows = {(r["name"], r["what"]): r for r in json.loads(result.stdout)["rows"]}
+    assert not any(name == "open3d" for name, _ in rows)
+    assert rows["dvf_ig", "static kernel"]["error_mm"] < 1.0
+    assert ("scipy cKDTree", "static tree") in rows
+
+
+def test_signs_of_a_ball() -> None:
+    vertices, triangles = sphere(30.0, 3)
+    points = np.random.default_rng(2).uniform(-40.0, 40.0, (500, 3))
+    length = np.linalg.norm(points, axis=1)
+    clear = np.abs(length - 30.0) > 1.0
+    found = signs(Mesh("mr", vertices, triangles), points)
+    np.testing.assert_array_equal(found[clear], np.where(length < 30.0, 1.0, -1.0)[clear])

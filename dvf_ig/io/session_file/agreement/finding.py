@@ -52,6 +52,12 @@ class Disagreement(Enum):
         True,
         "its poses are those of the ultrasound probe, number for number; give the poses of the tool",
     )
+    PROBE_AND_TOOL_EXCHANGED = Rule(
+        True,
+        "at this start {share:.0%} of the images reach the heart; with the poses of the tool {other:.0%} "
+        "would: probe and tool look exchanged; exchange their names (--probe-name and --tool-name, or in "
+        "the recording itself)",
+    )
     TOOL_IS_PIVOT = Rule(
         True,
         "its poses are those of the pivot calibration, number for number; give the poses of the tool at work",

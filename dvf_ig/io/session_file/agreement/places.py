@@ -26,6 +26,9 @@ FAR_MM = 500.0
 MOST_POSES = 200
 GRID = 5
 """Points along each side of an image."""
+MISSES, REACHES = 0.1, 0.5
+"""Shares of images that reach the box about the heart: no probe that images it reaches it in so few, and none
+elsewhere in so many. In a synthetic recording all do; with the tool's poses in place of the probe's, none."""
 
 
 def place_findings(parts: SessionParts) -> Iterator[Finding]:
@@ -42,11 +45,16 @@ def place_findings(parts: SessionParts) -> Iterator[Finding]:
     start = _start(parts.start)
     if start is None:
         return
-    images = _images(parts)
-    if images is not None and (off_mm := float(_outside_mm(start.apply_array(images), heart).min())) > OFF_MM:
-        key = "start.transform" if parts.start.start is not None else "start.landmarks_tracker"
-        yield finding(Disagreement.IMAGES_OFF_HEART, key, mm=off_mm)
-        return
+    images_off_mm = _images_off_mm(parts, start, heart)
+    if images_off_mm is not None:
+        exchanged = _exchanged(parts, start, heart, images_off_mm)
+        if exchanged is not None:
+            yield exchanged
+            return
+        if (off_mm := float(images_off_mm.min())) > OFF_MM:
+            key = "start.transform" if parts.start.start is not None else "start.landmarks_tracker"
+            yield finding(Disagreement.IMAGES_OFF_HEART, key, mm=off_mm)
+            return
     if parts.tool is not None and isinstance(parts.tip, Points):
         tips = _moved(parts.tool, parts.tip.xyz_mm)
         off_mm = float(_outside_mm(start.apply_array(tips), heart).min()) if len(tips) else 0.0
@@ -83,14 +91,36 @@ def _start(start: StartFiles) -> Rigid | None:
         return None  # told of the landmarks themselves
 
 
-def _images(parts: SessionParts) -> FloatArray | None:
-    """(n, 3) points all over the images, frame "tracker"."""
+def _images_off_mm(
+    parts: SessionParts, start: Rigid, heart: tuple[FloatArray, FloatArray], probe: PoseStream | None = None
+) -> FloatArray | None:
+    """(p,) distance of each image from the box about the heart; None if no pose or calibration is known.
+
+    Args:
+        probe: poses of the images, if not those of the sweep.
+    """
     if parts.sweep is None or parts.sweep.recorded.images is None or not isinstance(parts.probe, ImageMap):
         return None
     rows, columns = parts.sweep.recorded.images.shape[1:]
     sides = np.meshgrid(np.linspace(0, columns, GRID), np.linspace(0, rows, GRID))
-    at = _moved(parts.sweep.probe, parts.probe.apply_pixels(np.stack(sides, axis=-1).reshape(-1, 2)).xyz_mm)
-    return at if len(at) else None
+    points = parts.probe.apply_pixels(np.stack(sides, axis=-1).reshape(-1, 2)).xyz_mm
+    at = _moved(parts.sweep.probe if probe is None else probe, points)
+    if not len(at):
+        return None
+    return np.asarray(_outside_mm(start.apply_array(at), heart).reshape(-1, len(points)).min(axis=1))
+
+
+def _exchanged(
+    parts: SessionParts, start: Rigid, heart: tuple[FloatArray, FloatArray], images_off_mm: FloatArray
+) -> Finding | None:
+    """What is wrong if the images miss the heart by the probe's poses and reach it by the tool's."""
+    share = float((images_off_mm == 0.0).mean())
+    if parts.tool is None or share > MISSES:
+        return None
+    others_off_mm = _images_off_mm(parts, start, heart, parts.tool)
+    if others_off_mm is None or (other := float((others_off_mm == 0.0).mean())) < REACHES:
+        return None
+    return finding(Disagreement.PROBE_AND_TOOL_EXCHANGED, "ultrasound.probe_name", share=share, other=other)
 
 
 def _moved(stream: PoseStream, xyz_mm: FloatArray) -> FloatArray:
