@@ -8,7 +8,9 @@ servo falls silent the callback sends no force: the scheduler would otherwise re
 from typing import Any
 
 import numpy as np
-from numba import carray, cfunc, core
+from numba import carray, core
+
+from dvf_ig.kernels.compiled import callback
 
 from .device_call import device_function
 from .foreign import call_doubles, call_error_code, call_with_handle
@@ -50,7 +52,7 @@ SILENT_AFTER_TICKS = 20
 """Scheduler ticks without a force from the servo, 20 ms at 1 kHz, after which none is sent."""
 
 
-@cfunc(types.uint32(types.voidptr), cache=True, nopython=True)
+@callback(types.uint32(types.voidptr))
 def exchange(context: Any) -> int:
     """The scheduler's callback: position out, force in."""
     c, n = carray(context, CONTEXT_SIZE, np.int64), carray(context, CONTEXT_SIZE, np.float64)
