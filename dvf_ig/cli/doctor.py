@@ -63,7 +63,20 @@ def checks() -> list[Check]:
         Check(f"{name} for {use}", _version(name), f'pip install "dvf-ig[{extra}]"', needed=False)
         for name, (extra, use) in EXTRAS.items()
     ]
+    if all(check.found for check in out if check.needed):
+        out.append(_kept_kernels())
     return out
+
+
+def _kept_kernels() -> Check:
+    from dvf_ig.kernels.compiled import cache_folder
+
+    folder = cache_folder()
+    remedy = (
+        "each process compiles its own, which takes some seconds; "
+        "set NUMBA_CACHE_DIR to a folder that can be written"
+    )
+    return Check("folder of compiled kernels", None if folder is None else str(folder), remedy, needed=False)
 
 
 def _version(distribution: str) -> str | None:

@@ -10,6 +10,7 @@ user's cache folder. If none can be written, kernels work and are compiled again
 """
 
 import logging
+import os
 import pickle
 import sys
 from collections.abc import Callable
@@ -52,6 +53,13 @@ def _cache_of(function: Callable[..., Any], sources: KernelSources) -> Any:
 
 class _Entries(CompileResultCacheImpl):  # type: ignore[misc]
     """Entries that hold the digest of their sources, in one file for each kernel and signature."""
+
+    if not os.path.isabs(os.path.expanduser("~")):  # no home: numba would make a folder `~` where it runs
+        _locator_classes = tuple(
+            locator
+            for locator in CompileResultCacheImpl._locator_classes
+            if "UserWide" not in locator.__name__
+        )
 
     def __init__(self, function: Callable[..., Any], sources: KernelSources) -> None:
         self.digest = sources.digest

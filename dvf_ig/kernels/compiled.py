@@ -11,6 +11,7 @@ has it; numba's own settings are left as they are.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 from numba import config
@@ -40,6 +41,13 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
 def callback(signature: Any) -> Callable[[Callable[..., Any]], Any]:
     """A function called from C by its `address`."""
     return lambda function: compile_callback(function, SOURCES, signature)
+
+
+def cache_folder() -> Path | None:
+    """Where compiled kernels of this folder are kept; None if no folder for them can be written."""
+    compiled: Any = kernel(thread_count)  # any function of this folder; it is not called
+    folder = compiled.stats.cache_path
+    return None if folder is None else Path(folder)
 
 
 def thread_count() -> int:
