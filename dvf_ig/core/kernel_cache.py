@@ -87,6 +87,12 @@ class _KernelCache(FunctionCache):  # type: ignore[misc]
         # an index of other sources is not unpickled: it may hold types that no longer exist
         self._cache_file._version = f"{numba.__version__} {sources.digest}"
 
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(signature, target_context)
+        except OSError:
+            return None  # saving fails as well, and says why
+
     def save_overload(self, signature: Any, compiled: Any) -> None:
         if not self._sources.unchanged():
             return  # edited while this process runs: what is in memory may be a mixture
