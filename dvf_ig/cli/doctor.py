@@ -1,4 +1,4 @@
-"""`dvf-ig doctor`: what is missing on this machine, and how to get it."""
+"""`dvf-ig doctor`: what is missing on this machine and how to get it; where compiled kernels are kept."""
 
 import ctypes.util
 import importlib.metadata
@@ -100,7 +100,10 @@ def _things(count: int) -> str:
 
 
 def doctor(as_json: JsonFlag = False) -> None:
-    """Say what is missing on this machine and how to get it (exit 2 if something needed is missing)."""
+    """Say what is missing on this machine and how to get it (exit 2 if something needed is missing).
+
+    It also names the folder in which compiled kernels are kept.
+    """
     with command(lists_inputs=False):
         results = checks()
         missing = [c for c in results if c.found is None and c.needed]
