@@ -19,7 +19,6 @@ COPIED = ("pyproject.toml", "dvf_ig", "data_synth", "tests")
 WANTED_SHARE = 0.9
 SECONDS = 600
 """A test run that takes longer is counted as failed: the mutant made it hang."""
-KERNELS = re.compile(r"/kernels/|_kernel\.py$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,22 +113,12 @@ def _outcome(trees: "Queue[Path]", mutant: Mutant) -> Outcome:
     original = path.read_text()
     try:
         path.write_text(original.replace(mutant.old, mutant.new))
-        if KERNELS.search(mutant.file):
-            _forget_kernels(tree)
         outcome = Outcome(mutant.name, tuple(_failed_tests(tree, list(mutant.tests))))
     finally:
         path.write_text(original)
-        if KERNELS.search(mutant.file):
-            _forget_kernels(tree)
         trees.put(tree)
     print(f"{mutant.name:<44} {_words(outcome)}", flush=True)
     return outcome
-
-
-def _forget_kernels(tree: Path) -> None:
-    """Compiled kernels hold copies of what was inlined into them."""
-    for compiled in [*tree.rglob("*.nbi"), *tree.rglob("*.nbc")]:
-        compiled.unlink()
 
 
 def _failed_tests(tree: Path, tests: list[str], timeout_s: float = SECONDS) -> list[str]:

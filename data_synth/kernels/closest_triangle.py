@@ -12,9 +12,10 @@ Sources: Ericson, Real-Time Collision Detection (2005), 5.1.5; Baerentzen and Aa
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from dvf_ig.core import AnyArray
+
+from .compiled import kernel
 
 Vector = tuple[float, float, float]
 
@@ -52,7 +53,7 @@ class Phase(NamedTuple):
     weight: float
 
 
-@njit(cache=True)
+@kernel()
 def _closest(p: AnyArray, a: AnyArray, b: AnyArray, c: AnyArray, out: AnyArray) -> int:
     """Nearest point of triangle abc to p, written to `out`; returns the feature code."""
     ab, ac, ap = _from_to(a, b), _from_to(a, c), _from_to(a, p)
@@ -92,45 +93,45 @@ def _closest(p: AnyArray, a: AnyArray, b: AnyArray, c: AnyArray, out: AnyArray) 
     return FACE
 
 
-@njit(cache=True)
+@kernel()
 def _from_to(u: AnyArray, v: AnyArray) -> Vector:
     return v[0] - u[0], v[1] - u[1], v[2] - u[2]
 
 
-@njit(cache=True)
+@kernel()
 def _dot(u: Vector, v: Vector) -> float:
     return float(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
 
 
-@njit(cache=True)
+@kernel()
 def _cross(u: Vector, v: Vector) -> Vector:
     return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
 
 
-@njit(cache=True)
+@kernel()
 def _set(v: Vector | AnyArray, out: AnyArray) -> None:
     out[0], out[1], out[2] = v[0], v[1], v[2]
 
 
-@njit(cache=True)
+@kernel()
 def _add(share: float, v: Vector, out: AnyArray) -> None:
     for k in range(3):
         out[k] += share * v[k]
 
 
-@njit(cache=True)
+@kernel()
 def _vector(v: AnyArray) -> Vector:
     return v[0], v[1], v[2]
 
 
-@njit(cache=True)
+@kernel()
 def _vertex(mesh: Mesh, phase: Phase, index: int, out: AnyArray) -> None:
     low, high = mesh.vertices[phase.low], mesh.vertices[phase.high]
     for k in range(3):
         out[k] = (1.0 - phase.weight) * low[index, k] + phase.weight * high[index, k]
 
 
-@njit(cache=True)
+@kernel()
 def _normal(mesh: Mesh, phase: Phase, triangle: int, corners: AnyArray) -> Vector:
     """Unit normal of a triangle between two cached phases; fills `corners` (3, 3)."""
     for k in range(3):
@@ -142,7 +143,7 @@ def _normal(mesh: Mesh, phase: Phase, triangle: int, corners: AnyArray) -> Vecto
     return x, y, z
 
 
-@njit(cache=True)
+@kernel()
 def _pseudo_normal(mesh: Mesh, phase: Phase, triangle: int, feature: int, out: AnyArray) -> None:
     """Outward pseudo-normal (not of unit length) of a feature of `triangle`."""
     corners = np.empty((3, 3))
@@ -164,7 +165,7 @@ def _pseudo_normal(mesh: Mesh, phase: Phase, triangle: int, feature: int, out: A
                 _add(np.arccos(min(1.0, max(-1.0, cosine))), normal, out)
 
 
-@njit(cache=True)
+@kernel()
 def _smooth_normal(mesh: Mesh, phase: Phase, triangle: int, point: AnyArray, out: AnyArray) -> None:
     """Outward unit normal at a point of `triangle`: its corners' unit pseudo-normals by area weights."""
     corners, vertex_normal = np.empty((3, 3)), np.empty(3)
@@ -182,7 +183,7 @@ def _smooth_normal(mesh: Mesh, phase: Phase, triangle: int, point: AnyArray, out
         out[k] /= length
 
 
-@njit(cache=True)
+@kernel()
 def _nearest(p: AnyArray, mesh: Mesh, phase: Phase, best_point: AnyArray) -> tuple[float, int, int]:
     """Distance, triangle and feature of the mesh point nearest to p (written to `best_point`)."""
     clusters = mesh.clusters
@@ -206,7 +207,7 @@ def _nearest(p: AnyArray, mesh: Mesh, phase: Phase, best_point: AnyArray) -> tup
     return best, best_triangle, best_feature
 
 
-@njit(cache=True)
+@kernel()
 def _gaps(p: AnyArray, mesh: Mesh, phase: Phase) -> tuple[AnyArray, int]:
     """(c,) least distance from p to each cluster's sphere, and the cluster whose centre is nearest."""
     low, high = mesh.centers[phase.low], mesh.centers[phase.high]
@@ -224,7 +225,7 @@ def _gaps(p: AnyArray, mesh: Mesh, phase: Phase) -> tuple[AnyArray, int]:
     return gap, first
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def signed_distances(
     points: AnyArray,
     lower: AnyArray,

@@ -1,12 +1,13 @@
 """Depths below ellipsoids and tubes at many points."""
 
 import numpy as np
-from numba import njit
 
 from dvf_ig.core import AnyArray
 
+from .compiled import kernel
 
-@njit(cache=True, nogil=True, error_model="numpy")
+
+@kernel(nogil=True, error_model="numpy")
 def ellipsoid_depths(points: AnyArray, center: AnyArray, semi: AnyArray, out: AnyArray) -> None:
     """First-order signed distance of (n, 3) points to an ellipsoid into `out`, positive inside."""
     least = min(semi[0], semi[1], semi[2])
@@ -21,7 +22,7 @@ def ellipsoid_depths(points: AnyArray, center: AnyArray, semi: AnyArray, out: An
         out[i] = k0 * (1.0 - k0) / k1 if k1 > 1e-9 else least
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def tube_depths(points: AnyArray, path: AnyArray, radii: AnyArray, out: AnyArray) -> None:
     """Signed distance of (n, 3) points to a chain of round cones about `path` into `out`, positive inside."""
     for i in range(len(points)):

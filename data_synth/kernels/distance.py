@@ -1,12 +1,13 @@
 """Signed distance to a closed triangle mesh on a grid, exact within a band."""
 
 import numpy as np
-from numba import njit
 
 from dvf_ig.core import AnyArray
 
+from .compiled import kernel
 
-@njit(cache=True, nogil=True, error_model="numpy")
+
+@kernel(nogil=True, error_model="numpy")
 def squared_distance(px: float, py: float, pz: float, a: AnyArray, b: AnyArray, c: AnyArray) -> float:
     """Squared distance from a point to triangle abc (Ericson, Real-Time Collision Detection, 5.1.5)."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -41,7 +42,7 @@ def squared_distance(px: float, py: float, pz: float, a: AnyArray, b: AnyArray, 
     return float(dx * dx + dy * dy + dz * dz)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def band_distance(
     vertices: AnyArray, triangles: AnyArray, origin: AnyArray, spacing: float, band: float, out: AnyArray
 ) -> None:
@@ -65,7 +66,7 @@ def band_distance(
                         out[i, j, k] = d
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def mark_crossings(
     vertices: AnyArray, triangles: AnyArray, origin: AnyArray, spacing: float, flips: AnyArray
 ) -> None:
@@ -97,7 +98,7 @@ def mark_crossings(
                 flips[i, j, min(max(k, 0), nz)] ^= True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def radial_field(
     nodes: AnyArray, centers: AnyArray, weights: AnyArray, affine: AnyArray, out: AnyArray
 ) -> None:

@@ -7,10 +7,10 @@ The right ventricle is drawn towards the septum; each atrium swells about its ce
 """
 
 import numpy as np
-from numba import njit
 
 from dvf_ig.core import AnyArray
 
+from .compiled import kernel
 from .interpolation import Point
 from .lv import BASE, outer_radius
 
@@ -24,14 +24,14 @@ RV_ABOVE = 12.0
 ATRIUM_ONSET = 22.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(nogil=True, error_model="numpy", inline="always")
 def smooth_step(u: float) -> float:
     """0 below 0, 1 above 1, twice differentiable."""
     t = min(max(u, 0.0), 1.0)
     return t * t * t * (10.0 + t * (6.0 * t - 15.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(nogil=True, error_model="numpy", inline="always")
 def _lobe(dx: float, dy: float, dz: float, lobe: AnyArray) -> float:
     """Rate of swelling (1 − d²)³ inside an ellipsoid; its divergence changes sign at d = 1/√3."""
     d2 = (dx * lobe[3]) ** 2 + (dy * lobe[4]) ** 2 + (dz * lobe[5]) ** 2
@@ -41,7 +41,7 @@ def _lobe(dx: float, dy: float, dz: float, lobe: AnyArray) -> float:
     return float(lobe[6] * rest * rest * rest)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def velocity(x: float, y: float, z: float, lobes: AnyArray) -> Point:
     """Displacement per unit of activation at one point.
 
@@ -69,7 +69,7 @@ def velocity(x: float, y: float, z: float, lobes: AnyArray) -> Point:
     return vx, vy, vz
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def flow_point(x: float, y: float, z: float, a: float, lobes: AnyArray) -> Point:
     """Ψ_a of one point, fourth-order Runge-Kutta; Ψ_{−a} is its inverse."""
     h = a / STEPS

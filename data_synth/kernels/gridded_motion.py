@@ -1,13 +1,12 @@
 """A motion on a grid with knots over the cycle, and its inverse: trilinear in space, linear between knots."""
 
-from numba import njit
-
 from dvf_ig.core import AnyArray
 
+from .compiled import kernel
 from .interpolation import Point, cell
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def reference_point(
     x: float,
     y: float,
@@ -44,7 +43,7 @@ def reference_point(
     return x + dx, y + dy, z + dz
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def pull_back(
     points: AnyArray,
     displacement: AnyArray,
@@ -70,7 +69,7 @@ def pull_back(
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def polish(
     points: AnyArray,
     forward: AnyArray,

@@ -1,15 +1,14 @@
 """The whole heart's motion χ_a in frame "mr", and its inverse behind a mismatch, for many points."""
 
-from numba import njit
-
 from dvf_ig.core import AnyArray
 
+from .compiled import kernel
 from .flow import flow_point
 from .interpolation import Point, cubic_point
 from .lv import forward_point, inverse_point
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(nogil=True, error_model="numpy", inline="always")
 def _turned(x: float, y: float, z: float, rotation: AnyArray) -> Point:
     return (
         rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
@@ -18,7 +17,7 @@ def _turned(x: float, y: float, z: float, rotation: AnyArray) -> Point:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def forward(
     points: AnyArray,
     levels: AnyArray,
@@ -40,7 +39,7 @@ def forward(
         out[i, 0], out[i, 1], out[i, 2] = x + translation[0], y + translation[1], z + translation[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def inverse(
     points: AnyArray,
     levels: AnyArray,

@@ -15,7 +15,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import carray, cfunc, core, njit
+from numba import carray, core
+
+from .compiled import callback, kernel
 
 # Offsets in the context, float64 numbers in an int64 array.
 HAND_MM = 0
@@ -50,12 +52,10 @@ LONGEST_S = 0.1
 MM_PER_M = 1000.0
 
 _types: Any = core.types
-_device_function = cfunc(
-    _types.int32(_types.voidptr, _types.int64, _types.CPointer(_types.float64)), cache=True, nopython=True
-)
+_device_function = callback(_types.int32(_types.voidptr, _types.int64, _types.CPointer(_types.float64)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def tip_of(x: Any, y: Any, z: Any, length_mm: float, fulcrum_mm: Any) -> Any:
     """The tip's coordinates for the hand's."""
     if length_mm <= 0.0:
@@ -66,7 +66,7 @@ def tip_of(x: Any, y: Any, z: Any, length_mm: float, fulcrum_mm: Any) -> Any:
     return fulcrum_mm[0] - share * dx, fulcrum_mm[1] - share * dy, fulcrum_mm[2] - share * dz
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def force_at_hand(hand_mm: Any, fx: float, fy: float, fz: float, length_mm: float, fulcrum_mm: Any) -> Any:
     """Jᵀ F."""
     if length_mm <= 0.0:
@@ -78,7 +78,7 @@ def force_at_hand(hand_mm: Any, fx: float, fy: float, fz: float, length_mm: floa
     return along * dx - lever * fx, along * dy - lever * fy, along * dz - lever * fz
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def move(d: Any, h: float) -> None:
     """One sub-step: springs and pushes explicit, damping implicit, dry friction at most stops the hand."""
     fulcrum = d[FULCRUM_MM : FULCRUM_MM + 3]

@@ -6,10 +6,10 @@ The first kernels of a frame; `speckle` and `receive` follow.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from dvf_ig.core import AnyArray
 
+from .compiled import kernel
 from .interpolation import Point, channels_at, nearest
 
 TOTAL_REFLECTION = 0.5
@@ -73,7 +73,7 @@ class Amplitudes(NamedTuple):
     reflector: AnyArray
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def insonify(path: AnyArray, fields: TissueFields, pulse: Pulse, out: Amplitudes) -> None:
     """Amplitudes that return to the probe from each sample of each line, into `out`.
 
@@ -87,7 +87,7 @@ def insonify(path: AnyArray, fields: TissueFields, pulse: Pulse, out: Amplitudes
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _insonify_line(
     path: AnyArray,
     fields: TissueFields,
@@ -138,7 +138,7 @@ def _insonify_line(
             reflector[0], reflector[1], reflector[2] = i, after, level * passed
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(nogil=True, error_model="numpy", inline="always")
 def _middle(path: AnyArray, i: int) -> Point:
     return (
         0.5 * (path[i, 0] + path[i + 1, 0]),
@@ -147,7 +147,7 @@ def _middle(path: AnyArray, i: int) -> Point:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _fibre_factor(
     x: float,
     y: float,
@@ -176,7 +176,7 @@ def _fibre_factor(
     return float(10.0 ** (-0.05 * rest_db))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def reverberate(amplitudes: Amplitudes, step_mm: float, face: float, dirty: float) -> None:
     """Add what a total reflector returns late to the amplitudes of tissue and interfaces.
 

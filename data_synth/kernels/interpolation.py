@@ -1,13 +1,13 @@
 """Sampling a grid between its nodes: nearest, trilinear and tricubic, clamped at the border."""
 
-from numba import njit
-
 from dvf_ig.core import AnyArray
+
+from .compiled import kernel
 
 Point = tuple[float, float, float]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(nogil=True, error_model="numpy", inline="always")
 def cell(u: float, count: int) -> tuple[int, float]:
     """Lower node and weight of a continuous index, clamped to the grid."""
     u = min(max(u, 0.0), count - 1.0)
@@ -17,13 +17,13 @@ def cell(u: float, count: int) -> tuple[int, float]:
     return i, u - i
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def nearest(u: float, count: int) -> int:
     """Index of the node of a line that is nearest to `u`, in [0, count)."""
     return min(max(int(u + 0.5), 0), count - 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def scalar_at(
     x: float, y: float, z: float, values: AnyArray, origin: AnyArray, inverse_spacing: float
 ) -> float:
@@ -40,7 +40,7 @@ def scalar_at(
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def channels_at(
     x: float, y: float, z: float, values: AnyArray, origin: AnyArray, inverse_spacing: float
 ) -> tuple[float, float, float, float, float]:
@@ -64,7 +64,7 @@ def channels_at(
     return first, second, third, fourth, fifth
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(nogil=True, error_model="numpy", inline="always")
 def _catmull_rom(f: float) -> tuple[float, float, float, float]:
     """Catmull-Rom weights of the four nodes around a fraction."""
     return (
@@ -75,7 +75,7 @@ def _catmull_rom(f: float) -> tuple[float, float, float, float]:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def cubic_point(
     x: float, y: float, z: float, field: AnyArray, origin: AnyArray, inverse_spacing: float
 ) -> Point:
@@ -98,7 +98,7 @@ def cubic_point(
     return dx, dy, dz
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def cubic_at(
     points: AnyArray, field: AnyArray, origin: AnyArray, inverse_spacing: float, out: AnyArray
 ) -> None:

@@ -1,11 +1,11 @@
 """Straight interpolation along traced scan lines."""
 
-from numba import njit
-
 from dvf_ig.core import AnyArray
 
+from .compiled import kernel
 
-@njit(cache=True, nogil=True, error_model="numpy")
+
+@kernel(nogil=True, error_model="numpy")
 def fill_middles(path: AnyArray, stride: int) -> None:
     """Put the point half-way between every `stride`-th point of (lines, count, 3) paths into their middle."""
     half = stride // 2

@@ -13,10 +13,10 @@ contracts are in a `cavity` array: radius at the base, height of the apex, H, κ
 """
 
 import numpy as np
-from numba import njit
 
 from dvf_ig.core import AnyArray
 
+from .compiled import kernel
 from .interpolation import Point
 
 BASE = 85.0
@@ -39,21 +39,21 @@ TOLERANCE2 = 2.5e-5
 """Squared residual, mm², at which the search for an inverse stops."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def outer_radius(z: float) -> float:
     """Epicardial radius at ED height z; constant above the base, zero below the apex."""
     u = min(max(1.0 - z / BASE, 0.0), 1.0)
     return float(OUTER * np.sqrt(1.0 - u**POWER))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def radii(z: float, cavity: AnyArray) -> tuple[float, float]:
     """Epicardial and endocardial radius at ED height z; constant above the base, zero below the apices."""
     s = min(max(1.0 - (z - cavity[1]) / (BASE - cavity[1]), 0.0), 1.0)
     return outer_radius(z), cavity[0] * np.sqrt(1.0 - s**POWER)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _axial(z: float, cavity: AnyArray) -> tuple[float, float, float, float]:
     """Longitudinal shape s(Z), slope measure for incompressibility, twist (rad) and taper at height Z."""
     if z < 0.0:
@@ -67,7 +67,7 @@ def _axial(z: float, cavity: AnyArray) -> tuple[float, float, float, float]:
     return (BASE + rise) * np.exp(-((u / AXIAL_TAPER) ** 2)), 2.0 * taper, cavity[5] * taper, taper
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def rv_side(cos_theta: float, z: float) -> float:
     """How far a direction and height belong to the right ventricle's side, 0…1."""
     if z <= 0.0:
@@ -78,7 +78,7 @@ def rv_side(cos_theta: float, z: float) -> float:
     return lobe * rise * rise * (3.0 - 2.0 * rise)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def forward_point(x: float, y: float, z: float, a: float, cavity: AnyArray) -> Point:
     """χ_a of one reference point of the heart frame."""
     radius = np.sqrt(x * x + y * y)
@@ -105,7 +105,7 @@ def forward_point(x: float, y: float, z: float, a: float, cavity: AnyArray) -> P
     return scale * (ct * x - st * y), scale * (st * x + ct * y), z - a * cavity[2] * s * axial_decay
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _closed_inverse(
     x: float, y: float, z: float, a: float, cavity: AnyArray
 ) -> tuple[bool, float, float, float]:
@@ -133,7 +133,7 @@ def _closed_inverse(
     return True, scale * (ct * x + st * y), scale * (ct * y - st * x), height
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def inverse_point(
     x: float, y: float, z: float, a: float, cavity: AnyArray, gx: float, gy: float, gz: float
 ) -> Point:

@@ -1,14 +1,14 @@
 """Kernels that turn scatterers' echoes into an envelope: beam, pulse, noise, gain."""
 
 import numpy as np
-from numba import njit
 
 from dvf_ig.core import AnyArray
 
+from .compiled import kernel
 from .speckle import lattice_hash
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+@kernel(nogil=True, error_model="numpy", fastmath=False)
 def axial_blur(halves: AnyArray, taps: AnyArray, out: AnyArray) -> None:
     """Axial pulse: (m, 2·samples) as `scatter` has them to (m, samples).
 
@@ -26,7 +26,7 @@ def axial_blur(halves: AnyArray, taps: AnyArray, out: AnyArray) -> None:
                 out[m, i] += taps[k] * halves[m, base + i + ahead]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+@kernel(nogil=True, error_model="numpy", fastmath=False)
 def lateral_blur(signal: AnyArray, taps: AnyArray, fine: int, out: AnyArray) -> None:
     """Beam pattern: (lines·fine, n) to (lines, n); `taps` (k, n), k even."""
     reach = taps.shape[0] // 2
@@ -42,7 +42,7 @@ def lateral_blur(signal: AnyArray, taps: AnyArray, fine: int, out: AnyArray) -> 
                     out[line, i] += taps[k, i] * signal[row, i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def detect(
     real: AnyArray,
     imaginary: AnyArray,
@@ -62,7 +62,7 @@ def detect(
             envelope[line, i] += np.sqrt(re * re + im * im)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def decibel(envelope: AnyArray, scale: float) -> None:
     """In place: 20 log10 of the scaled envelope, at least −200."""
     for line in range(envelope.shape[0]):

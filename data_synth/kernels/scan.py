@@ -1,12 +1,13 @@
 """Scan conversion: from samples along scan lines to pixels and voxels."""
 
 import numpy as np
-from numba import njit
 
 from dvf_ig.core import AnyArray
 
+from .compiled import kernel
 
-@njit(cache=True, nogil=True, error_model="numpy")
+
+@kernel(nogil=True, error_model="numpy")
 def scan_convert(grey: AnyArray, line_index: AnyArray, sample_index: AnyArray, out: AnyArray) -> None:
     """Bilinear interpolation of (lines, samples) to pixels; pixels with a negative line index become 0."""
     lines, samples = grey.shape
@@ -25,7 +26,7 @@ def scan_convert(grey: AnyArray, line_index: AnyArray, sample_index: AnyArray, o
             out[row, column] = np.uint8(value + 0.5)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def scan_convert_slab(
     grey: AnyArray,
     start: int,

@@ -3,10 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from dvf_ig.core import AnyArray
 
+from .compiled import kernel
 from .insonification import ECHO_REACH, Amplitudes
 from .interpolation import Point
 
@@ -41,7 +41,7 @@ class Scatterers(NamedTuple):
     blood_seed: np.uint64
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(nogil=True, error_model="numpy", inline="always")
 def lattice_hash(i: int, j: int, k: int, seed: np.uint64) -> int:
     """Index into the deviate table for a lattice cell: a 64-bit finaliser, the same on every machine."""
     h = np.uint64(i) * _UX ^ np.uint64(j) * _UY ^ np.uint64(k) * _UZ ^ seed
@@ -53,7 +53,7 @@ def lattice_hash(i: int, j: int, k: int, seed: np.uint64) -> int:
     return int(h & _MASK)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def scatter(
     path: AnyArray,
     amplitudes: Amplitudes,
@@ -111,7 +111,7 @@ def scatter(
                 imaginary[m, j] += im
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _deeper(reflector: AnyArray, left: int, g: float, near: int) -> int:
     """Samples by which a total reflector lies deeper on a fine line than on the scan line nearest to it.
 
@@ -123,7 +123,7 @@ def _deeper(reflector: AnyArray, left: int, g: float, near: int) -> int:
     return 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(nogil=True, error_model="numpy", inline="always")
 def _between(path: AnyArray, left: int, i: int, g: float, f: float) -> Point:
     """Bilinear between scan lines `left` and the next (share g) and between ends i and i + 1 (share f)."""
     n1, f1 = (1.0 - g) * (1.0 - f), (1.0 - g) * f
@@ -137,7 +137,7 @@ def _between(path: AnyArray, left: int, i: int, g: float, f: float) -> Point:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def add_clutter(
     level: AnyArray,
     arc_index: AnyArray,

@@ -1,14 +1,14 @@
 """Kernels on the tissue map: the MR signal at points, and the gradient of the acoustic impedance."""
 
 import numpy as np
-from numba import njit
 
 from dvf_ig.core import AnyArray
 
+from .compiled import kernel
 from .interpolation import nearest, scalar_at
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def sample_mr(
     positions: AnyArray,
     organ: AnyArray,
@@ -31,7 +31,7 @@ def sample_mr(
         code_out[i] = inner[a, b, c] if depth > 0.0 else outer[a, b, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def gradient_norm(acoustics: AnyArray, inverse_spacing: float) -> None:
     """Write |∇ channel 0| (central differences, one-sided at the border) into the last channel."""
     nx, ny, nz, last = acoustics.shape[0], acoustics.shape[1], acoustics.shape[2], acoustics.shape[3] - 1

@@ -3,9 +3,10 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from dvf_ig.core import AnyArray
+
+from .compiled import kernel
 
 BLOCK = 64
 """Points side by side: enough for the compiler to put several into one vector register."""
@@ -17,7 +18,7 @@ S1, S3, S5, S7, S9, S11, S13, S15 = _SINE
 C0, C2, C4, C6, C8, C10, C12, C14, C16 = _COSINE
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(nogil=True, error_model="numpy", inline="always")
 def cosine_and_sine(angle: float) -> tuple[float, float]:
     """Both to 1e-14 for angles up to a million, without a branch or a call: a loop over it is vectorised.
 
@@ -32,7 +33,7 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
     return 1.0 - 2.0 * s * s, 2.0 * s * c
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def wave_sum(relative: AnyArray, waves: AnyArray, cosine: AnyArray, sine: AnyArray, out: AnyArray) -> None:
     """Σ A cos(k·r) + B sin(k·r) of (n, 3) points into `out`, in a fixed order of summation."""
     places, sums = np.empty((3, BLOCK)), np.empty((3, BLOCK))

@@ -1,4 +1,4 @@
-"""`dvf-ig doctor`: what is missing on this machine, and how to get it."""
+"""`dvf-ig doctor`: what is missing on this machine and how to get it; where compiled kernels are kept."""
 
 import ctypes.util
 import importlib.metadata
@@ -63,7 +63,20 @@ def checks() -> list[Check]:
         Check(f"{name} for {use}", _version(name), f'pip install "dvf-ig[{extra}]"', needed=False)
         for name, (extra, use) in EXTRAS.items()
     ]
+    if all(check.found for check in out if check.needed):
+        out.append(_kept_kernels())
     return out
+
+
+def _kept_kernels() -> Check:
+    from dvf_ig.kernels.compiled import cache_folder
+
+    folder = cache_folder()
+    remedy = (
+        "each process compiles its own, which takes some seconds; "
+        "set NUMBA_CACHE_DIR to a folder that can be written"
+    )
+    return Check("folder of compiled kernels", None if folder is None else str(folder), remedy, needed=False)
 
 
 def _version(distribution: str) -> str | None:
@@ -87,7 +100,10 @@ def _things(count: int) -> str:
 
 
 def doctor(as_json: JsonFlag = False) -> None:
-    """Say what is missing on this machine and how to get it (exit 2 if something needed is missing)."""
+    """Say what is missing on this machine and how to get it (exit 2 if something needed is missing).
+
+    It also names the folder in which compiled kernels are kept.
+    """
     with command(lists_inputs=False):
         results = checks()
         missing = [c for c in results if c.found is None and c.needed]

@@ -1,9 +1,9 @@
-"""Compilation of the kernels: without the GIL, cached on disk, division by zero gives inf.
+"""Compilation of the kernels: without the GIL, division by zero gives inf.
+
+They are kept on disk for as long as no kernel source changes (`dvf_ig/core/kernel_cache.py`).
 
 Kernels are compiled anew for read-only arrays, so callers hand over writable copies of what users give them.
 They copy arrays element by element: for `a[:] = b` numba compiles its error message, 2 s in each process.
-The disk cache follows the file of the outer kernel alone: after an edit to a function that is inlined into
-another file's kernel, delete `dvf_ig/kernels/__pycache__`.
 
 No fast-math: sums keep their order, NaN keeps its meaning, and a kernel can be tested against NumPy.
 The spline works on rows of four (docs/decisions/0006) and uses fused multiply-add where the processor
@@ -11,26 +11,43 @@ has it; numba's own settings are left as they are.
 """
 
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
 
-from numba import config, njit
+from numba import config
+
+from dvf_ig.core.kernel_cache import compile_callback, compile_kernel
+
+from . import SOURCES
 
 P = ParamSpec("P")
 R = TypeVar("R")
-OPTIONS = {"nogil": True, "cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """None is called from C: that wrapper would be a twentieth of the compiling."""
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """A function called from Python or from other kernels."""
-    compiled: Callable[P, R] = njit(**OPTIONS)(function)
+    compiled: Callable[P, R] = compile_kernel(function, SOURCES, **OPTIONS)
     return compiled
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """A function called from other kernels only; always inlined into its caller."""
-    compiled: Callable[P, R] = njit(**OPTIONS, forceinline=True)(function)
+    compiled: Callable[P, R] = compile_kernel(function, SOURCES, **OPTIONS, forceinline=True)
     return compiled
+
+
+def callback(signature: Any) -> Callable[[Callable[..., Any]], Any]:
+    """A function called from C by its `address`."""
+    return lambda function: compile_callback(function, SOURCES, signature)
+
+
+def cache_folder() -> Path | None:
+    """Where compiled kernels of this folder are kept; None if no folder for them can be written."""
+    compiled: Any = kernel(thread_count)  # any function of this folder; it is not called
+    folder = compiled.stats.cache_path
+    return None if folder is None else Path(folder)
 
 
 def thread_count() -> int:

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, PhaseForecast, PhaseState, PoseMotion, RetimingCurve
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, PhaseForecast, PhaseState, PoseMotion, RetimingCurve
 
 from . import status as code
 from .compiled import inlined, kernel
@@ -40,7 +40,9 @@ SLOPE_AT_R = 48
 SLOPE_AT_END_SYSTOLE = 49
 COVARIANCE_CENTER = 50
 COVARIANCE = 53
-PACKED_SIZE = 89
+COVARIANCE_TURN = 89
+"""Radians a mm of the covariance's rotation."""
+PACKED_SIZE = 90
 
 # Offsets in a place.
 MODEL_FROM_TRACKER = 0
@@ -105,7 +107,8 @@ def packed_pose_and_phase(
         )
     p[COVARIANCE_CENTER : COVARIANCE_CENTER + 3] = center_mm
     if covariance_mm2 is not None:
-        p[COVARIANCE:] = covariance_mm2.ravel()
+        p[COVARIANCE : COVARIANCE + 36] = covariance_mm2.ravel()
+    p[COVARIANCE_TURN] = 1.0 / HEART_RADIUS_MM
     return p
 
 

@@ -8,13 +8,23 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import HEART_RADIUS_MM, FloatArray, IntArray
+from dvf_ig.core import FloatArray, IntArray
 
 from . import status as code
 from .compiled import inlined, kernel
 from .dynamic import force_tick
 from .fixture_field import POSE, WITHOUT_RATE
-from .place import COVARIANCE, COVARIANCE_CENTER, Columns, Phase, phase_at, pose_at, set_pose, status_at
+from .place import (
+    COVARIANCE,
+    COVARIANCE_CENTER,
+    COVARIANCE_TURN,
+    Columns,
+    Phase,
+    phase_at,
+    pose_at,
+    set_pose,
+    status_at,
+)
 from .vectors import Vector, cross, dot, vector_at
 from .worst_phase import is_wall
 
@@ -29,7 +39,7 @@ def _distance_variance(p: FloatArray, at: Vector, g: Vector) -> float:
     """Variance of d by the pose: h Σ hᵀ with h = ((p − c) × ∇d/radius, ∇d)."""
     c = vector_at(p, COVARIANCE_CENTER)
     torque = cross((at[0] - c[0], at[1] - c[1], at[2] - c[2]), g)
-    scale = 1.0 / HEART_RADIUS_MM
+    scale = p[COVARIANCE_TURN]
     h = (scale * torque[0], scale * torque[1], scale * torque[2], g[0], g[1], g[2])
     total = 0.0
     for i in range(6):

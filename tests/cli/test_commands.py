@@ -100,6 +100,27 @@ def test_doctor_names_what_is_needed() -> None:
     assert {"package numba", "package SimpleITK", "system library libusb-1.0-0"} <= names
 
 
+def test_doctor_names_the_folder_of_compiled_kernels(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "dvf_ig", "doctor"],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    (line,) = (line for line in done.stdout.splitlines() if line.startswith("folder of compiled kernels"))
+    assert Path(line.split()[-1]).parent == tmp_path
+
+
+def test_doctor_says_what_to_do_where_kernels_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dvf_ig.kernels.compiled.cache_folder", lambda: None)
+    payload = run("doctor")
+    assert payload["ok"] is True
+    (check,) = (c for c in payload["checks"] if c["what"] == "folder of compiled kernels")  # type: ignore[attr-defined]
+    assert check["found"] is None
+    assert "set NUMBA_CACHE_DIR to a folder that can be written" in check["remedy"]
+
+
 def test_register_writes_a_transform_that_evaluate_reads(
     scenario: Scenario, replay: Replay, written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -32,6 +32,7 @@ from dvf_ig.guidance.servo.loop_arrays import LoopArrays
 from dvf_ig.kernels.dynamic import force_batch, force_tick
 from dvf_ig.kernels.fixture_field import LAW
 from dvf_ig.kernels.laws import LARGEST_FORCE_N
+from dvf_ig.kernels.servo import supervision
 from dvf_ig.kernels.servo import tick as kernel
 from dvf_ig.study.passivity.pressing import steady_transform
 
@@ -153,7 +154,7 @@ def test_the_servo_sends_no_more_than_the_ceiling_whatever_its_numbers_say(ball,
     bound[3][0] = spoilt  # the cap of composition
     bound[4][kernel.CAP_N] = spoilt
     bound[4][kernel.FRICTION_N] = spoilt
-    bound[5][kernel.supervision.SLEW] = bound[5][kernel.supervision.SLOW_SLEW] = 1e9
+    bound[5][supervision.SLEW] = bound[5][supervision.SLOW_SLEW] = 1e9
     servo.run(
         ServoInputs(steady_transform(ball), 0.0, Rigid.identity("tracker", "device"), valid_for_s=9.0), 3000
     )
@@ -182,4 +183,6 @@ def test_what_was_allowed_stays_as_it_was(ball):
     assert FixtureSet().joint_cap_n == 0.6
     assert FixtureOptions().law.reach_mm == pytest.approx(4.595, abs=1e-3)
     for gamma in (0.5, 1.0, 2.0, 4.0):  # Fig. 8 of Ren 2008
-        assert FixtureOptions(Sigmoid(gamma)).law.gamma_per_mm == gamma
+        law = FixtureOptions(Sigmoid(gamma)).law
+        assert isinstance(law, Sigmoid)
+        assert law.gamma_per_mm == gamma

@@ -25,6 +25,7 @@ import numpy as np
 import dvf_ig
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileError
+from dvf_ig.core.kernel_sources import source_digest
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.recordings.scenario import Preop
 from dvf_ig.core.space.mesh import SurfaceSeries
@@ -88,7 +89,8 @@ def cached_model(
     folder = cache_folder()
     if folder is None:
         model = model_from_preop(preop, options=options, progress=progress)
-        return CachedModel(model, False, None, f"model built; {ENVIRONMENT} is off, so it is not kept")
+        remark = f"model built, but not kept: {ENVIRONMENT} is off, or unset and there is no home folder"
+        return CachedModel(model, False, None, remark)
     key = model_key(preop, options)
     path = folder / f"{key}{SUFFIX}"
     why = "model built"
@@ -114,14 +116,14 @@ def cached_model(
 
 
 def cache_folder() -> Path | None:
-    """Where models are kept; None where the cache is off."""
+    """Where models are kept; None if the cache is off, or if there is no home folder for it."""
     chosen = os.environ.get(ENVIRONMENT, "")
     if chosen.lower() == "off":
         return None
     if chosen:
         return Path(chosen).expanduser() / "models"
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(base) if base else Path.home() / ".cache") / "dvf_ig" / "models"
+    base = os.environ.get("XDG_CACHE_HOME", "") or os.path.expanduser("~/.cache")
+    return Path(base) / "dvf_ig" / "models" if os.path.isabs(base) else None
 
 
 def model_key(preop: Preop, options: "ModelOptions") -> str:
@@ -188,14 +190,10 @@ def _add_array(digest: Any, name: str, array: AnyArray) -> None:
 
 @cache
 def _program() -> tuple[str, ...]:
-    """Versions of the libraries, and one digest over the source files that build a model."""
-    root = Path(dvf_ig.__file__).parent
-    digest = hashlib.sha256()
-    for package in BUILT_BY:
-        for path in sorted((root / package).rglob("*.py")):
-            digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    """Versions of the libraries, and the digests of the source files that build a model."""
+    digests = (source_digest(Path(dvf_ig.__file__).parent / package) for package in BUILT_BY)
     libraries = tuple(f"{name} {version(name)}" for name in LIBRARIES)
-    return (dvf_ig.__version__, digest.hexdigest(), *libraries)
+    return (dvf_ig.__version__, *digests, *libraries)
 
 
 def _write(path: Path, key: str, model: DvfModel) -> None:

@@ -12,8 +12,10 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import cfunc, core
+from numba import core
 from numba.extending import intrinsic
+
+from dvf_ig.kernels.compiled import callback
 
 types: Any = core.types
 
@@ -27,7 +29,7 @@ _FUNCTION = ir.FunctionType(
 
 def device_function(function: Callable[..., int]) -> Any:
     """A function of the kind above, as a C callback; its `address` is what the loop calls."""
-    return cfunc(SIGNATURE, cache=True, nopython=True)(function)
+    return callback(SIGNATURE)(function)
 
 
 @intrinsic

@@ -9,7 +9,9 @@ and give it once more after the process was stopped.
 from typing import Any
 
 import numpy as np
-from numba import carray, cfunc, core
+from numba import carray, core
+
+from dvf_ig.kernels.compiled import callback
 
 from .clock import elapsed_ns
 from .device_call import device_function
@@ -55,7 +57,7 @@ SILENT_AFTER_NS = 10_000_000
 """A force older than this is not given: the servo's watchdog has tripped, or will."""
 
 
-@cfunc(types.uint32(types.voidptr), cache=True, nopython=True)
+@callback(types.uint32(types.voidptr))
 def exchange(context: Any) -> int:
     """The scheduler's callback: position out, force in."""
     c, n = carray(context, CONTEXT_SIZE, np.int64), carray(context, CONTEXT_SIZE, np.float64)

@@ -280,3 +280,10 @@ def test_where_models_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert cache_folder() == Path("/elsewhere/dvf_ig/models")
     monkeypatch.setenv("DVF_IG_CACHE", "/given")
     assert cache_folder() == Path("/given/models")
+
+
+def test_without_a_home_no_folder_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DVF_IG_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", {}.__getitem__)  # this user is in no list of users
+    assert cache_folder() is None

@@ -1,0 +1,117 @@
+"""Compile kernels and keep them on disk, each valid for the digest of all sources that it may inline.
+
+numba's own cache follows the file of the outer kernel alone: after an edit to a function of another file it
+keeps running the old one. Here every entry holds the digest of its package's kernel sources, and a process
+with another digest compiles and replaces it. Index and entry are separate files, so both hold the digest:
+neither a process that was killed between the two nor one of another version leaves old code under a new name.
+
+Entries are where numba keeps them: in NUMBA_CACHE_DIR, else in `__pycache__` next to the source, else in the
+user's cache folder. If none can be written, kernels work and are compiled again in each process.
+"""
+
+import logging
+import os
+import pickle
+import sys
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
+
+import numba
+from numba.core import serialize, sigutils
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
+from numba.core.ccallback import CFunc
+
+from .kernel_sources import KernelSources
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def compile_kernel(function: Callable[..., Any], sources: KernelSources, **options: Any) -> Any:
+    """Compile a function at its first call, or load it; `options` are those of `numba.njit`."""
+    compiled = numba.njit(**options)(function)
+    compiled._cache = _cache_of(function, sources)
+    return compiled
+
+
+def compile_callback(function: Callable[..., Any], sources: KernelSources, signature: Any) -> Any:
+    """Compile a function to a C callback now, or load it; its `address` is what C calls."""
+    callback: Any = CFunc(
+        function, sigutils.normalize_signature(signature), locals={}, options={"nopython": True}
+    )
+    callback._cache = _cache_of(function, sources)
+    callback.compile()
+    return callback
+
+
+def _cache_of(function: Callable[..., Any], sources: KernelSources) -> Any:
+    try:
+        return _KernelCache(function, sources)
+    except RuntimeError:  # numba found no folder that can be written
+        return _NoCache()
+
+
+class _Entries(CompileResultCacheImpl):  # type: ignore[misc]
+    """Entries that hold the digest of their sources, in one file for each kernel and signature."""
+
+    if not os.path.isabs(os.path.expanduser("~")):  # no home: numba would make a folder `~` where it runs
+        _locator_classes = tuple(
+            locator
+            for locator in CompileResultCacheImpl._locator_classes
+            if "UserWide" not in locator.__name__
+        )
+
+    def __init__(self, function: Callable[..., Any], sources: KernelSources) -> None:
+        self.digest = sources.digest
+        super().__init__(function)
+
+    def get_filename_base(self, fullname: str, abiflags: str) -> str:
+        """Name of the files, without numba's line number: a function that moves leaves no files behind."""
+        plain = fullname.replace("<", "").replace(">", "")
+        return f"{plain}.{sys.implementation.cache_tag}{abiflags}"
+
+    def reduce(self, compiled: Any) -> tuple[str, bytes]:
+        return self.digest, serialize.dumps(super().reduce(compiled))
+
+    def rebuild(self, target_context: Any, entry: tuple[str, bytes]) -> Any:
+        """The compiled function; None if it is of other sources."""
+        digest, reduced = entry
+        return super().rebuild(target_context, pickle.loads(reduced)) if digest == self.digest else None
+
+
+class _KernelCache(FunctionCache):  # type: ignore[misc]
+    def __init__(self, function: Callable[..., Any], sources: KernelSources) -> None:
+        self._sources = sources
+        self._impl_class = partial(_Entries, sources=sources)
+        super().__init__(function)
+        # an index of other sources is not unpickled: it may hold types that no longer exist
+        self._cache_file._version = f"{numba.__version__} {sources.digest}"
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(signature, target_context)
+        except OSError:
+            return None  # saving fails as well, and says why
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        if not self._sources.unchanged():
+            return  # edited while this process runs: what is in memory may be a mixture
+        try:
+            super().save_overload(signature, compiled)
+        except OSError as error:
+            self.disable()
+            _say_not_kept(str(error))
+
+
+class _NoCache(NullCache):  # type: ignore[misc]
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        _say_not_kept("no folder for them can be written")
+
+
+@cache
+def _say_not_kept(reason: str) -> None:
+    _LOGGER.warning(
+        "compiled kernels are not kept, so each process compiles its own (%s); "
+        "set NUMBA_CACHE_DIR to a folder that can be written",
+        reason,
+    )

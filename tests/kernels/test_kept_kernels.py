@@ -1,0 +1,194 @@
+"""Compiled kernels on disk: used again while no source changes, never after an edit to what they inline."""
+
+import ast
+import importlib
+import inspect
+import json
+import os
+import pkgutil
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import CodeType
+
+import numpy as np
+import pytest
+from numba.core.ccallback import CFunc
+from numba.core.dispatcher import Dispatcher
+from numba.extending import _Intrinsic
+
+import data_synth.kernels
+import dvf_ig.kernels
+from dvf_ig.io import write_model
+
+REPO = Path(dvf_ig.__file__).parent.parent
+COMPILED = (CFunc, Dispatcher, _Intrinsic)
+LAW = "return 1.0 / (1.0 + math.exp(-scale * s_mm))"
+
+
+def child(*arguments, folder, **environment):
+    """A process that finds packages in `folder` first and reads sources, not bytecode."""
+    inherited = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    path = os.pathsep.join([str(folder), str(REPO)])
+    return subprocess.run(
+        [sys.executable, "-B", *map(str, arguments)],
+        env={**inherited, "PYTHONPATH": path, **environment},
+        cwd=folder,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+
+
+def edit(path, old, new):
+    """Replace text by text of the same length; neither size nor time of the file changes."""
+    before, content = path.stat(), path.read_text()
+    assert content.count(old) == 1
+    assert len(old) == len(new)
+    path.write_text(content.replace(old, new))
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def test_the_force_follows_an_edit_of_the_law(ball, tmp_path):
+    write_model(ball, tmp_path / "ball.npz")
+    (tmp_path / "points.csv").write_text("0,0,18\n0,0,16\n0,0,14\n", encoding="utf-8")
+    shutil.copytree(REPO / "dvf_ig", tmp_path / "dvf_ig", ignore=shutil.ignore_patterns("*.pyc", "docs"))
+
+    def forces():
+        options = ("--points", "points.csv", "--phase", "0.05", "--json")
+        done = child("-m", "dvf_ig", "force", "ball.npz", *options, folder=tmp_path)
+        return np.array(json.loads(done.stdout)["force_n"])
+
+    before = forces()
+    assert np.all(before[:, 2] > 0.0)
+    edit(tmp_path / "dvf_ig" / "kernels" / "laws.py", LAW, LAW.replace("1.0 /", "0.5 /"))
+    np.testing.assert_allclose(forces(), 0.5 * before, atol=1e-12)
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    """A package of two kernels, of which one is inlined into the other's file, and a script that calls it."""
+    package = tmp_path / "tiny"
+    package.mkdir()
+    (package / "__init__.py").write_text(inspect.getsource(dvf_ig.kernels))
+    (package / "law.py").write_text(
+        "from dvf_ig.core.kernel_cache import compile_kernel\n"
+        "from . import SOURCES\n"
+        "def law(x):\n"
+        "    return 3.0 * x\n"
+        "law = compile_kernel(law, SOURCES)\n"
+    )
+    (package / "outer.py").write_text(
+        "from dvf_ig.core.kernel_cache import compile_kernel\n"
+        "from . import SOURCES\n"
+        "from .law import law\n"
+        "def outer(x):\n"
+        "    return law(x) + 1.0\n"
+        "outer = compile_kernel(outer, SOURCES)\n"
+    )
+    (tmp_path / "call.py").write_text(
+        "import logging, shutil, sys\n"
+        "from pathlib import Path\n"
+        "from tiny.outer import outer\n"
+        "exec(sys.argv[1] if len(sys.argv) > 1 else '')\n"
+        "value = outer(2.0)\n"
+        "print(value, sum(outer.stats.cache_hits.values()))\n"
+    )
+    return package
+
+
+def called(tiny, *arguments, **environment):
+    """The outer kernel's value at 2, whether it was read from disk, and what was said."""
+    done = child("call.py", *arguments, folder=tiny.parent, **environment)
+    value, hits = done.stdout.split()
+    return float(value), int(hits) == 1, done.stderr
+
+
+def test_kept_until_a_source_changes(tiny):
+    assert called(tiny) == (7.0, False, "")
+    assert called(tiny) == (7.0, True, "")
+    edit(tiny / "law.py", "3.0", "5.0")
+    assert called(tiny) == (11.0, False, "")
+    assert called(tiny) == (11.0, True, "")
+    files = sorted(path.name for path in (tiny / "__pycache__").iterdir())
+    edit(tiny / "law.py", "5.0", "3.0")
+    (tiny / "outer.py").write_text("\n\n" + (tiny / "outer.py").read_text())
+    assert called(tiny) == (7.0, False, "")
+    assert sorted(path.name for path in (tiny / "__pycache__").iterdir()) == files, "nothing is left behind"
+
+
+def test_an_entry_of_other_sources_under_an_index_of_these(tiny):
+    """What a process leaves that is killed between the two files, or that runs another version."""
+    called(tiny)
+    (entry,) = (tiny / "__pycache__").glob("outer.*.nbc")
+    of_the_old_law = entry.read_bytes()
+    edit(tiny / "law.py", "3.0", "5.0")
+    called(tiny)
+    entry.write_bytes(of_the_old_law)
+    assert called(tiny) == (11.0, False, "")
+    assert called(tiny) == (11.0, True, "")
+
+
+def test_nothing_is_kept_of_sources_that_change_while_a_process_runs(tiny):
+    change = "law = Path('tiny/law.py'); law.write_text(law.read_text().replace('3.0', '5.0'))"
+    assert called(tiny, change) == (7.0, False, "")
+    assert not list(tiny.rglob("*.nbc"))
+    assert called(tiny) == (11.0, False, "")
+
+
+def test_without_a_folder_that_can_be_written(tiny):
+    (tiny / "__pycache__").write_text("in the way")
+    nowhere = {"HOME": str(tiny / "law.py"), "XDG_CACHE_HOME": str(tiny / "law.py")}
+    value, read, said = called(tiny, **nowhere)
+    assert (value, read) == (7.0, False)
+    assert said.count("set NUMBA_CACHE_DIR to a folder that can be written") == 1
+    given = {**nowhere, "NUMBA_CACHE_DIR": str(tiny.parent / "kept")}
+    assert called(tiny, **given) == (7.0, False, "")
+    assert called(tiny, **given) == (7.0, True, "")
+
+
+def test_a_folder_that_can_no_longer_be_written(tiny):
+    lost = "shutil.rmtree('tiny/__pycache__'); Path('tiny/__pycache__').write_text('in the way')"
+    value, _, said = called(tiny, lost)
+    assert value == 7.0
+    assert said.count("set NUMBA_CACHE_DIR") == 1
+
+
+def test_no_home_no_folder_called_tilde(tiny):
+    (tiny / "__pycache__").write_text("in the way")
+    (tiny.parent / "sitecustomize.py").write_text("import pwd; pwd.getpwuid = {}.__getitem__")
+    (tiny.parent / "call.py").write_text(
+        "import os; del os.environ['HOME']\n" + (tiny.parent / "call.py").read_text()
+    )
+    value, _, said = called(tiny)
+    assert value == 7.0
+    assert "NUMBA_CACHE_DIR" in said
+    assert not (tiny.parent / "~").exists()
+
+
+@pytest.mark.parametrize("package", [dvf_ig.kernels, data_synth.kernels])
+def test_kernels_inline_nothing_of_other_packages(package):
+    """A function or number from elsewhere would be compiled in without being in the digest."""
+    seen = 0
+    for info in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        module = importlib.import_module(info.name)
+        tree = ast.parse(inspect.getsource(module))
+        foreign = {
+            alias.asname or alias.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module is not None
+            if node.module.split(".")[0] in ("dvf_ig", "data_synth")
+            if not node.module.startswith(package.__name__)
+            for alias in node.names
+        }
+        functions = [inspect.unwrap(v) for v in vars(module).values() if isinstance(v, COMPILED)]
+        seen += len(functions)
+        for function in functions:
+            assert not foreign & names_used(function.__code__), f"{info.name}.{function.__name__}"
+    assert seen > 50
+
+
+def names_used(code):
+    within = [names_used(constant) for constant in code.co_consts if isinstance(constant, CodeType)]
+    return set(code.co_names).union(*within)
