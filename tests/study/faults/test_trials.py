@@ -19,6 +19,7 @@ QUICK = [
     # row, severity: one of each kind of disturbance
     ("stale tracking", 0),
     ("line of sight lost", 2),
+    ("two programs send the tool", 0),
     ("NaN or Inf: tool pose", 0),
     ("ECG lead-off", 0),
     ("clock ahead: tool", 0),

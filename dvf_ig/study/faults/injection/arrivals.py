@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import cycle
 from statistics import median
 
 import numpy as np
@@ -62,6 +63,25 @@ def scaled(factor: float) -> ArrivalsChange:
             return event if pose is None else _with_pose(event, pose @ np.diag([factor, 1.0, 1.0, 1.0]))
 
         return _events_changed(arrivals, when, stretched)
+
+    return change
+
+
+def to_and_fro(by_mm: float) -> ArrivalsChange:
+    """Every other pose is that of another tool, which another program sends."""
+
+    def change(arrivals: Arrivals, when: When) -> Arrivals:
+        turns = cycle((True, False))
+
+        def elsewhere(event: Event) -> Event:
+            pose = _pose_of(event)
+            if pose is None or not next(turns):
+                return event
+            matrix = pose.copy()
+            matrix[0, 3] += by_mm
+            return _with_pose(event, matrix)
+
+        return _events_changed(arrivals, when, elsewhere)
 
     return change
 

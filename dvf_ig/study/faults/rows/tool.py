@@ -9,6 +9,7 @@ from dvf_ig.study.faults.injection.arrivals import (
     not_tracked,
     repeated,
     scaled,
+    to_and_fro,
 )
 from dvf_ig.study.faults.injection.fault import Fault
 from dvf_ig.study.faults.injection.motion import leaving
@@ -69,6 +70,17 @@ TOOL_ROWS: tuple[Row, ...] = (
             [
                 tool_fault(f"{share:.0%} come twice", repeated(share), 2.0, 100 * FRAME_S + TOOL_ARRIVES_S)
                 for share in (0.12, 0.3, 0.5)
+            ]
+        ),
+    ),
+    Row(
+        "two programs send the tool",
+        Hazard.TOOL_CONTRADICTED,
+        "four steps back: five poses, and their arrival",
+        three(
+            [
+                tool_fault(f"{by:g} mm apart", to_and_fro(by), 0.5, 5 * FRAME_S + TOOL_ARRIVES_S + STEP_S)
+                for by in (4.0, 15.0, 60.0)
             ]
         ),
     ),
