@@ -64,11 +64,10 @@ class _Reading:
             self.numbers = values.reshape(-1, leads) if topic == ECG else values
             return
         self.end_event()
-        if topic in (EVENT, STATE):
-            limits.require_times(values[topic == EVENT], "the time of an event or a state")
         if topic == EVENT:
             self.announced = (EventKind(int(values[0])), float(values[1]), float(values[2]))
         elif topic == STATE:
+            limits.require_times(values[0], "a state")
             self.steps.append(float(values[0]))
             self.states.append(values)
         elif topic == WORK:
@@ -133,7 +132,9 @@ def read_live_streams(
     tool = [event for event in events if isinstance(event, ToolPose)]
     if not frames or not tool:
         raise UnreadableFileError(f"{path} holds no {'pose of the tool' if frames else 'ultrasound'}")
-    batches = [event for event in events if isinstance(event, EcgSamples)]
+    batches = [
+        event for event in events if isinstance(event, EcgSamples) and abs(event.start_s) <= limits.TIME_S
+    ]
     return LiveStreams(
         record,
         _signal(batches, document.beats.rate_hz or 0.0, float(states[0, 0])),
@@ -175,9 +176,11 @@ def _matrix(row: FloatArray) -> FloatArray | None:
 
 
 def _in_order(events: Sequence[Stamped]) -> list[Stamped]:
-    """Those that are stamped later than all before, as a session takes them."""
+    """Those stamped later than all before, as a session takes them, at a time that a clock can show."""
     found: list[Stamped] = []
     for event in events:
+        if not abs(event.t_s) <= limits.TIME_S:
+            continue
         if not found or event.t_s > found[-1].t_s:
             found.append(event)
     return found
