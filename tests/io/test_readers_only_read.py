@@ -28,8 +28,10 @@ found = []
 
 def watch(event, args):
     if event in CHANGES or (event == "open" and isinstance(args[2], int) and args[2] & WRITES):
-        path = os.fspath(args[0]) if isinstance(args[0], (str, bytes, os.PathLike)) else str(args[0])
-        path = os.fsdecode(path)
+        path = os.fsdecode(args[0]) if isinstance(args[0], (str, bytes, os.PathLike)) else str(args[0])
+        folder_fd = args[-1] if event in ("os.remove", "os.rmdir", "os.mkdir") else -1
+        if isinstance(folder_fd, int) and folder_fd >= 0:
+            path = os.path.join(os.readlink(f"/proc/self/fd/{folder_fd}"), path)
         if not path.startswith(OWN) and "__pycache__" not in path and path != "/dev/null":
             found.append((event, path))
             raise PermissionError(13, "no reader writes", path)
@@ -46,7 +48,7 @@ def test_no_reader_writes(tmp_path: Path) -> None:
     root = Path(__file__).parents[2]
     command = [sys.executable, "-c", AUDITED, str(tmp_path / "files")]
     (tmp_path / "files").mkdir()
-    environment = {**os.environ, "PYTHONPATH": str(root)}
+    environment = {**os.environ, "PYTHONPATH": f"{root}{os.pathsep}{root / 'tests' / 'toys'}"}
     done = subprocess.run(
         command, cwd=root, env=environment, capture_output=True, text=True, check=False, timeout=300
     )

@@ -17,6 +17,7 @@ from dvf_ig.core import DvfIgError, Points, Scenario, UnreadableFileError
 from dvf_ig.io import read_live_patient
 from dvf_ig.io.session_file.fit import require_live_fit
 from dvf_ig.io.session_file.live import EcgFieldConfig, EcgTailConfig, LiveConfig
+from dvf_ig.io.writing.listing import LISTING
 from dvf_ig.live.igtl import Image, Message, Transform
 from dvf_ig.live.link import Inbox, connect, listen
 from dvf_ig.live.player import ECG, IMAGE, PROBE, TOOL, messages_of, play
@@ -108,7 +109,7 @@ def test_serve_leaves_what_view_shows_and_refuses_a_folder_with_a_record(tmp_pat
     assert json.loads(done.stdout)["record"] == {"folder": str(out), "lost": 0, "failure": None}
     assert "no force was given: no registration was in use in 100% of the ticks" in done.stderr
     names = {"session.mcap", "result.json", "report.html", "view.json", "ticks.csv"}
-    assert {file.name for file in out.iterdir()} == names
+    assert {file.name for file in out.iterdir()} - {LISTING} == names
     result = json.loads((out / "result.json").read_text())
     assert result["ticks"] > 50
     assert "no registration was in use" in result["no_force"]

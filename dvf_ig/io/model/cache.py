@@ -199,6 +199,8 @@ def _program() -> tuple[str, ...]:
 def _write(path: Path, key: str, model: DvfModel) -> None:
     """Write an entry that nobody else may change, whatever the user's umask."""
     make_folder(path.parent)
+    if os.path.lexists(path) and (path.is_symlink() or not path.is_file()):
+        raise OutputError(f"{path} is in the way, and cannot be removed")
     write_own(path, [_MAGIC + key.encode("ascii") + b"\n", *model_bytes(model)])
     try:
         path.chmod(0o600)

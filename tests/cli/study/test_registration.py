@@ -12,6 +12,8 @@ from typer.testing import CliRunner, Result
 import dvf_ig.study.registration.page as capture_page
 import dvf_ig.study.registration.trial as trials
 from dvf_ig.cli.main import app
+from dvf_ig.io import write_text
+from dvf_ig.io.writing.listing import LISTING
 from dvf_ig.study.registration.experiments import MOTIONS
 
 COMMANDS = {"same-image": "A", "capture": "B", "gating-error": "D", "planes": "E", "failures": "F"}
@@ -22,7 +24,7 @@ PAGE = capture_page.write_capture_page
 @pytest.fixture(autouse=True)
 def stubbed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     def page(lines: list[dict[str, Any]], path: Path) -> None:
-        path.write_text(f"{len(lines)} registrations")
+        write_text(path, f"{len(lines)} registrations")
 
     trials._problem.cache_clear()
     monkeypatch.setattr(trials, "make_problem", stub_problem)
@@ -51,7 +53,7 @@ def test_a_study_writes_its_four_files(command: str, tmp_path: Path) -> None:
     out = tmp_path / "study"
     done = invoke(command, out, "--seeds", "1", "--seed", "5", "--json")
     assert done.exit_code == 0, done.output
-    assert sorted(p.name for p in out.iterdir()) == sorted(FILES)
+    assert sorted(p.name for p in out.iterdir()) == sorted([*FILES, LISTING])
     summary = json.loads(done.stdout)
     assert summary == json.loads((out / "summary.json").read_text())
     assert (summary["arm"], summary["pairs"], summary["seed"]) == (COMMANDS[command], 1, 5)
