@@ -16,11 +16,10 @@ from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.guidance import Fixtures, Hazard, SupervisorState
 from dvf_ig.guidance.servo import ServoInputs, SimulatedServo
 from dvf_ig.session import GuidanceState, Session, ToolPose
-from dvf_ig.study.trials import Line, Settings
+from dvf_ig.study.driver import Line, Settings
+from dvf_ig.study.faults.servo_trial import RATE_HZ, FaultyDevice
+from dvf_ig.study.faults.streams import HOME, KnownUltrasound, at_rest, wall_setup
 
-from .faulty_device import RATE_HZ, FaultyDevice
-from .known_ultrasound import KnownUltrasound, at_rest
-from .patient import HOME, wall_setup
 from .servo_trial import PUBLISH_S
 from .streams import Arrivals, InterventionSpec, TipPath, drawn_beats, drawn_ecg, drawn_streams
 

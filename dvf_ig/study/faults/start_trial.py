@@ -20,8 +20,7 @@ from dvf_ig.core import DvfIgError, DvfModel, FloatArray, ImageMap, Landmarks, M
 from dvf_ig.io import read_model, read_transform, write_model, write_transform
 from dvf_ig.registration.flipped_axes import require_on_model, require_unflipped
 from dvf_ig.registration.start import start_from_landmarks
-
-from .patient import HOME, wall_heart
+from dvf_ig.study.faults.streams import HOME, wall_heart
 
 RAS = np.array([-1.0, -1.0, 1.0])
 TOUCH_MM, MARK_MM = 2.0, 2.0

@@ -23,7 +23,7 @@ from scipy.stats import chi2
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError
 from dvf_ig.registration.evidence.assessment import FEATURES, SUCCESS_MM, logarithms
-from dvf_ig.study.trials import Line
+from dvf_ig.study.driver import Line
 
 FOLDS = 5
 LEAST_HEARTS = 20

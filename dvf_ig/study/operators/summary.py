@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray
-from dvf_ig.study.hearts.summary import Estimate, bootstrap
-from dvf_ig.study.trials import Line
-
-from .conditions import HAPTICS, NO_HAPTICS, TASKS, UNATTENDED
+from dvf_ig.study.driver import Line
+from dvf_ig.study.operators.closed_loop import HAPTICS, NO_HAPTICS, TASKS, UNATTENDED
+from dvf_ig.study.statistics import Estimate, bootstrap
 
 MEASURES = {
     "cutting": ("depth_error_mm", "largest_excess_mm", "perforations", "time_s"),

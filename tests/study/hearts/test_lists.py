@@ -3,7 +3,7 @@
 import pytest
 
 from dvf_ig.core import InvalidInputError
-from dvf_ig.study.hearts.lists import HEART_LISTS, REPORTED, heart_list
+from dvf_ig.study.hearts.recordings import HEART_LISTS, REPORTED, heart_list
 
 
 def test_no_heart_is_in_two_lists() -> None:
