@@ -36,13 +36,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.io import BeatAnnotations, read_annotations, read_ecg
 from dvf_ig.report.style import ESTIMATE, SERIES, START, png_bytes
-from dvf_ig.study.driver import (
-    Driver,
-    Result,
-    Rows,
-    Study,
-    option,
-)
+from dvf_ig.study.driver import Driver, Result, Rows, Study, option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -32,9 +32,7 @@ from dvf_ig.study.driver import (
     seed_option,
     seeds_option,
 )
-from dvf_ig.study.statistics import (
-    number_text,
-)
+from dvf_ig.study.statistics import number_text
 from dvf_ig.study.training.trainers import (
     DEGREES,
     SplineAxis,
