@@ -160,30 +160,30 @@ def _nwire(
     )
     method = settings["method"]
     if method == "chosen":
-        found = accepted(compare_nwire_methods(recording, rng=rng).best)
+        result = accepted(compare_nwire_methods(recording, rng=rng).best)
     else:
-        found = accepted(calibrate_nwire(recording, rng=rng, options=NWireOptions(method=method)))
-    return found.uncertainty, {"method": found.method}
+        result = accepted(calibrate_nwire(recording, rng=rng, options=NWireOptions(method=method)))
+    return result.uncertainty, {"method": result.method}
 
 
 def _crosswire(
     truth: GroundTruth, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
 ) -> tuple[MapUncertainty, dict[str, Any]]:
-    made = crosswire_recording(
+    recording = crosswire_recording(
         truth.probe_from_image, probe, Preset().nwire_tracker, CrossWireSpec(), rng, rendered=False
     ).recording
-    poses = made.sequence.stream("tracker", "probe")
-    return accepted(calibrate_crosswire(poses, made.features_px, rng=rng)).uncertainty, {}
+    poses = recording.sequence.stream("tracker", "probe")
+    return accepted(calibrate_crosswire(poses, recording.features_px, rng=rng)).uncertainty, {}
 
 
 def _wall(
     truth: GroundTruth, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
 ) -> tuple[MapUncertainty, dict[str, Any]]:
-    made = wall_recording(
+    recording = wall_recording(
         truth.probe_from_image, probe, Preset().nwire_tracker, WallSpec(), rng, rendered=False
     ).recording
-    poses = made.sequence.stream("tracker", "probe")
-    return accepted(calibrate_wall(poses, made.features_px, rng=rng)).uncertainty, {}
+    poses = recording.sequence.stream("tracker", "probe")
+    return accepted(calibrate_wall(poses, recording.features_px, rng=rng)).uncertainty, {}
 
 
 def _latency_trial(truth: GroundTruth, probe: SectorProbe, rng: np.random.Generator) -> dict[str, Any]:
@@ -196,12 +196,12 @@ def _latency_trial(truth: GroundTruth, probe: SectorProbe, rng: np.random.Genera
         options.watertank,
         rng,
     )
-    found = accepted(estimate_latency(recording))
-    low, high = found.interval_s
+    result = accepted(estimate_latency(recording))
+    low, high = result.interval_s
     # an interval need not lie evenly about its estimate: its middle is what is judged
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     line = _line(("lag_ms",), np.array([1000 * (middle - truth.lag_s)]), np.array([1000 * half]))
-    return {**line, "estimate_error_ms": 1000 * (found.lag_s - truth.lag_s)}
+    return {**line, "estimate_error_ms": 1000 * (result.lag_s - truth.lag_s)}
 
 
 def _line(names: Sequence[str], error: FloatArray, half: FloatArray) -> dict[str, Any]:

@@ -81,8 +81,8 @@ def labelled_cines(folder: Path, names: tuple[str, ...] = ()) -> tuple[Path, ...
     Raises:
         InvalidInputError: there is none.
     """
-    found = sorted(path.parent for path in folder.glob(f"*/{CINE}"))
-    chosen = tuple(path for path in found if not names or path.name.endswith(names))
+    folders = sorted(path.parent for path in folder.glob(f"*/{CINE}"))
+    chosen = tuple(path for path in folders if not names or path.name.endswith(names))
     if not chosen:
         raise InvalidInputError(
             f"{folder} has no patient's folder {' or '.join(names)} with {CINE}, {ED}, {ES} and {FRAMES}"
@@ -207,16 +207,16 @@ def _structure(
 def outline_distance_mm(a: BoolArray, b: BoolArray, spacing_mm: FloatArray) -> float | None:
     """Mean distance between the outlines of two masks within slices, both directions pooled.
 
-    Slices in which one of them has no voxel are left out; None where there is no other.
+    Slices in which one of them has no voxel are left out; None if no slice is left.
     """
-    found: list[FloatArray] = []
+    distances: list[FloatArray] = []
     for k in range(a.shape[2]):
         first, second = (_outline(mask[..., k]) for mask in (a, b))
         if first.any() and second.any():
             for here, there in ((first, second), (second, first)):
                 far_mm = ndimage.distance_transform_edt(~there, sampling=spacing_mm[:2])
-                found.append(far_mm[here])
-    return float(np.concatenate(found).mean()) if found else None
+                distances.append(far_mm[here])
+    return float(np.concatenate(distances).mean()) if distances else None
 
 
 def _outline(mask: BoolArray) -> BoolArray:
@@ -262,8 +262,8 @@ def _cells(members: Sequence[StructureAgreement]) -> tuple[str, ...]:
     """Means over one structure of some patients."""
 
     def mean(name: str, form: str) -> str:
-        known = [value for one in members if (value := getattr(one, name)) is not None]
-        return number_text(sum(known) / len(known) if known else None, form, "-")
+        values = [value for one in members if (value := getattr(one, name)) is not None]
+        return number_text(sum(values) / len(values) if values else None, form, "-")
 
     pairs = (("dice", "dice_still"), ("dice_inner", "dice_inner_still"), ("mean_mm", "mean_still_mm"))
     forms = ("{:.3f}", "{:.3f}", "{:.2f}")

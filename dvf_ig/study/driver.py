@@ -1,4 +1,4 @@
-"""What every study shares: options, trials over processes or a cluster, resuming, and what is written.
+"""Shared parts of all studies: options, trials over processes or a cluster, resuming, and what is written.
 
 A study is one file of this folder (or `study.py` in a folder of its own) that ends in `STUDY`. Its
 docstring says in the first line what the study does, then what it claims and on what, and ends with example
@@ -76,13 +76,13 @@ def seed_option(default: int) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a study found.
+    """Result of a study.
 
     Attributes:
         fields: JSON values for `--json`; several mappings are printed one a line.
         table: for people.
         files: name to content; a mapping is written as JSON.
-        notes: what the user should know although the study went on.
+        notes: warnings for the user.
         remarks: sentences that belong to the result, such as assumptions.
     """
 
@@ -118,7 +118,7 @@ class Study:
 
 @dataclass(frozen=True, slots=True)
 class Driver:
-    """What runs a study's trials and shows its progress.
+    """Runner of a study's trials that shows its progress.
 
     Attributes:
         progress: title to a context that gives a `Progress`.
@@ -189,7 +189,7 @@ _THREAD_LIMITS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """What is done in each trial.
+    """Work of each trial.
 
     Attributes:
         name: of the work.
@@ -229,7 +229,7 @@ def run_trials(
         InvalidInputError: a seed twice, no worker, an empty group, a folder that holds trials of another
             study, or no scheduler at the address.
         MissingDependencyError: a scheduler is given and the extra `cluster` is absent.
-        DvfIgError: a worker process or the scheduler was lost; the lines done so far are kept.
+        DvfIgError: a worker process or the scheduler was lost; finished lines are kept.
         OutputError: the folder cannot be written.
     """
     if len(set(seeds)) < len(seeds) or workers < 1 or group_size < 1:
@@ -239,20 +239,20 @@ def run_trials(
         )
     path = file_place(folder / "trials.jsonl")
     _bind_folder(trials, folder)
-    kept, length = _kept_lines(path)
-    done = {line["seed"]: line for line in kept}
+    stored, length = _kept_lines(path)
+    finished = {line["seed"]: line for line in stored}
     _continue_at(path, length)
     whole = [seeds[first : first + group_size] for first in range(0, len(seeds), group_size)]
-    remaining = [[seed for seed in group if seed not in done] for group in whole]
+    remaining = [[seed for seed in group if seed not in finished] for group in whole]
     groups = [group for group in remaining if group]
     missing = sum(map(len, groups))
     progress(1 - missing / max(1, len(seeds)))
     for lines in _results(trials, groups, workers, scheduler):
         _append(path, lines)
-        done |= {line["seed"]: line for line in lines}
+        finished |= {line["seed"]: line for line in lines}
         missing -= len(lines)
         progress(1 - missing / len(seeds))
-    return [done[seed] for seed in seeds]
+    return [finished[seed] for seed in seeds]
 
 
 def _continue_at(path: Path, whole: int) -> None:
@@ -350,7 +350,7 @@ def _bind_folder(trials: Trials, folder: Path) -> None:
 
 
 def trials_of(folder: Path) -> list[Line]:
-    """The trials that a study's folder holds so far.
+    """Read the trials of a study's folder.
 
     Raises:
         InvalidInputError: it holds none, or is damaged.
@@ -362,7 +362,7 @@ def trials_of(folder: Path) -> list[Line]:
 
 
 def _kept_lines(path: Path) -> tuple[list[Line], int]:
-    """Complete lines so far, and their length in bytes; a line that a kill cut short is left out."""
+    """Read complete lines and their length in bytes; a line that a kill cut short is left out."""
     if not path.exists():
         return [], 0
     try:

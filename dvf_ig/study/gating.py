@@ -171,16 +171,16 @@ def rhythm_class(truth: BeatAnnotations, t_s: FloatArray) -> str:
 
 def score_beats(peaks: Sequence[RPeak], truth_s: FloatArray, speed: float) -> BeatScore:
     """R peaks, in the order of their detection, against annotated times."""
-    found = np.array([peak.t_s for peak in peaks])
-    order = np.argsort(found, kind="stable")
+    detected_s = np.array([peak.t_s for peak in peaks])
+    order = np.argsort(detected_s, kind="stable")
     delays = np.array([peak.detected_at_s - peak.t_s for peak in peaks])[order]
-    hits, partner = match_beats(found[order], truth_s, 0.15)
-    apart = np.abs(found[order][partner] - truth_s[hits])
+    hits, partner = match_beats(detected_s[order], truth_s, 0.15)
+    apart = np.abs(detected_s[order][partner] - truth_s[hits])
     return BeatScore(
         beats=len(truth_s),
-        found=len(found),
+        found=len(detected_s),
         hits_150=len(hits),
-        hits_50=len(match_beats(found[order], truth_s, 0.05)[0]),
+        hits_50=len(match_beats(detected_s[order], truth_s, 0.05)[0]),
         timing_ms=float(1000 * np.median(apart)) if len(apart) else float("nan"),
         # the beats of the learning time are detected only after it
         latency_p95_ms=float(1000 * np.percentile(delays[4:], 95)) if len(delays) > 4 else float("nan"),
@@ -231,8 +231,8 @@ def predictor_errors(name: PredictorName, beats_s: FloatArray) -> FloatArray:
     for k, interval_s in enumerate(intervals.tolist()):
         expected[k] = predictor.predict()
         predictor.add(interval_s)
-    known = np.isfinite(expected)
-    expected, intervals = expected[known], intervals[known]
+    finite = np.isfinite(expected)
+    expected, intervals = expected[finite], intervals[finite]
     steps = np.maximum(1, np.rint(intervals * PHASE_RATE_HZ)).astype(np.int64)
     beat = np.repeat(np.arange(len(steps)), steps)
     nth = np.arange(len(beat)) - np.repeat(np.cumsum(steps) - steps, steps)
@@ -275,16 +275,16 @@ def risk_coverage(errors: PhaseErrors) -> tuple[FloatArray, FloatArray, FloatArr
         (k,) coverage: share of the time with σφ below a threshold; risk: p95 of |error| there in % of RR; the
         threshold.
     """
-    known = np.isfinite(errors.sigma)
-    order = np.argsort(errors.sigma[known], kind="stable")
-    error, sigma = np.abs(errors.error[known][order]), errors.sigma[known][order]
+    finite = np.isfinite(errors.sigma)
+    order = np.argsort(errors.sigma[finite], kind="stable")
+    error, sigma = np.abs(errors.error[finite][order]), errors.sigma[finite][order]
     counts = np.unique(np.linspace(max(1, len(order) // 50), len(order), RISK_POINTS).astype(np.int64))
     p95 = np.array([100 * np.percentile(error[:count], 95) for count in counts])
     return counts / len(errors.error), p95, sigma[counts - 1]
 
 
 def summarise_study(scored: Sequence[RecordGating]) -> dict[str, Any]:
-    """What `summary.json` holds: each record, beats pooled, phase and predictors by rhythm."""
+    """Summarise each record, beats pooled, phase and predictors by rhythm."""
     groups = {
         "all": list(scored),
         "held out": [r for r in scored if not r.tuning],
@@ -324,12 +324,12 @@ def _record(scored: RecordGating) -> dict[str, Any]:
     }
 
 
-def _rates(hits_150: int, hits_50: int, beats: int, found: int) -> dict[str, float]:
+def _rates(hits_150: int, hits_50: int, beats: int, detected: int) -> dict[str, float]:
     return {
         "se_150": hits_150 / beats,
-        "ppv_150": hits_150 / max(found, 1),
+        "ppv_150": hits_150 / max(detected, 1),
         "se_50": hits_50 / beats,
-        "ppv_50": hits_50 / max(found, 1),
+        "ppv_50": hits_50 / max(detected, 1),
     }
 
 

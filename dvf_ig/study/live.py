@@ -64,7 +64,7 @@ CONNECT_WITHIN_S = 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveRun:
-    """What a live session did with a recording.
+    """Run of a live session on a recording.
 
     Attributes:
         answers: in order.
@@ -186,7 +186,7 @@ class _Operator:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class AskedStates:
-    """What a session answers to which nothing comes late.
+    """States of a session to which nothing comes late.
 
     Attributes:
         force_n: (n, 3) in frame "tracker".
@@ -238,7 +238,7 @@ class LiveSamples:
         state_s: (n,) times of the states; servo_s: of the servo's ticks.
         force_n: (n, 3) the servo's; session_n: (n, 3) the session's.
         servo, supervisor, status: (n,) codes.
-        mr_from_tracker: (n, 3, 4) NaN where none was in use.
+        mr_from_tracker: (n, 3, 4) NaN if none was in use.
         tool_age_s: (n,) of the newest pose of the tool that had come.
     """
 
@@ -257,7 +257,7 @@ class LiveSamples:
 
 
 def samples_of(run: LiveRun) -> LiveSamples:
-    """Of what a live session sent."""
+    """Gather what a live session sent."""
     answers, poses = run.answers, np.full((len(run.answers), 3, 4), np.nan)
     for i, answer in enumerate(answers):
         transform, now_s = answer.state.transform, answer.state.now_s
@@ -277,20 +277,22 @@ def samples_of(run: LiveRun) -> LiveSamples:
 
 
 def comparison(live: LiveRun, replay: Replay, truth: ScenarioTruth | None) -> dict[str, Any]:
-    """What differs, as JSON values."""
+    """Compare a live session with a replay; JSON values."""
     samples, ticks = samples_of(live), replay.ticks
     here = (samples.state_s > ticks.t_s[0]) & (samples.state_s < ticks.t_s[-1])
     at = np.clip(np.searchsorted(ticks.t_s, samples.state_s), 0, len(ticks) - 1)
     same_status = (samples.status == ticks.status[at])[here]
     same_state = (samples.supervisor == ticks.supervisor[at])[here]
-    given = here & _settled(samples.state_s, samples.supervisor) & _settled(ticks.t_s, ticks.supervisor)[at]
-    given &= (samples.status == Status.OK) & (ticks.status[at] == Status.OK)
-    sent = given & _settled(samples.state_s, samples.servo)
+    comparable = (
+        here & _settled(samples.state_s, samples.supervisor) & _settled(ticks.t_s, ticks.supervisor)[at]
+    )
+    comparable &= (samples.status == Status.OK) & (ticks.status[at] == Status.OK)
+    sent = comparable & _settled(samples.state_s, samples.servo)
     result = {
         "registrations": _registrations(live, replay),
         "same_status_share": float(same_status.mean()),
         "same_supervisor_share": float(same_state.mean()),
-        "force_session": _force_at_answers(samples, replay, given),
+        "force_session": _force_at_answers(samples, replay, comparable),
         "force_servo": _force(samples.servo_s[sent], samples.force_n[sent], replay),
         "latency_ms": live.result["latency_ms"],
         "live": live.result,
@@ -334,16 +336,16 @@ def _settled(t_s: FloatArray, codes: IntArray) -> BoolArray:
     return np.asarray(t_s - last > SETTLED_S)
 
 
-def _force_at_answers(samples: LiveSamples, replay: Replay, given: BoolArray) -> dict[str, Any]:
+def _force_at_answers(samples: LiveSamples, replay: Replay, comparable: BoolArray) -> dict[str, Any]:
     """Errors of the session's force at the very moments, and how many a late pose of the tool explains."""
-    asked = asked_at(replay.scenario, replay.setup, samples.state_s)
-    given = given & (asked.status == Status.OK) & _settled(samples.state_s, asked.supervisor)
-    error = np.linalg.norm(samples.session_n - asked.force_n, axis=1)
-    late = samples.tool_age_s > asked.tool_age_s + LATE_S
+    states = asked_at(replay.scenario, replay.setup, samples.state_s)
+    comparable = comparable & (states.status == Status.OK) & _settled(samples.state_s, states.supervisor)
+    error = np.linalg.norm(samples.session_n - states.force_n, axis=1)
+    late = samples.tool_age_s > states.tool_age_s + LATE_S
     return {
-        **_summary(error[given]),
-        "pose_late": _summary(error[given & late]),
-        "pose_in_time": _summary(error[given & ~late]),
+        **_summary(error[comparable]),
+        "pose_late": _summary(error[comparable & late]),
+        "pose_in_time": _summary(error[comparable & ~late]),
     }
 
 
@@ -403,11 +405,11 @@ def _tre(
 
 
 def after_cut(live: LiveRun, replay: Replay, cut_s: float) -> dict[str, Any]:
-    """What the force did when the connection was cut, by the servo's states; seconds after the cut.
+    """Follow the force after the connection was cut, by the servo's states; seconds after the cut.
 
     Returns:
         `fading_s`: when the force began to fade; `back_s`: when the tool was known again; `phase_s`: when the
-        phase was locked again, too; null where that did not happen. `latched`: whether it took an operator.
+        phase was also locked again; null if that did not happen. `latched`: whether it took an operator.
     """
     samples, recorded = samples_of(live), replay.scenario
     first_s = min(float(recorded.ecg.t_s[0]), float(recorded.ultrasound.t_s[0]))
@@ -429,8 +431,8 @@ def after_cut(live: LiveRun, replay: Replay, cut_s: float) -> dict[str, Any]:
 
 
 def _first(t_s: FloatArray, where: BoolArray) -> float | None:
-    found = np.flatnonzero(where)
-    return float(t_s[found[0]]) if len(found) else None
+    indices = np.flatnonzero(where)
+    return float(t_s[indices[0]]) if len(indices) else None
 
 
 def run(settings: LiveSettings, driver: Driver) -> Result:

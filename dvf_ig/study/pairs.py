@@ -64,7 +64,7 @@ class PairGroup:
     Attributes:
         patient: whose MR; contrasts: of it; start_mm: mean error of the starts.
         success: mean error at the landmarks below SUCCESS_MM.
-        error_median_mm, error_p95_mm: over pairs; None of another patient's.
+        error_median_mm, error_p95_mm: over pairs; None for another patient's.
         good_refused: of poses below SUCCESS_MM; bad_refused: of those above FAILURE_MM, and of all of another
             patient's.
         cpu_seconds_median: of one run, on all threads together.
@@ -238,7 +238,7 @@ def _trial_settings(settings: PairsSettings) -> Settings:
             "family": Family.brain,
             "contrasts": list(settings.contrasts) or ["t1", "flair", "t1+flair"],
         }
-        known = set(CONTRASTS)
+        available = set(CONTRASTS)
     else:
         folders = labelled_cines(settings.cines, tuple((settings.patients or "").split(",")))
         if len(folders) < 2:
@@ -249,11 +249,11 @@ def _trial_settings(settings: PairsSettings) -> Settings:
             "patients": [str(path.resolve()) for path in folders],
             "voxel_mm": settings.voxel_mm,
         }
-        known = {"cine"}
-    unknown = {name for names in fields["contrasts"] for name in names.split("+")} - known
+        available = {"cine"}
+    unknown = {name for names in fields["contrasts"] for name in names.split("+")} - available
     if unknown:
         raise InvalidInputError(
-            f"contrast '{min(unknown)}' is not simulated; choose {', '.join(sorted(known))}"
+            f"contrast '{min(unknown)}' is not simulated; choose {', '.join(sorted(available))}"
         )
     return fields
 

@@ -173,7 +173,7 @@ def steady_transform(
 CAP_N = 0.6
 PUSH_N = 0.3
 STEEP = 3.0
-"""Of the largest γ that the device renders passively."""
+"""Steepness of the wall, as a multiple of the largest γ that the device renders passively."""
 UNBOUNDED_MJ = 1e9
 """The energy limit is off where a limit cycle is to be seen: at 5 mJ the force is withdrawn."""
 FASTEST_MM_S = 150.0
@@ -280,10 +280,10 @@ def _beating_wall(name: str, hand: Hand) -> BeatingCase:
     law = Sigmoid(passive_gamma(PREMIUM), CAP_N)
     run = press(model, law, PREMIUM, hand, seconds=(CYCLES + 1) * RR_S, start_mm=0.0, options=ServoOptions())
     ticks = round(RR_S * PREMIUM.rate_hz)
-    by_surface, given = (
+    by_surface, by_all = (
         np.diff(total[ticks - 1 :: ticks]) for total in (run.record.by_surface_mj, run.record.given_mj)
     )
-    return BeatingCase(name, float(by_surface.mean()), float(given.mean()), float(by_surface.max()))
+    return BeatingCase(name, float(by_surface.mean()), float(by_all.mean()), float(by_surface.max()))
 
 
 def run(settings: PassivitySettings, driver: Driver) -> Result:

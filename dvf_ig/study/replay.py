@@ -64,7 +64,7 @@ class PresetSummary:
         withheld_s: time in which the pose was suspended or unconfirmed.
         latched_s: time in which the operator had to re-arm.
         tip_seen: replays in which images showed the tool's tip; tip_elsewhere: of them
-            for so long beside its place that no pose was used.
+            for so long away from its expected position that no pose was used.
     """
 
     preset: str

@@ -62,19 +62,19 @@ def bootstrap(
         statistic: of an array along `axis`, for example np.median.
         hearts: heart of each value; None: one each.
     """
-    known = np.array(values, dtype=np.float64)
-    if len(known) == 0:
+    numbers = np.array(values, dtype=np.float64)
+    if len(numbers) == 0:
         return Estimate(None, None, None)
-    value = float(statistic(known, axis=0))
-    own = np.unique(range(len(known)) if hearts is None else hearts, return_inverse=True)[1].ravel()
+    value = float(statistic(numbers, axis=0))
+    own = np.unique(range(len(numbers)) if hearts is None else hearts, return_inverse=True)[1].ravel()
     count = int(own.max()) + 1
     if count < LEAST_HEARTS:
         return Estimate(value, None, None)
     drawn = np.random.default_rng(0).integers(0, count, size=(RESAMPLES, count))
-    if count == len(known):
-        resampled = statistic(known[np.argsort(own)][drawn], axis=1)
+    if count == len(numbers):
+        resampled = statistic(numbers[np.argsort(own)][drawn], axis=1)
     else:
-        members = [known[own == heart] for heart in range(count)]
+        members = [numbers[own == heart] for heart in range(count)]
         resampled = [statistic(np.concatenate([members[heart] for heart in row]), axis=0) for row in drawn]
     low, high = np.percentile(resampled, [2.5, 97.5])
     return Estimate(value, float(low), float(high))

@@ -71,7 +71,7 @@ class WatchedBeat:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class WatchedRecording:
-    """What a session made of a quiet recording.
+    """Run of a session over a quiet recording.
 
     Attributes:
         center_mm: (3,) centre of the heart box, frame "mr".
@@ -97,10 +97,10 @@ class _KeepingExecutor(InCaller):
 
     def submit(self, work: Callable[[], T]) -> Job[T]:
         def kept() -> T:
-            done = work()
-            if isinstance(done, ComparedBeat) and done.slices is not None:
-                self.slices.append(done.slices)
-            return done
+            completed = work()
+            if isinstance(completed, ComparedBeat) and completed.slices is not None:
+                self.slices.append(completed.slices)
+            return completed
 
         return super().submit(kept)
 
@@ -120,7 +120,7 @@ def watch_recording(scenario: Scenario, seed: int) -> WatchedRecording:
         seed=seed,
     )
     history, executor = SessionHistory(), _KeepingExecutor()
-    held: list[PoseEstimate] = []
+    estimates: list[PoseEstimate] = []
     guided = unconfirmed = 0
     events = events_of(scenario)
     upcoming = next(events)
@@ -131,14 +131,14 @@ def watch_recording(scenario: Scenario, seed: int) -> WatchedRecording:
                 session.push(upcoming[1])
                 upcoming = next(events, (np.inf, upcoming[1]))
             state = session.state(now_s)
-            if state.estimate is not None and (not held or held[-1] is not state.estimate):
-                held.append(state.estimate)
+            if state.estimate is not None and (not estimates or estimates[-1] is not state.estimate):
+                estimates.append(state.estimate)
             guided += state.transform.pose is not None
             unconfirmed += bool(state.supervised.hazards & Hazard.POSE_UNCONFIRMED)
     return WatchedRecording(
         heart.center_mm,
         scenario.truth.mr_from_tracker_at(0.0),
-        _in_use(history, executor.slices, held),
+        _in_use(history, executor.slices, estimates),
         tuple(update.doubt.sentence for update in history.updates if update.doubt is not None),
         guided * STATE_EVERY_S,
         unconfirmed * STATE_EVERY_S,
@@ -146,11 +146,11 @@ def watch_recording(scenario: Scenario, seed: int) -> WatchedRecording:
 
 
 def _in_use(
-    history: SessionHistory, slices: list[ComparableBeat], held: list[PoseEstimate]
+    history: SessionHistory, slices: list[ComparableBeat], estimates: list[PoseEstimate]
 ) -> tuple[WatchedBeat, ...]:
     """Beats with the estimate they were compared with: both hold the same pose."""
     of_begin = {beat.begin_s: beat for beat in slices}
-    of_pose = {id(estimate.pose): estimate for estimate in held}
+    of_pose = {id(estimate.pose): estimate for estimate in estimates}
     beats = []
     for evaluation in history.beats:
         estimate = of_pose.get(id(evaluation.measurement.pose))
@@ -182,11 +182,11 @@ class DisplacedBeat:
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
         """See `ComparableBeat`."""
         back = moved(pose, -self.shift_mm)
-        found = self.beat.evaluate_beat(back, center_mm - self.shift_mm, in_use=in_use)
-        if found is None:
+        result = self.beat.evaluate_beat(back, center_mm - self.shift_mm, in_use=in_use)
+        if result is None:
             return None
-        best = moved(found.measurement.best, self.shift_mm)
-        return replace(found, measurement=replace(found.measurement, pose=pose, best=best))
+        best = moved(result.measurement.best, self.shift_mm)
+        return replace(result, measurement=replace(result.measurement, pose=pose, best=best))
 
 
 def moved(pose: Rigid, shift_mm: FloatArray) -> Rigid:
@@ -213,7 +213,7 @@ def watch_trial(settings: Settings, number: int) -> Line:
 
 
 def measured(recording: WatchedRecording, number: int) -> Line:
-    """What the watch said of the recording as it is, and with a heart that moves."""
+    """Evaluate the watch on the recording as it is, and with a heart that moves."""
     beats, rng = recording.beats, child_rng(number, "watch trial")
     onsets = range(FIRST_ONSET, len(beats) - FOLLOWED_BEATS, ONSET_EVERY)
     off_mm = [mean_displacement_mm(b.estimate.pose, recording.truth, recording.center_mm) for b in beats]
@@ -248,15 +248,15 @@ def _direction(rng: np.random.Generator) -> FloatArray:
 
 def detectors(beats: tuple[WatchedBeat, ...]) -> list[ShiftDetector]:
     """The detector before each beat, and after the last."""
-    found = [ShiftDetector()]
+    before = [ShiftDetector()]
     for beat in beats:
         measurement = beat.evaluation.measurement
-        found.append(
-            found[-1].after(beat.evaluation.begin_s, beat.estimate, measurement)
+        before.append(
+            before[-1].after(beat.evaluation.begin_s, beat.estimate, measurement)
             if measurement.informative
-            else found[-1]
+            else before[-1]
         )
-    return found
+    return before
 
 
 def statistics(beats: tuple[WatchedBeat, ...]) -> list[float]:
@@ -279,7 +279,7 @@ def monitor_before(recording: WatchedRecording, first: int) -> RegistrationMonit
 def beats_until_found(recording: WatchedRecording, first: int, shift_mm: FloatArray) -> int | None:
     """Beats from the shift at the beginning of beat `first` on, with the one that suspends the pose.
 
-    None where FOLLOWED_BEATS do not. No registration takes part: it comes every 12 s, and would only find
+    None if FOLLOWED_BEATS do not. No registration takes part: it comes every 12 s, and would only find
     the shift sooner.
     """
     monitor = monitor_before(recording, first)
@@ -315,8 +315,8 @@ def followed_drift(recording: WatchedRecording, mm_per_s: FloatArray) -> Line | 
 def _after(monitor: RegistrationMonitor, beat: DisplacedBeat) -> RegistrationMonitor:
     if monitor.in_use is None:
         return monitor
-    found = evaluation_of(beat, monitor.in_use, monitor.center_mm, in_use=True)
-    return monitor if found is None else monitor.after_beat(found)
+    result = evaluation_of(beat, monitor.in_use, monitor.center_mm, in_use=True)
+    return monitor if result is None else monitor.after_beat(result)
 
 
 WITHIN_BEATS = (1, 2, 3, 5, 10)
@@ -362,7 +362,7 @@ class WatchSummary:
     Attributes:
         hearts: trials; failed: those that ended in an error.
         beats: compared with a pose in use; hours: with one.
-        alarms: false ones, by what the user was told; alarms_per_hour.
+        alarms: false ones, as the user saw them; alarms_per_hour.
         unconfirmed_s: time with a pose that no beat confirmed.
         statistic_p99, statistic_max: of the shift detector, quiet.
         tre_median_mm, bound_median_mm: of the pose in use, and of its stated 95 % bound.
@@ -387,25 +387,25 @@ class WatchSummary:
 
 def summarise_watch(lines: Sequence[Line]) -> WatchSummary:
     """Everything about one preset."""
-    done = [line for line in lines if "refused" not in line]
-    quiet = [x for line in done for x in line["statistic"]]
-    alarms = tuple(alarm for line in done for alarm in line["alarms"])
-    hours = sum(line["guided_s"] for line in done) / 3600.0
+    completed = [line for line in lines if "refused" not in line]
+    quiet = [x for line in completed for x in line["statistic"]]
+    alarms = tuple(alarm for line in completed for alarm in line["alarms"])
+    hours = sum(line["guided_s"] for line in completed) / 3600.0
     return WatchSummary(
         hearts=len(lines),
-        failed=len(lines) - len(done),
-        beats=sum(line["beats"] for line in done),
+        failed=len(lines) - len(completed),
+        beats=sum(line["beats"] for line in completed),
         hours=hours,
         alarms=alarms,
         alarms_per_hour=poisson_rate(len(alarms), hours),
-        unconfirmed_s=sum(line["unconfirmed_s"] for line in done),
+        unconfirmed_s=sum(line["unconfirmed_s"] for line in completed),
         statistic_p99=float(np.percentile(quiet, 99)) if quiet else None,
         statistic_max=max(quiet, default=None),
-        tre_median_mm=_median([x for line in done for x in line["tre_mm"]]),
-        bound_median_mm=_median([x for line in done for x in line["tre_bound_mm"]]),
-        bound_covers=share_over_hearts([_covered(line) for line in done]),
-        shifts=tuple(_shifts(mm, done) for mm in SHIFTS_MM),
-        drifts=tuple(_drifts(rate, done) for rate in DRIFTS_MM_PER_MIN),
+        tre_median_mm=_median([x for line in completed for x in line["tre_mm"]]),
+        bound_median_mm=_median([x for line in completed for x in line["tre_bound_mm"]]),
+        bound_covers=share_over_hearts([_covered(line) for line in completed]),
+        shifts=tuple(_shifts(mm, completed) for mm in SHIFTS_MM),
+        drifts=tuple(_drifts(rate, completed) for rate in DRIFTS_MM_PER_MIN),
     )
 
 
@@ -413,8 +413,8 @@ def _covered(line: Line) -> list[bool]:
     return [off <= bound for off, bound in zip(line["tre_mm"], line["tre_bound_mm"], strict=True)]
 
 
-def _shifts(mm: float, done: Sequence[Line]) -> ShiftSummary:
-    of_hearts = [line["shifts"][f"{mm:g}"] for line in done]
+def _shifts(mm: float, completed: Sequence[Line]) -> ShiftSummary:
+    of_hearts = [line["shifts"][f"{mm:g}"] for line in completed]
     every = [np.inf if k is None else float(k) for trials in of_hearts for k in trials]
     within = {
         str(n): share_over_hearts([[k is not None and k <= n for k in trials] for trials in of_hearts])
@@ -423,12 +423,12 @@ def _shifts(mm: float, done: Sequence[Line]) -> ShiftSummary:
     return ShiftSummary(mm, len(every), within, _median(every))
 
 
-def _drifts(rate: float, done: Sequence[Line]) -> DriftSummary:
-    drifts = [line["drifts"][f"{rate:g}"] for line in done]
+def _drifts(rate: float, completed: Sequence[Line]) -> DriftSummary:
+    drifts = [line["drifts"][f"{rate:g}"] for line in completed]
     drifts = [drift for drift in drifts if drift is not None]
     lags = [drift["lag_mm"] for drift in drifts]
-    found = sum(drift["found_s"] is not None for drift in drifts)
-    return DriftSummary(rate, len(drifts), found, _median(lags), max(lags, default=None))
+    suspended = sum(drift["found_s"] is not None for drift in drifts)
+    return DriftSummary(rate, len(drifts), suspended, _median(lags), max(lags, default=None))
 
 
 def _median(values: Sequence[float]) -> float | None:
@@ -441,29 +441,29 @@ def run(settings: WatchSettings, driver: Driver) -> Result:
     checked = ScenarioSpec(preset=settings.preset, seconds=settings.seconds)
     fields = {"preset": checked.preset, "seconds": checked.seconds}
     hearts = heart_list(settings.list.value).first_world[: settings.hearts]
-    found = summarise_watch(driver.trials(Trials("watch", fields, watch_trial), hearts))
-    summary = {"list": settings.list.value, **fields, **asdict(found)}
-    return Result(summary, _table(found), {"summary.json": summary})
+    result = summarise_watch(driver.trials(Trials("watch", fields, watch_trial), hearts))
+    summary = {"list": settings.list.value, **fields, **asdict(result)}
+    return Result(summary, _table(result), {"summary.json": summary})
 
 
-def _table(found: WatchSummary) -> Rows:
+def _table(result: WatchSummary) -> Rows:
     rows = [
-        ("hearts (failed)", f"{found.hearts} ({found.failed})"),
-        ("quiet beats", f"{found.beats} in {found.hours:.2f} h"),
-        ("false alarms", str(len(found.alarms))),
-        ("false alarms an hour", estimate_text(found.alarms_per_hour)),
-        ("unconfirmed s", f"{found.unconfirmed_s:.1f}"),
+        ("hearts (failed)", f"{result.hearts} ({result.failed})"),
+        ("quiet beats", f"{result.beats} in {result.hours:.2f} h"),
+        ("false alarms", str(len(result.alarms))),
+        ("false alarms an hour", estimate_text(result.alarms_per_hour)),
+        ("unconfirmed s", f"{result.unconfirmed_s:.1f}"),
         (
             "shift statistic, 99 %, largest",
-            f"{number_text(found.statistic_p99)}, {number_text(found.statistic_max)}",
+            f"{number_text(result.statistic_p99)}, {number_text(result.statistic_max)}",
         ),
         (
             "TRE, bound, median mm",
-            f"{number_text(found.tre_median_mm)}, {number_text(found.bound_median_mm)}",
+            f"{number_text(result.tre_median_mm)}, {number_text(result.bound_median_mm)}",
         ),
-        ("bound covers", estimate_text(found.bound_covers, "{:.0%}")),
+        ("bound covers", estimate_text(result.bound_covers, "{:.0%}")),
     ]
-    for shift in found.shifts:
+    for shift in result.shifts:
         rows += [
             (f"{shift.mm:g} mm found within {beats} beats", estimate_text(share, "{:.0%}"))
             for beats, share in shift.within.items()
@@ -474,9 +474,9 @@ def _table(found: WatchSummary) -> Rows:
             f"found in {drift.found} of {drift.drifts}; lag {number_text(drift.lag_median_mm)} mm, "
             f"at most {number_text(drift.lag_max_mm)}",
         )
-        for drift in found.drifts
+        for drift in result.drifts
     ]
-    return [("", f"{found.hearts} hearts"), *rows]
+    return [("", f"{result.hearts} hearts"), *rows]
 
 
 STUDY = Study(WatchSettings, run)

@@ -63,7 +63,7 @@ def spline_tick(
 
 @kernel
 def no_operation(number: int) -> int:
-    """What a call from Python costs at the least."""
+    """Least cost of a call from Python."""
     return number
 
 
@@ -109,7 +109,7 @@ class BenchOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
-    """What `dvf-ig bench` measured.
+    """Result of `dvf-ig bench`.
 
     Attributes:
         rows: one a thing timed.
@@ -184,7 +184,7 @@ def continuity_checks(model: DvfModel, pairs: int, seed: int) -> list[Continuity
 
 
 def first_call_seconds() -> float:
-    """Of a new process; run once before, so that the kernels lie compiled on disk."""
+    """Program of the new process; run once before, so that compiled kernels are on disk."""
     seconds = [
         float(
             subprocess.run(
@@ -251,8 +251,8 @@ def _dynamic_rows(
         evaluator = Evaluator(model, law, blend=blend)
         pose = Rigid(model.frame, "tracker", POSE.rotation, POSE.translation_mm)
         tick = partial(force_tick, *evaluator.kernel_arguments(pose))
-        found = evaluator.force_through(pose, tip, ed).distance_mm
-        error = float(np.sqrt(np.mean((np.abs(found) - exact_mm) ** 2)))
+        distance_mm = evaluator.force_through(pose, tip, ed).distance_mm
+        error = float(np.sqrt(np.mean((np.abs(distance_mm) - exact_mm) ** 2)))
         suffix = "" if blend == "force" else f", {blend} blend"
         yield _kernel_row(f"dynamic kernel{suffix}", tick.args, tip, phi, error, options)
         out = np.empty(7)

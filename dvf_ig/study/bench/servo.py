@@ -1,6 +1,6 @@
 """Lateness of servo loops while Python is busy, what a tick costs, and the floor in C++.
 
-The floor of one dynamic force is `floor.cpp`, compiled for this machine where there is a C++ compiler.
+The floor of one dynamic force is `floor.cpp`, compiled for this machine if it has a C++ compiler.
 """
 
 import ctypes
@@ -82,7 +82,7 @@ class CppFloor:
 
 
 def compiled_floor(model: DvfModel, model_from_query: Rigid, law: Sigmoid) -> CppFloor | None:
-    """The floor, or None where there is no C++ compiler."""
+    """The floor; None if there is no C++ compiler."""
     compiler = shutil.which(os.environ.get("CXX", "g++")) or shutil.which("c++")
     if compiler is None:
         return None
@@ -111,7 +111,7 @@ TWO_FIXTURES = FixtureSet(
 
 @dataclass(frozen=True, slots=True)
 class ServoBench:
-    """What `dvf-ig bench --servo` measured.
+    """Result of `dvf-ig bench --servo`.
 
     Attributes:
         rows: lateness of each loop, µs.
@@ -132,7 +132,7 @@ class ServoBench:
 def bench_servo(
     model: DvfModel, seconds: float, seed: int, progress: Callable[[float], None] | None = None
 ) -> ServoBench:
-    """Each loop for so many seconds, one after the other, under the same load."""
+    """Measure each loop for `seconds`, one after the other, under the same load."""
     mesh = model.reference[model.ed_phase]
     fixtures = Fixtures(model, TWO_FIXTURES)
     rows: list[Row] = []
@@ -141,17 +141,17 @@ def bench_servo(
     forced: dict[str, int] = {}
     realtime = True
 
-    def add(name: str, what: str, found: Deadlines, at: int) -> None:
-        rows.append(_row(name, what, found))
-        ticks[what], due[what] = found.ticks, found.ticks + found.skipped
+    def add(name: str, what: str, deadlines: Deadlines, at: int) -> None:
+        rows.append(_row(name, what, deadlines))
+        ticks[what], due[what] = deadlines.ticks, deadlines.ticks + deadlines.skipped
         if progress is not None:
             progress(at / 5.0)
 
     add("machine", "servo floor", _floor(seconds, 1000.0), 1)
     for k, rate_hz in enumerate(RATES_HZ):
         what = f"servo {rate_hz / 1e3:.0f} kHz"
-        found, pushed, granted = _servo(fixtures, mesh, seconds, rate_hz, seed)
-        add("dvf_ig", what, found, k + 2)
+        deadlines, pushed, granted = _servo(fixtures, mesh, seconds, rate_hz, seed)
+        add("dvf_ig", what, deadlines, k + 2)
         forced[what], realtime = pushed, realtime and granted
     add("machine", "servo floor, 4 kHz", _floor(seconds, 4000.0), 4)
     add("python", "servo python thread", _python_thread(fixtures, mesh, seconds, seed), 5)
@@ -168,17 +168,17 @@ def burn(seconds: float, often: Callable[[], None], every_s: float = PUBLISH_S) 
     """
     end = time.monotonic() + seconds
     due = 0.0
-    kept: list[dict[str, object]] = []
+    garbage: list[dict[str, object]] = []
     while (now := time.monotonic()) < end:
         if now >= due:
             often()
             due = now + every_s
-        made: dict[str, object] = {str(k): [k, {"squared": k * k}] for k in range(300)}
-        made["itself"] = made
-        kept.append(made)
+        cycle: dict[str, object] = {str(k): [k, {"squared": k * k}] for k in range(300)}
+        cycle["itself"] = cycle
+        garbage.append(cycle)
         json.loads(json.dumps({str(k): list(range(10)) for k in range(50)}))
-        if len(kept) > 30:
-            kept.clear()
+        if len(garbage) > 30:
+            garbage.clear()
             gc.collect()
 
 
@@ -217,7 +217,7 @@ def _floor(seconds: float, rate_hz: float) -> Deadlines:
 
 
 def _python_thread(fixtures: Fixtures, mesh: Mesh, seconds: float, seed: int) -> Deadlines:
-    """The same fixtures and supervisor stepped by a Python thread of the same priority."""
+    """Step the fixtures and the supervisor from a Python thread of the same priority."""
     path = hand_path(mesh, round(seconds * 1000.0) + 1000, np.random.default_rng(seed))
     pose = np.eye(3, 4)
     late: list[float] = []
@@ -260,10 +260,10 @@ def _steady_transform(model: DvfModel) -> PoseAndPhase:
     return PoseAndPhase(*steady(Rigid.identity(model.frame, "tracker")))
 
 
-def _row(name: str, what: str, found: Deadlines) -> Row:
-    median, p99, p999 = (found.percentile_us(p) for p in (50.0, 99.0, 99.9))
-    note = f"{found.ticks} of {found.ticks + found.skipped} ticks"
-    return Row(name, what, median, p99, p999, found.worst_us, None, 1, note)
+def _row(name: str, what: str, deadlines: Deadlines) -> Row:
+    median, p99, p999 = (deadlines.percentile_us(p) for p in (50.0, 99.0, 99.9))
+    note = f"{deadlines.ticks} of {deadlines.ticks + deadlines.skipped} ticks"
+    return Row(name, what, median, p99, p999, deadlines.worst_us, None, 1, note)
 
 
 POINTS = 10_000

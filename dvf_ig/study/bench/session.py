@@ -113,12 +113,12 @@ SHORTEST_S = 15.0
 
 @dataclass(frozen=True, slots=True)
 class SessionBench:
-    """What `dvf-ig bench --session` measured.
+    """Result of `dvf-ig bench --session`.
 
     Attributes:
         rows: a state; a beat's update, preparation included.
         seconds: simulated; `computing_s` processor time of session and operator, without making the streams.
-        resident_mb_start, resident_mb_end: after the warm-up and at the end; None where not known.
+        resident_mb_start, resident_mb_end: after the warm-up and at the end; None if not known.
         served_share: of the states, those with a force of the fixtures that may be used.
         registrations: that ended, of those remembered; `beats` that were compared, likewise.
     """
@@ -139,7 +139,7 @@ class SessionBench:
 
     @property
     def growth_percent(self) -> float | None:
-        """Of resident memory after the warm-up."""
+        """Growth of resident memory after the warm-up, %."""
         if self.resident_mb_start is None or self.resident_mb_end is None:
             return None
         return 100.0 * (self.resident_mb_end / self.resident_mb_start - 1.0)
@@ -159,7 +159,7 @@ def bench_setup(
     """A session's setup from the scenario's own recordings.
 
     Args:
-        model: of this patient, where it was built before.
+        model: of this patient, if it was built before.
     """
     return SessionSetup(
         build_heart(scenario.preop, model, progress),

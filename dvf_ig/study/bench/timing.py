@@ -26,7 +26,7 @@ class Row:
         name: "dvf_ig", or the library.
         what: what was called.
         median_us, p99_us, p999_us, max_us: a call.
-        error_mm: RMS error of |distance| re the exact distance to the mesh; None where nothing is measured.
+        error_mm: RMS error of |distance| re the exact distance to the mesh; None if nothing is measured.
         calls_per_sample: calls between two readings of the clock; the percentiles are over their means.
         note: what else to know.
     """
@@ -59,9 +59,9 @@ def time_calls(call: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], r
 
     def once() -> FloatArray:
         spent = np.empty(len(arguments))
-        for n, given in enumerate(arguments):
+        for n, values in enumerate(arguments):
             start = clock()
-            call(*given)
+            call(*values)
             spent[n] = clock() - start
         return spent
 

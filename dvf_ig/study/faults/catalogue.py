@@ -63,7 +63,8 @@ ULTRASOUND_FRAME_S = 1.0 / 12.0
 PACKET_S = 0.028
 """A packet of the ECG has arrived so long after its first sample."""
 LATE_FOR_S = 0.15
-"""Of a jump: with half of the last 32 poses it is the usual latency, over which the tip is predicted."""
+"""Duration of a jump: after half of the last 32 poses it is the usual latency, over which the tip
+is predicted."""
 USUAL_LATE_S = 0.0045
 """Median latency of the tool's poses, and the jitter of their stamps."""
 TOO_OLD_S = 2.5 * FRAME_S + USUAL_LATE_S + STEP_S
@@ -110,12 +111,12 @@ class Row:
 
 
 def tool_fault(label: str, change: ArrivalsChange, seconds: float, limit_s: float) -> Severity:
-    """What happens to the tool's poses, for so many seconds."""
+    """Fault of the tool's poses that lasts `seconds`."""
     return Severity(label, SessionFault(Fault(tool=change), seconds), limit_s)
 
 
 def frames_fault(label: str, change: ArrivalsChange, seconds: float, limit_s: float) -> Severity:
-    """What happens to ultrasound frames; the pose is back only after another registration."""
+    """Fault of ultrasound frames; the pose is back only after another registration."""
     fault = SessionFault(Fault(frames=change), seconds, POSE_BACK_S, state_step_s(limit_s))
     return Severity(label, fault, limit_s)
 
@@ -123,7 +124,7 @@ def frames_fault(label: str, change: ArrivalsChange, seconds: float, limit_s: fl
 def ecg_fault(
     label: str, fault: Fault, seconds: float, limit_s: float, back_s: float = PHASE_BACK_S
 ) -> Severity:
-    """What happens to the ECG, or to the heart's rhythm; `back_s` passes until the phase is known again."""
+    """Fault of the ECG or the heart's rhythm; `back_s` passes until the phase is known again."""
     return Severity(label, SessionFault(fault, seconds, back_s, state_step_s(limit_s)), limit_s)
 
 

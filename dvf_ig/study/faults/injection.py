@@ -31,7 +31,7 @@ PatientChange = Callable[[When, np.random.Generator], Coordinates]
 @read_only_arrays
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """What a fault does to each stream; None leaves it alone.
+    """Changes that a fault makes to each stream; None leaves a stream alone.
 
     Attributes:
         tool, frames, ecg: what arrives.
@@ -53,7 +53,7 @@ class Fault:
 
 
 def missing(arrivals: Arrivals, when: When) -> Arrivals:
-    """Nothing arrives."""
+    """Remove everything that arrives."""
     inside = _inside(arrivals, when)
     return [*arrivals[: inside.start], *arrivals[inside.stop :]]
 
@@ -74,8 +74,8 @@ def without_image(arrivals: Arrivals, when: When) -> Arrivals:
 
 def frozen(arrivals: Arrivals, when: When) -> Arrivals:
     """The last pose before is reported again and again, bit for bit, with status OK."""
-    held = _pose_of(arrivals[_inside(arrivals, when).start - 1][1])
-    return _events_changed(arrivals, when, lambda event: _with_pose(event, held))
+    last_pose = _pose_of(arrivals[_inside(arrivals, when).start - 1][1])
+    return _events_changed(arrivals, when, lambda event: _with_pose(event, last_pose))
 
 
 def not_finite(arrivals: Arrivals, when: When) -> Arrivals:

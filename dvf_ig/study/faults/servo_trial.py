@@ -81,7 +81,7 @@ class FaultyDevice:
         return numbers[begin : begin + 4 * int(numbers[WRITTEN])].reshape(-1, 4).copy()
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: nothing is open."""
 
 
 BEGIN_S = 1.0
@@ -95,7 +95,7 @@ PUBLISH_S = 1.0 / 30.0
 
 @dataclass(slots=True)
 class Servoing:
-    """What a servo is given, tick by tick; faults change it.
+    """Inputs of a servo, tick by tick; faults change them.
 
     Attributes:
         place_mm: (n, 3) of the hand.
@@ -103,7 +103,7 @@ class Servoing:
         late_s: (n,) by which each tick wakes late.
         publishing: (n,) the session speaks.
         options: of the servo.
-        onset: tick with which the fault begins, where that is not the given one.
+        onset: tick with which the fault begins, if not the given one.
     """
 
     place_mm: FloatArray
@@ -145,11 +145,11 @@ class ServoRun:
     rearm_s: float
 
 
-def run_servo_fault(given: ServoFault, seed: int) -> ServoRun:
+def run_servo_fault(fault: ServoFault, seed: int) -> ServoRun:
     """Put a fault into a servo's ticks and run them."""
     rng = child_rng(seed, "servo")
     first = round(RATE_HZ * (BEGIN_S + 0.1 * float(rng.uniform())))
-    last = first + max(1, round(RATE_HZ * given.seconds))
+    last = first + max(1, round(RATE_HZ * fault.seconds))
     rearm = last + round(RATE_HZ * (OUT_AFTER_S + REARM_AFTER_S))
     ticks = rearm + round(RATE_HZ * UNTIL_S)
     servoing = Servoing(
@@ -158,12 +158,12 @@ def run_servo_fault(given: ServoFault, seed: int) -> ServoRun:
         np.zeros(ticks),
         np.ones(ticks, dtype=np.bool_),
     )
-    given.change(servoing, first, last, rng)
+    fault.change(servoing, first, last, rng)
     device = FaultyDevice(servoing.place_mm, servoing.silent)
     record = _run(servoing, device, rearm)
     onset = first if servoing.onset is None else servoing.onset
     begin_s = float(record.t_s[onset] - servoing.late_s[onset])
-    if given.by_energy:
+    if fault.by_energy:
         begin_s = _energy_passes(record, servoing.options)
     end_s, rearm_s = (float(record.t_s[min(k, len(record) - 1)]) for k in (last, rearm))
     return ServoRun(_course(record, device), begin_s, end_s, rearm_s)
@@ -189,9 +189,9 @@ def _run(servoing: Servoing, device: FaultyDevice, rearm: int) -> ServoRecord:
     ticks = len(servoing.late_s)
     if servoing.late_s.any():
         whole = ServoInputs(transform, 0.0, still, valid_for_s=10.0 * ticks / RATE_HZ)
-        asked = [servo.run(whole, rearm, servoing.late_s[:rearm])]
+        before = [servo.run(whole, rearm, servoing.late_s[:rearm])]
         servo.ask_rearm()
-        return _joined([*asked, servo.run(whole, ticks - rearm)])
+        return _joined([*before, servo.run(whole, ticks - rearm)])
     rows, inputs = [], ServoInputs(transform, 0.0, still)
     step = round(RATE_HZ * PUBLISH_S)
     for at in range(0, ticks, step):
@@ -208,7 +208,7 @@ def _joined(records: list[ServoRecord]) -> ServoRecord:
 
 
 def _course(record: ServoRecord, device: FaultyDevice) -> TrialTrace:
-    """What the device was sent: by a tick, or by the watchdog between two of them."""
+    """Forces sent to the device, by ticks and by the watchdog between two ticks."""
     sent = device.sent
     tick = np.searchsorted(record.t_s, sent[:, 0] - 1e-7)
     by_tick = np.abs(record.t_s[np.minimum(tick, len(record) - 1)] - sent[:, 0]) < 1e-6
@@ -228,10 +228,10 @@ def _energy_passes(record: ServoRecord, options: ServoOptions) -> float:
     """When Σ [F_sent − ½(F_k + F_{k−1})]·Δx, never below 0, passes the limit; the wall stands still."""
     moved = np.diff(record.xyz_mm, axis=0)
     ideal = 0.5 * (record.field_n[1:] + record.field_n[:-1])
-    made = ((record.sent_n[:-1] - ideal) * moved).sum(axis=1)
+    energy = ((record.sent_n[:-1] - ideal) * moved).sum(axis=1)
     total = 0.0
     for k in np.flatnonzero(record.t_s[1:] > BEGIN_S).tolist():
-        total = max(0.0, total + float(made[k]))
+        total = max(0.0, total + float(energy[k]))
         if total > options.residual_limit_mj:
             return float(record.t_s[k + 1])
     return float("inf")

@@ -28,7 +28,7 @@ from dvf_ig.study.faults.streams import (
 )
 
 NEAR_S = 0.05
-"""What is found so little before a fault is found of it: noise takes the tip across a border too early."""
+"""A hazard raised this little before the fault counts: noise takes the tip across a border too early."""
 FORCE_N = 0.05
 """A longer force after it should have gone is given in error."""
 POSE_OFF_MM = 2.5
@@ -67,18 +67,18 @@ class TrialTrace:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What became of one fault.
+    """Outcome of one fault.
 
     Attributes:
         detected_s: from its begin to the first of the row's hazards; infinite never.
         found: the row's hazards that were raised.
         early: any hazard before the fault began, but for a pose that moves with the beats.
-        error_n, error_s: largest force after it should have gone, and for how long above FORCE_N; None where
+        error_n, error_s: largest force after it should have gone, and for how long above FORCE_N; None if
             the rule lets the force be.
         latched: the supervisor latched, and `latch_due`: it had to.
         recovery_s: from the end of the fault, or the re-arm, until the force was back; infinite never, None
-            where it was never gone.
-        slow: while the rule asks for it the force changed by no more than 6 N/s; None where it does not.
+            if it was never gone.
+        slow: while the rule asks for it the force changed by no more than 6 N/s; None if it does not.
     """
 
     detected_s: float
@@ -119,11 +119,11 @@ def judge(
     t = trace.t_s
     during = (t >= begin_s) & trace.has(expected)
     first = int(np.argmax(during)) if during.any() else -1
-    found = Hazard(int(np.bitwise_or.reduce(trace.hazards[during] & int(expected), initial=0)))
+    raised = Hazard(int(np.bitwise_or.reduce(trace.hazards[during] & int(expected), initial=0)))
     before = trace.has(~Hazard.POSE_MOVING)[t < begin_s - NEAR_S].any()
     gone = _gone_within(trace, expected, first)
     error_n = error_s = None
-    if found & withholding(walls=True):  # without a phase the wall stays
+    if raised & withholding(walls=True):  # without a phase the wall stays
         wrong = (t > begin_s + limit_s + gone) & (t <= end_s)
         if by_pose:
             wrong &= trace.pose_error_mm > POSE_OFF_MM
@@ -132,7 +132,7 @@ def judge(
     latched = bool((trace.state == SupervisorState.LATCHED).any())
     return Judgement(
         detected_s=float(t[first]) - begin_s if first >= 0 else inf,
-        found=found,
+        found=raised,
         early=bool(before),
         error_n=error_n,
         error_s=error_s,
@@ -150,7 +150,7 @@ def _gone_within(trace: TrialTrace, expected: Hazard, first: int) -> float:
 
 
 def _latch_due(trace: TrialTrace) -> bool:
-    """What the rules of the hazards that were active ask for."""
+    """Change that the rules of the active hazards ask for."""
     late = Hazard.NONE
     for hazard, rule in HAZARD_RULES.items():
         if rule.latch is Latch.AT_ONCE and trace.has(hazard).any():
@@ -161,10 +161,10 @@ def _latch_due(trace: TrialTrace) -> bool:
 
 
 def _recovery_s(trace: TrialTrace, begin_s: float, from_s: float) -> float | None:
-    """Until the force is what is wanted again, where it was not."""
-    t, wanted = trace.t_s, trace.wanted_n
-    given = trace.sent_n > BACK_SHARE * wanted
-    lacking = (t >= begin_s) & ((trace.state >= SupervisorState.FADE) | ~given)
+    """Time until the force is back at its expected value, if it was not."""
+    t, expected_n = trace.t_s, trace.wanted_n
+    restored = trace.sent_n > BACK_SHARE * expected_n
+    lacking = (t >= begin_s) & ((trace.state >= SupervisorState.FADE) | ~restored)
     if not lacking.any():
         return None
     last = int(np.flatnonzero(lacking)[-1])
@@ -251,16 +251,16 @@ class SessionRun:
     rearm_s: float
 
 
-def run_session_fault(given: SessionFault, seed: int) -> SessionRun:
+def run_session_fault(planned: SessionFault, seed: int) -> SessionRun:
     """Put a fault into an intervention and run it."""
-    begin_s = 0.0 if given.from_start else BEGIN_S + float(child_rng(seed, "begin").uniform())
-    begin_s -= BEFORE_REGISTRATION_S if given.on_registration else 0.0
-    when = When(begin_s, begin_s + given.seconds)
-    out_s = when.end_s + given.comes_back_s
+    begin_s = 0.0 if planned.from_start else BEGIN_S + float(child_rng(seed, "begin").uniform())
+    begin_s -= BEFORE_REGISTRATION_S if planned.on_registration else 0.0
+    when = When(begin_s, begin_s + planned.seconds)
+    out_s = when.end_s + planned.comes_back_s
     rearm_s = out_s + REARM_AFTER_S
     until_s = rearm_s + 2.0 * REARM_AFTER_S
-    streams, when = _streams(given.fault, when, out_s, rearm_s, until_s, seed)
-    fault, rng = given.fault, child_rng(seed, "patient")
+    streams, when = _streams(planned.fault, when, out_s, rearm_s, until_s, seed)
+    fault, rng = planned.fault, child_rng(seed, "patient")
     patient = fault.patient(when, rng) if fault.patient is not None else at_rest
     registered = fault.registered(when, rng) if fault.registered is not None else at_rest
     history = SessionHistory()
@@ -269,20 +269,20 @@ def run_session_fault(given: SessionFault, seed: int) -> SessionRun:
         history=history,
         ultrasound=lambda buffer: KnownUltrasound(buffer, patient, child_rng(seed, "beats"), registered),
     ) as session:
-        times = _times(when, until_s, WARM_UP_STEP_S if given.from_start else given.step_s)
+        times = _times(when, until_s, WARM_UP_STEP_S if planned.from_start else planned.step_s)
         trace = _run(session, streams, patient, times, (when.begin_s, rearm_s))
-    if given.on_registration:
-        taken = [a.ready_s for a in history.attempts if when.begin_s <= a.asked_s < when.end_s]
-        if not taken:
+    if planned.on_registration:
+        registered_s = [a.ready_s for a in history.attempts if when.begin_s <= a.asked_s < when.end_s]
+        if not registered_s:
             raise InvalidInputError("no registration was asked for while the fault lasted; give it longer")
-        when = replace(when, begin_s=taken[0])
+        when = replace(when, begin_s=registered_s[0])
     return SessionRun(trace, when.begin_s, when.end_s, rearm_s)
 
 
 def _streams(
     fault: Fault, when: When, out_s: float, rearm_s: float, until_s: float, seed: int
 ) -> tuple[Streams, When]:
-    """What arrives, and when the fault really begins."""
+    """Streams with the fault, and when it really begins."""
     path = fault.tip(when) if fault.tip is not None else circling
     spec = InterventionSpec(until_s + 0.5, tip=_drawn_back(path, out_s, rearm_s))
     beats, rng = drawn_beats(spec, seed), child_rng(seed, "fault")
@@ -361,7 +361,7 @@ def _run(
 
 
 def _pose_error_mm(state: GuidanceState, patient: Coordinates) -> float:
-    """Of the pose in use at the heart's centre; 0 without one."""
+    """Error of the pose in use at the heart's centre; 0 without a pose."""
     if state.transform.pose is None:
         return 0.0
     there = patient(state.now_s)[3:]

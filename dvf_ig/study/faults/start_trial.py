@@ -77,14 +77,14 @@ def _landmarks(seed: int, *, on_axis: bool) -> tuple[DvfModel, Landmarks, Landma
         reference=(surface,) * model.phases,
         reference_caps=(np.zeros(len(surface.triangles), dtype=np.bool_),) * model.phases,
     )
-    given = heart.landmarks()
-    there = given.points.xyz_mm - off
+    landmarks = heart.landmarks()
+    there = landmarks.points.xyz_mm - off
     marked = there + MARK_MM * rng.standard_normal(there.shape)
     touched = HOME.inverse().apply_array(there) + TOUCH_MM * rng.standard_normal(there.shape)
     return (
         model,
-        Landmarks(given.names, Points("mr", marked)),
-        Landmarks(given.names, Points("tracker", touched)),
+        Landmarks(landmarks.names, Points("mr", marked)),
+        Landmarks(landmarks.names, Points("tracker", touched)),
     )
 
 
@@ -170,7 +170,7 @@ def of_patient(name: str) -> Start:
 
 
 def with_bytes_changed(count: int) -> Start:
-    """A model's file of which so many bytes were changed after it was written."""
+    """Start with a model file of which `count` bytes were changed after it was written."""
 
     def start(seed: int) -> None:
         rng = child_rng(seed, "bytes")

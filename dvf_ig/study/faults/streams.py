@@ -95,7 +95,7 @@ SIGMA_MM = 0.8
 NOISE_MM = 0.25
 """Standard deviation of what it says, a coordinate."""
 FEWEST_FRAMES = 4
-"""Of a beat that can be compared."""
+"""Duration of a beat that can be compared."""
 
 Coordinates = Callable[[float], FloatArray]
 """Time to the six coordinates of a pose about that at rest, mm."""
@@ -239,7 +239,7 @@ ARRIVAL_JITTER_S = 0.0005
 TOOL_TRACKER = TrackerSpec(rate_hz=TOOL_HZ, position_mm=0.1, rotation_deg=0.05)
 PROBE_TRACKER = TrackerSpec(rate_hz=FRAME_HZ)
 DEPTH_MM = 9.0
-"""Of the tip in the model, along the normal of the wall, which moves from 0 to 5 mm."""
+"""Range of the tip in the model, along the normal of the wall, which moves from 0 to 5 mm."""
 CIRCLE_MM, CIRCLE_RAD_S = 10.0, 3.0
 """The tip moves along the wall at 30 mm/s."""
 
@@ -253,7 +253,7 @@ TipPath = Callable[[FloatArray], FloatArray]
 @read_only_arrays
 @dataclass(frozen=True, slots=True)
 class InterventionSpec:
-    """What is recorded.
+    """Recorded intervention.
 
     Attributes:
         seconds: length.
@@ -272,7 +272,7 @@ class InterventionSpec:
 
 @dataclass(slots=True)
 class Streams:
-    """What arrives in one intervention; faults change the lists."""
+    """Arrivals of one intervention; faults change the lists."""
 
     tool: Arrivals
     frames: Arrivals
@@ -360,7 +360,7 @@ def _frames(spec: InterventionSpec, fast: float, rng: np.random.Generator) -> Ar
 
 
 def _matrices(stream: PoseStream) -> list[FloatArray | None]:
-    """(4, 4) each, read-only; None where the status was not OK."""
+    """(4, 4) each, read-only; None if the status was not OK."""
     matrices = np.tile(np.eye(4), (len(stream), 1, 1))
     matrices[:, :3, :3], matrices[:, :3, 3] = stream.rotations, stream.translations_mm
     matrices.setflags(write=False)

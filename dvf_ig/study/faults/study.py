@@ -75,11 +75,11 @@ def fault_trial(settings: Settings, number: int) -> Line:
     seed, row, severity = case_of(number)
     head = {"fault_seed": seed, "row": row.name, "severity": severity.label, "limit_s": severity.limit_s}
     if isinstance(severity.fault, StartFault):
-        found = refused(severity.fault.start, seed)
+        refusal = refused(severity.fault.start, seed)
         return {
             **head,
-            "detected": found,
-            "detected_s": 0.0 if found else None,
+            "detected": refusal,
+            "detected_s": 0.0 if refusal else None,
             "early": refused(severity.fault.clean, seed),
             "found": [],
         }
@@ -93,7 +93,7 @@ def _judged(row: Row, severity: Severity, fault: SessionFault | ServoFault, seed
     else:
         servo = run_servo_fault(fault, seed)
         trace, begin_s, end_s, rearm_s = servo.trace, servo.begin_s, servo.end_s, servo.rearm_s
-    done = judge(
+    judgement = judge(
         trace,
         row.hazards,
         begin_s=begin_s,
@@ -104,15 +104,19 @@ def _judged(row: Row, severity: Severity, fault: SessionFault | ServoFault, seed
     )
     stays = isinstance(fault, ServoFault) and fault.restarts
     return {
-        "detected": done.detected_s <= severity.limit_s + 1e-9,
-        "detected_s": done.detected_s if isfinite(done.detected_s) else None,
-        "early": done.early,
-        "found": [str(hazard.name) for hazard in done.found],
-        "error_n": done.error_n,
-        "error_s": done.error_s,
-        "latched": done.latched,
-        "recovery_s": done.recovery_s if done.recovery_s is None or isfinite(done.recovery_s) else None,
-        "recovered": done.recovered if not stays else done.recovery_s is not None and not done.recovered,
+        "detected": judgement.detected_s <= severity.limit_s + 1e-9,
+        "detected_s": judgement.detected_s if isfinite(judgement.detected_s) else None,
+        "early": judgement.early,
+        "found": [str(hazard.name) for hazard in judgement.found],
+        "error_n": judgement.error_n,
+        "error_s": judgement.error_s,
+        "latched": judgement.latched,
+        "recovery_s": judgement.recovery_s
+        if judgement.recovery_s is None or isfinite(judgement.recovery_s)
+        else None,
+        "recovered": judgement.recovered
+        if not stays
+        else judgement.recovery_s is not None and not judgement.recovered,
     }
 
 
@@ -123,8 +127,8 @@ class SeveritySummary:
     Attributes:
         label: of the severity; limit_s: within which it must be detected.
         trials: that were run; detected: within the limit; late: detected after it.
-        median_s, largest_s: time to detection; None where there was none.
-        error_n, error_s: largest force in error, and longest time above 0.05 N; None where the rule gives it.
+        median_s, largest_s: time to detection; None if there was none.
+        error_n, error_s: largest force in error, and longest time above 0.05 N; None if the rule lets it be.
         recovered: trials in which the force came back as the rule says; of `recoverable`.
         latched: trials in which it had to be re-armed.
         recovery_s: median time from the fault's end, or the re-arm, until the force was back.

@@ -141,11 +141,11 @@ PER_HEART = 100
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """Of one recording.
+    """Condition of one recording.
 
     Attributes:
         quality: preset of the scenario.
-        draw: 0: the plain preset; from 1 on: with errors of calibration, clock, anatomy and start drawn anew.
+        draw: 0: the plain preset; from 1 on: with drawn errors of calibration, clock, anatomy and start.
     """
 
     quality: str
@@ -183,7 +183,7 @@ GATED = (0.0, 0.35, 0.75)
 VARIED = HeartSpec("varied")
 """Drawn from a population of healthy, dilated and hypertrophic hearts."""
 MOTION = ("paper5mm", "physiological")
-"""Of hearts with even and with odd numbers."""
+"""Motions of hearts with even and with odd numbers."""
 SWEEP_S = 14.0
 """Length of a tracked sweep: what a session has seen when it registers first, and as much again."""
 START_MM = (4.0, 12.0)
@@ -258,7 +258,7 @@ class RegisteredHeart:
     Attributes:
         floor_mm: mean error at the targets of the pose that fits every point of the heart in the images to
             its own place in the MR: what no rigid registration removes. None in the first world, which does
-            not tell it.
+            not state it.
     """
 
     result: RegistrationResult
@@ -303,7 +303,7 @@ def _prepared(seed: int) -> tuple[ImagedHeart, Heart]:
 
 
 def _sweep(seed: int, drawing: int, condition: Condition, rng: np.random.Generator) -> RegisteredHeart:
-    """The probe's path, speckle and rhythm of disturbed recordings are drawn anew, the heart is not."""
+    """The probe's path, speckle and rhythm of disturbed recordings are drawn again, the heart is not."""
     imaged, heart = _prepared(seed)
     preset, drawn = PRESETS[condition.quality], {"sweep_s": SWEEP_S}
     if condition.disturbed:
@@ -317,10 +317,12 @@ def _sweep(seed: int, drawing: int, condition: Condition, rng: np.random.Generat
 
 
 def _second_sweep(spec: SecondWorldSpec, rng: np.random.Generator) -> RegisteredHeart:
-    made = second_world_recording(spec)
-    heart = build_heart(made.scenario.preop)
-    done = _registered_sweep(made.scenario, heart, spec.seed, START_MM, rng, {"sweep_s": spec.seconds})
-    return replace(done, floor_mm=made.floor.pose_mm)
+    recording = second_world_recording(spec)
+    heart = build_heart(recording.scenario.preop)
+    registered = _registered_sweep(
+        recording.scenario, heart, spec.seed, START_MM, rng, {"sweep_s": spec.seconds}
+    )
+    return replace(registered, floor_mm=recording.floor.pose_mm)
 
 
 def _registered_sweep(
@@ -338,10 +340,10 @@ def _registered_sweep(
         raise TypeError("a synthetic scenario has its truth")
     box = truth.surface.vertices_mm[0]
     center = (box.min(axis=0) + box.max(axis=0)) / 2
-    known = Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
-    start = start_with_error(known, float(rng.uniform(*start_mm)), rng)
-    done = register_scenario(scenario, start, heart=heart, seed=seed)
-    return RegisteredHeart(done.result, start, known, drawn)
+    reference = Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
+    start = start_with_error(reference, float(rng.uniform(*start_mm)), rng)
+    registered = register_scenario(scenario, start, heart=heart, seed=seed)
+    return RegisteredHeart(registered.result, start, reference, drawn)
 
 
 def _disturbed(preset: Preset, rng: np.random.Generator) -> tuple[Preset, dict[str, float]]:
@@ -369,18 +371,18 @@ def _volumes(seed: int, drawing: int, condition: Condition, rng: np.random.Gener
     late = float(rng.uniform(0.0, 0.06)) if condition.disturbed else 0.0
     same = replace(VARIED, anatomy_seed=seed, motion_seed=seed)
     pair = image_pair(PairSpec(drawing, _motion(seed), named, change, same))
-    known = Truth(pair.mr_from_tracker, pair.targets.points, pair.center_mm)
+    reference = Truth(pair.mr_from_tracker, pair.targets.points, pair.center_mm)
     volumes = pair.volumes(GATED, phase_error=late)
-    start = start_with_error(known, float(rng.uniform(*START_OF[condition.disturbed])), rng)
+    start = start_with_error(reference, float(rng.uniform(*START_OF[condition.disturbed])), rng)
     target, drawn = volume_target(pair), np.random.default_rng(seed)
     result = register_volumes(volumes, target, start, rng=drawn, clock=perf_counter)
-    return RegisteredHeart(result, start, known, {"gate_late": late})
+    return RegisteredHeart(result, start, reference, {"gate_late": late})
 
 
 def _second_volumes(spec: SecondWorldSpec, rng: np.random.Generator) -> RegisteredHeart:
     pair = second_world_pair(spec)
-    known = Truth(pair.mr_from_tracker, pair.targets.points, pair.center_mm)
-    start = start_with_error(known, float(rng.uniform(*START_MM)), rng)
+    reference = Truth(pair.mr_from_tracker, pair.targets.points, pair.center_mm)
+    start = start_with_error(reference, float(rng.uniform(*START_MM)), rng)
     result = register_gated_volumes(
         pair.volumes(GATED),
         build_heart(pair.preop),
@@ -389,4 +391,4 @@ def _second_volumes(spec: SecondWorldSpec, rng: np.random.Generator) -> Register
         seed=spec.seed,
         clock=perf_counter,
     )
-    return RegisteredHeart(result, start, known, {}, pair.floor.pose_mm)
+    return RegisteredHeart(result, start, reference, {}, pair.floor.pose_mm)

@@ -57,7 +57,7 @@ class Quality(StrEnum):
 
 
 class Images(StrEnum):
-    """What is registered."""
+    """Kinds of registered images."""
 
     sweep = "sweep"
     volumes = "volumes"
@@ -101,23 +101,25 @@ def heart_trial(settings: Settings, number: int) -> Line:
         "heart": heart,
     }
     try:
-        done = registered_heart(settings, number)
+        registered = registered_heart(settings, number)
     except DvfIgError as exc:
         return {**named, "refused": str(exc)}
-    return {**named, **done.drawn, **_measured(done)}
+    return {**named, **registered.drawn, **_measured(registered)}
 
 
-def _measured(done: RegisteredHeart) -> Line:
-    """Errors at the targets, and what the result says of itself."""
-    result = done.result
-    errors = target_errors_mm(result.target_from_source, done.known.truth, done.known.targets)
+def _measured(registered: RegisteredHeart) -> Line:
+    """Errors at the targets, and what the result states about itself."""
+    result = registered.result
+    errors = target_errors_mm(result.target_from_source, registered.known.truth, registered.known.targets)
     return {
-        "start_mm": float(target_errors_mm(done.start, done.known.truth, done.known.targets).mean()),
-        "floor_mm": done.floor_mm,
+        "start_mm": float(
+            target_errors_mm(registered.start, registered.known.truth, registered.known.targets).mean()
+        ),
+        "floor_mm": registered.floor_mm,
         "tre_mm": float(errors.mean()),
         "tre_p95_mm": float(np.percentile(errors, 95)),
         "tre_max_mm": float(errors.max()),
-        "chi2": _chi2(result, done.known.truth),
+        "chi2": _chi2(result, registered.known.truth),
         "covariance_scale": result.covariance_scale,
         "stop": result.stop.name,
         "usable": result.stop.usable,
@@ -129,7 +131,7 @@ def _measured(done: RegisteredHeart) -> Line:
             predicted_error_mm(result.covariance / result.covariance_scale),
         ),
         "statistics": None if result.statistics is None else result.statistics.values(),
-        "offset_mm": _offset(result, done.known.truth),
+        "offset_mm": _offset(result, registered.known.truth),
         "covariance_mm2": _listed(result.covariance),
         "similarity": result.similarity,
         "moved_mm": result.moved_mm,
@@ -154,8 +156,8 @@ def _offset(result: RegistrationResult, truth: Rigid) -> list[float]:
 
 
 def _listed(covariance: FloatArray) -> list[list[float]] | None:
-    known = bool(np.isfinite(covariance).all())
-    return [[float(v) for v in row] for row in covariance_to_mm(covariance)] if known else None
+    finite = bool(np.isfinite(covariance).all())
+    return [[float(v) for v in row] for row in covariance_to_mm(covariance)] if finite else None
 
 
 def _sigma_mm(covariance: FloatArray) -> float | None:
@@ -164,7 +166,7 @@ def _sigma_mm(covariance: FloatArray) -> float | None:
 
 
 def _numbers_of(evidence: Any) -> Line:
-    """Every number of the evidence by its name, None where it was not tested or is infinite."""
+    """Every number of the evidence by its name, None if it was not tested or is infinite."""
     values = {field.name: getattr(evidence, field.name) for field in fields(evidence)}
     return {
         name: float(value) if isinstance(value, float) and np.isfinite(value) else None

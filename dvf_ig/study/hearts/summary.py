@@ -47,14 +47,14 @@ class HeartGroup:
         target_p95_mm, target_max_mm: 95th percentile over hearts of each heart's 95th percentile over its
             targets, and of its largest.
         floor_median_mm, floor_p95_mm: over hearts, of the error that no rigid registration removes; without a
-            value in the first world, which does not tell it.
+            value in the first world, which does not state it.
         bad_refused: of hearts with an error above FAILURE_MM; good_refused: of those below SUCCESS_MM.
-        chi2_mean: of the squared error by the stated covariance, 6 where that is right.
+        chi2_mean: of the squared error by the stated covariance, 6 if that is right.
         region_covers: of hearts whose true pose lies in the stated 95 % region.
         bound_covers: of hearts whose largest error over the targets stays below `tre_bound_mm`.
         bound_median_mm: of the bounds.
         calibration_error: mean difference between stated probability and success over tenths of it.
-        calibration_error_by_chance: what so many trials show on average where the probabilities are right.
+        calibration_error_by_chance: its mean if the probabilities are right.
         auc: chance that a success has a higher stated probability than a failure.
         outside: hearts for which no probability was stated.
         seconds_median: of one registration.
@@ -98,13 +98,13 @@ def summarise_hearts(lines: Sequence[Line]) -> list[HeartGroup]:
 
 def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
     world, images, quality, disturbed = key
-    done = [line for line in lines if "refused" not in line]
-    stated = [line for line in done if line["success_probability"] is not None]
-    bounded = [line for line in done if line.get("tre_bound_mm") is not None]
-    placed = [line for line in done if line["chi2"] is not None]
-    floored = [line for line in done if line.get("floor_mm") is not None]
-    bad = [line for line in done if line["tre_mm"] > FAILURE_MM]
-    good = [line for line in done if line["tre_mm"] < SUCCESS_MM]
+    completed = [line for line in lines if "refused" not in line]
+    stated = [line for line in completed if line["success_probability"] is not None]
+    bounded = [line for line in completed if line.get("tre_bound_mm") is not None]
+    placed = [line for line in completed if line["chi2"] is not None]
+    floored = [line for line in completed if line.get("floor_mm") is not None]
+    bad = [line for line in completed if line["tre_mm"] > FAILURE_MM]
+    good = [line for line in completed if line["tre_mm"] < SUCCESS_MM]
     region = float(chi2.ppf(COVERAGE, 6))
     return HeartGroup(
         world=str(world),
@@ -113,12 +113,12 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
         disturbed=bool(disturbed),
         hearts=len({line["heart"] for line in lines}),
         trials=len(lines),
-        failed=len(lines) - len(done),
+        failed=len(lines) - len(completed),
         success=_share(lines, lambda line: "refused" not in line and line["tre_mm"] < SUCCESS_MM),
-        tre_median_mm=_over_hearts(done, "tre_mm", np.median),
-        tre_p95_mm=_over_hearts(done, "tre_mm", _p95),
-        target_p95_mm=_over_hearts(done, "tre_p95_mm", _p95),
-        target_max_mm=_over_hearts(done, "tre_max_mm", _p95),
+        tre_median_mm=_over_hearts(completed, "tre_mm", np.median),
+        tre_p95_mm=_over_hearts(completed, "tre_mm", _p95),
+        target_p95_mm=_over_hearts(completed, "tre_p95_mm", _p95),
+        target_max_mm=_over_hearts(completed, "tre_max_mm", _p95),
         floor_median_mm=_over_hearts(floored, "floor_mm", np.median),
         floor_p95_mm=_over_hearts(floored, "floor_mm", _p95),
         bad_refused=_share(bad, _is_refused),
@@ -132,8 +132,8 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
         ),
         calibration_error_by_chance=calibration_error_by_chance(_probabilities(stated)),
         auc=auc_of(_probabilities(bad), _probabilities(good)),
-        outside=len(done) - len(stated),
-        seconds_median=median_of([line["seconds"] for line in done]),
+        outside=len(completed) - len(stated),
+        seconds_median=median_of([line["seconds"] for line in completed]),
     )
 
 
@@ -146,7 +146,7 @@ def _p95(values: FloatArray, axis: int) -> FloatArray:
 
 
 def _share(lines: Sequence[Line], true: Callable[[Line], bool]) -> Share:
-    """Of trials, with the interval of as many as there are hearts."""
+    """Share of trials, with the interval of as many trials as there are hearts."""
     return share_of(sum(map(true, lines)), len(lines), len({line["heart"] for line in lines}))
 
 

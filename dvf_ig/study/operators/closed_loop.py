@@ -49,7 +49,7 @@ class Condition:
         force_noise: factor on the errors of felt force, and on the least force that is felt.
         registration_mm: error of the registration, a shift in a direction drawn by the operator's seed.
         phase_error: of the fixture's phase, in cycles.
-        lag_s: from a force to its effect; lag_known: the servo is told of it.
+        lag_s: from a force to its effect; lag_known: the servo knows it.
         wrong_organ: the fixture is another person's heart, centred on this one's.
     """
 
@@ -112,11 +112,11 @@ ABLATIONS = (
     replace(_REFERENCE, name="known lag 20 ms", lag_s=0.02, lag_known=True),
     replace(_REFERENCE, name="wrong organ", wrong_organ=True),
 )
-"""Of cutting on the beating heart; the first three are its conditions."""
+"""Ablations of cutting on the beating heart; the first three are its conditions."""
 
 
 HEART_SEED, OTHER_HEART_SEED = 1001, 1002
-"""Of the list TUNING (`dvf_ig.study.hearts.recordings`)."""
+"""Hearts of the list TUNING (`dvf_ig.study.hearts.recordings`)."""
 MOTION: MotionPreset = "paper5mm"
 CYCLE_S = 0.6
 """20 volumes T_d = 0.03 s apart, as in the paper."""
@@ -153,7 +153,7 @@ class OperatingHeart:
         return surface_of(OTHER_HEART_SEED).model if condition.wrong_organ else self.model
 
     def transform(self, condition: Condition, seed: int) -> PoseAndPhase:
-        """What a session would tell the servo: pose and phase with the condition's errors.
+        """Pose and phase that a session would publish, with the condition's errors.
 
         Args:
             seed: of the operator; draws the direction of the registration's error.
@@ -278,7 +278,7 @@ READINGS = 200
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Loop:
-    """What stays the same through a trial.
+    """Constants of a trial.
 
     Attributes:
         heart, condition: see there.
@@ -303,7 +303,7 @@ class Loop:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """What happened, at every step of the operator.
+    """Course of a trial, at every step of the operator.
 
     Attributes:
         t_s: (n,).
@@ -397,7 +397,7 @@ def operator_of(loop: Loop) -> OperatorSpec:
 
 
 def learnt_force(law: Law, target_depth_mm: float) -> LearntForce:
-    """What the force of a law on the organ's surface says to one who knows it.
+    """Depth that an operator reads from the force of a law on the organ's surface.
 
     A forbidden region's force says how deep the tip is; a guidance's how far away its target is.
     """

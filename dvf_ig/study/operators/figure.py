@@ -102,7 +102,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class OperatorsFigure:
-    """What is drawn.
+    """Content of the figure.
 
     Attributes:
         title, note: above and below; the note states the most important assumptions.
@@ -232,7 +232,7 @@ PANELS = {
     "tracking": (("mean_mm", "mean distance to the surface, mm"), ("max_mm", "largest distance, mm")),
 }
 DEPTH_LIMITS_MM = {"cutting": (2.5, 8.0), "dissection": (-6.0, 4.0)}
-"""Of tracking: what the curves need."""
+"""Tracking takes what its curves need."""
 FORBIDDEN_MM = {"cutting": DEPTH_MM, "dissection": 0.0}
 ORDINATES = {
     "cutting": "depth below the true epicardium, mm",
@@ -250,36 +250,38 @@ TRACKED_S = 3.6
 def operators_shown(
     summary: OperatorsSummary, lines: Sequence[Line], notes: Sequence[str]
 ) -> OperatorsFigure:
-    """What the figure shows; the curves are those of the first operator, worked out again.
+    """Content of the figure; the curves are those of the first operator, computed again.
 
     Args:
         lines: trials, at least one that was not refused.
         notes: assumptions, printed below.
     """
-    task, done = summary.task, [line for line in lines if "refused" not in line]
-    courses = _courses(task, int(done[0]["seed"]))
+    task, completed = summary.task, [line for line in lines if "refused" not in line]
+    courses = _courses(task, int(completed[0]["seed"]))
     drawn = np.concatenate([curve.depth_mm for _, curves in courses for curve in curves])
     ablated = {row.condition: row.measures["depth_error_mm"] for row in summary.ablations}
     return OperatorsFigure(
-        title=f"{len(done)} simulated operators: {TITLES[task]}",
+        title=f"{len(completed)} simulated operators: {TITLES[task]}",
         note=" ".join([*notes[:1], BELOW, *notes[-1:]]),
         courses=courses,
         ordinate=ORDINATES[task],
         depth_limits_mm=DEPTH_LIMITS_MM.get(task, (float(drawn.min()) - 0.3, float(drawn.max()) + 0.3)),
         forbidden_mm=FORBIDDEN_MM.get(task),
         kinds=KINDS,
-        panels=[_panel(task, measure, label, done) for measure, label in PANELS[task]],
+        panels=[_panel(task, measure, label, completed) for measure, label in PANELS[task]],
         ablations=[
-            Interval(_with_withheld(c.name, done), *_triple(ablated[c.name])) for c in ABLATIONS if ablated
+            Interval(_with_withheld(c.name, completed), *_triple(ablated[c.name]))
+            for c in ABLATIONS
+            if ablated
         ],
         ablation_label="beating heart, mean depth error, mm (95 % interval)",
     )
 
 
-def _with_withheld(name: str, done: Sequence[Line]) -> str:
+def _with_withheld(name: str, completed: Sequence[Line]) -> str:
     """The condition, and of how many operators the supervisor withheld the force."""
-    count = sum(line["ablations"][name]["withheld_s"] > 0.0 for line in done)
-    return f"{name} (withheld: {count} of {len(done)})" if count else name
+    count = sum(line["ablations"][name]["withheld_s"] > 0.0 for line in completed)
+    return f"{name} (withheld: {count} of {len(completed)})" if count else name
 
 
 def _triple(estimate: Estimate) -> tuple[float, float, float]:
@@ -301,8 +303,8 @@ def _groups(task: str) -> dict[str, list[Condition]]:
     return groups
 
 
-def _panel(task: str, measure: str, label: str, done: Sequence[Line]) -> Panel:
-    lines = [line["conditions"] for line in done]
+def _panel(task: str, measure: str, label: str, completed: Sequence[Line]) -> Panel:
+    lines = [line["conditions"] for line in completed]
     compared = []
     for group, of in _groups(task).items():
         change = difference(measure, of[1].name, of[0].name, lines).mean
@@ -338,7 +340,7 @@ def _dissected(conditions: Sequence[Condition], seed: int) -> list[Curve]:
 
 
 def _tracked(conditions: Sequence[Condition], seed: int) -> list[Curve]:
-    """The surface, and the tip beside it."""
+    """Motion of the surface, and of the tip."""
     heart = operating_heart()
     place = tracked_place(heart, surface_of(HEART_SEED), seed)
     point = moving_line(heart.truth, place, 0.0, 0.0)

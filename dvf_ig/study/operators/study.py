@@ -99,12 +99,12 @@ def operators_trial(settings: Settings, seed: int) -> Line:
         conditions, ablations: measures by name of the condition.
     """
     task, heart = str(settings["task"]), operating_heart()
-    done = {c.name: measured(heart, task, c, seed) for c in TASKS[task]}
-    line: dict[str, Any] = {"conditions": done}
+    measures = {c.name: measured(heart, task, c, seed) for c in TASKS[task]}
+    line: dict[str, Any] = {"conditions": measures}
     if task == "cutting":
         shared = {name: f"{BEATING}, {name}" for name in (NO_HAPTICS, HAPTICS, UNATTENDED)}
         line["ablations"] = {
-            c.name: done[shared[c.name]] if c.name in shared else measured(heart, task, c, seed)
+            c.name: measures[shared[c.name]] if c.name in shared else measured(heart, task, c, seed)
             for c in ABLATIONS
         }
     return line
@@ -121,7 +121,7 @@ def measured(heart: OperatingHeart, task: str, condition: Condition, seed: int) 
 
 
 def operators_settings(task: str) -> Settings:
-    """What a study's folder is bound to."""
+    """Settings that a study's folder is bound to."""
     every = [*TASKS[task], *(ABLATIONS if task == "cutting" else ())]
     return {"task": task, "heart": HEART_SEED, "conditions": [asdict(c) for c in every]}
 
@@ -157,7 +157,7 @@ def assumptions(task: str) -> list[str]:
 
 
 def paper_figures(task: str) -> dict[str, str]:
-    """What Ren 2008 reports, by condition: two means of tracking; the tables' figures are not known here."""
+    """Figures of Ren 2008, by condition: two means of tracking; the tables' figures are not known here."""
     if task != "tracking":
         return {condition.name: UNKNOWN for condition in TASKS[task]}
     manual = f"manual {PAPER_MANUAL_MM:g} mm mean, condition unknown"
@@ -200,10 +200,10 @@ def run(settings: OperatorsSettings, driver: Driver) -> Result:
     task = settings.task.value
     seeds = range(settings.seed, settings.seed + settings.seeds)
     lines = driver.trials(Trials("operators", operators_settings(task), operators_trial), seeds)
-    found, assumed, paper = summarise_operators(task, lines), assumptions(task), paper_figures(task)
+    result, assumed, paper = summarise_operators(task, lines), assumptions(task), paper_figures(task)
     alone = automatic(surface_of(HEART_SEED)) if settings.task is TaskName.tracking else None
     summary = {
-        **asdict(found),
+        **asdict(result),
         "seed": settings.seed,
         "seeds": settings.seeds,
         "automatic": alone,
@@ -211,27 +211,27 @@ def run(settings: OperatorsSettings, driver: Driver) -> Result:
         "assumptions": assumed,
     }
     files: dict[str, Any] = {"summary.json": summary}
-    if found.operators:
-        files[f"{task}.png"] = png_bytes(operators_figure(operators_shown(found, lines, assumed)), dpi=120)
+    if result.operators:
+        files[f"{task}.png"] = png_bytes(operators_figure(operators_shown(result, lines, assumed)), dpi=120)
     remarks = tuple(f"assumed: {sentence}" for sentence in assumed)
-    return Result(summary, _table(found, alone, paper), files, refusals(lines), remarks)
+    return Result(summary, _table(result, alone, paper), files, refusals(lines), remarks)
 
 
-def _table(found: OperatorsSummary, alone: dict[str, float] | None, paper: dict[str, str]) -> Rows:
-    shown = MEASURES[found.task]
+def _table(result: OperatorsSummary, alone: dict[str, float] | None, paper: dict[str, str]) -> Rows:
+    shown = MEASURES[result.task]
     rows: Rows = [
-        (f"{found.operators} simulated operators", *shown, "Ren 2008"),
-        *((*_cells(row, shown), paper[row.condition]) for row in found.rows),
+        (f"{result.operators} simulated operators", *shown, "Ren 2008"),
+        *((*_cells(row, shown), paper[row.condition]) for row in result.rows),
     ]
     if alone is not None:
         numbers = (f"{alone[name]:.2f}" for name in shown)
         rows.append(("automatic, in nobody's hand", *numbers, paper["automatic"]))
     rows += [("",), ("paired difference to visual only", "mean", "relative", "d_z", "better")]
-    rows += [_difference_cells(d) for d in found.differences]
-    if found.ablations:
+    rows += [_difference_cells(d) for d in result.differences]
+    if result.ablations:
         more = (*shown, "withheld_s")
         rows += [("",), ("ablations, beating heart", *more)]
-        rows += [_cells(row, more) for row in found.ablations]
+        rows += [_cells(row, more) for row in result.ablations]
     return rows
 
 

@@ -47,7 +47,7 @@ def count_excursions(depth_mm: FloatArray, limit_mm: float) -> int:
 
 
 DEPTH_MM = 5.0
-"""Of the forbidden surface under the epicardium, and of the cut that is asked for."""
+"""Depth of the forbidden surface under the epicardium, and of the requested cut."""
 PERFORATION_MM = 1.0
 """An excursion so far beyond the forbidden surface counts as a perforation: assumed."""
 CUT_LENGTH_MM = 40.0
@@ -118,7 +118,7 @@ def line_to_cut(heart: OperatingHeart, seed: int) -> MovingLine:
 
 
 def cutting_measures(trace: Trace) -> dict[str, float]:
-    """What the paper's Table I is about, while cutting.
+    """Measures of the paper's Table I, while cutting.
 
     Depth error is the mean of |depth − 5 mm|; excess the largest depth beyond 5 mm.
     """
@@ -137,7 +137,7 @@ def cutting_measures(trace: Trace) -> dict[str, float]:
 
 PELLETS = 10
 HEIGHT_MM = 1.0
-"""Of a pellet's centre above the organ's surface, which is the forbidden surface."""
+"""Height of a pellet's centre above the organ's surface, which is the forbidden surface."""
 REACH_MM = 1.0
 REMOVED_AFTER_S = 0.3
 """A pellet is removed when the tip has stayed so long within so much of its centre."""
@@ -151,7 +151,7 @@ ARCH = 0.15
 STRAIGHT = np.zeros(3)
 LONGEST_S = 230.0
 LENGTH_MM, INSIDE_MM = 330.0, 140.0
-"""Of the instrument, and of its part inside at the first pellet."""
+"""Length of the instrument, and of its part inside at the first pellet."""
 CAMERA_RAD = np.deg2rad(30.0)
 """Between the line of sight and the instrument's way in."""
 WAY, WORK = 0.0, 1.0
@@ -284,7 +284,7 @@ def hover_mm(site: Site) -> FloatArray:
 
 
 def dissection_measures(dissection: Dissection) -> dict[str, float]:
-    """What the paper's Tables III and IV are about.
+    """Measures of the paper's Tables III and IV.
 
     An error is a touch of the forbidden organ: an excursion of the tip into it.
     """
@@ -340,7 +340,7 @@ def tracked_place(heart: OperatingHeart, surface: BeatingSurface, seed: int) -> 
 
 
 def tracking_measures(trace: Trace) -> dict[str, float]:
-    """Of |distance to the true surface| over all cycles."""
+    """Measures of |distance to the true surface| over all cycles."""
     error = np.abs(trace.depth_mm)
     return {
         "mean_mm": float(error.mean()),

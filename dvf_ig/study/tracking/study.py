@@ -109,7 +109,7 @@ def _color(track: StylusRun, tracks: Sequence[StylusRun]) -> str:
 
 
 def _one_blend(tracks: Sequence[StylusRun]) -> list[StylusRun]:
-    """One track a group, so that curves over time can be told apart: the paper's blend where it was tried."""
+    """One track a group, so that curves over time are distinct: the paper's blend if it was tried."""
     blends = [t.stylus.blend for t in tracks]
     chosen = "force" if "force" in blends else blends[0]
     return [t for t in tracks if t.stylus.blend == chosen]

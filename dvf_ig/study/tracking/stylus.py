@@ -38,7 +38,7 @@ COMPENSATED = 0.75
 PHASE_STEP = 0.01
 """Half the span, in cycles, of the difference that gives the speed of the surface."""
 SPEED_CUTOFF_HZ = 50.0
-"""Of the low-pass filter on the stylus' measured speed: a sensor step in 1 ms alone is 30 to 55 mm/s."""
+"""Cut-off of the filter on the stylus' measured speed: a sensor step in 1 ms alone is 30 to 55 mm/s."""
 
 
 @read_only_arrays
@@ -93,9 +93,9 @@ class StylusRun:
     outward: FloatArray
 
     def summary(self) -> dict[str, float]:
-        """Of |distance| over all places and times; how far the stylus slid; the largest force.
+        """Statistics of |distance| over all places and times; how far the stylus slid; the largest force.
 
-        The slide is that between begin and end of the whole cycles at the place where it is largest: nothing
+        The slide is that between begin and end of the whole cycles at the place of the largest slide: nothing
         holds the stylus sideways.
         """
         error = np.abs(self.distance_mm)
@@ -215,7 +215,7 @@ def hold_stylus(
 
 
 def pool_hearts(runs: Sequence[StylusRun]) -> StylusRun:
-    """The same stylus on several hearts, as one run over all their places."""
+    """Pool runs of one stylus on several hearts."""
     return StylusRun(
         runs[0].stylus,
         runs[0].t_s,

@@ -265,7 +265,7 @@ def training_trial(settings: dict[str, Any], seed: int) -> dict[str, Any]:
     phantom = phantom_anatomy(motion="paper5mm", mismatch_mm=0.0, seed=seed)
     mesh = Mesh("mr", phantom.ed_vertices_mm, phantom.triangles)
     samples = Samples.of_surface(mesh, settings["pitch_mm"])
-    found = compare_training(samples, settings["degrees"], max_iterations=settings["max_iterations"])
+    comparisons = compare_training(samples, settings["degrees"], max_iterations=settings["max_iterations"])
     return {
         "samples": samples.values_mm.size,
         "networks": [
@@ -275,7 +275,7 @@ def training_trial(settings: dict[str, Any], seed: int) -> dict[str, Any]:
                 "condition": comparison.condition,
                 "trainings": [_line(training) for training in comparison.trainings],
             }
-            for comparison in found
+            for comparison in comparisons
         ],
     }
 
@@ -317,7 +317,7 @@ def summarise_training(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
     Returns:
         rows of `degree method functions condition iterations seconds rms_mm excess`, and
-        `iterations_to_1_percent seconds_to_1_percent` until cost stays within 1 % of its minimum, None where
+        `iterations_to_1_percent seconds_to_1_percent` until cost stays within 1 % of its minimum, None if
         a heart did not reach it.
     """
     networks = [network for line in lines if "refused" not in line for network in line["networks"]]
@@ -354,8 +354,8 @@ def _arrival(curve: dict[str, list[float]]) -> tuple[float | None, float | None]
 
 
 def _median(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.median(known)) if known and len(known) == len(values) else None
+    numbers = [value for value in values if value is not None]
+    return float(np.median(numbers)) if numbers and len(numbers) == len(values) else None
 
 
 def training_figure(curves: Sequence[TrainingCurve], title: str) -> Figure:
@@ -394,18 +394,18 @@ def run(settings: TrainingSettings, driver: Driver) -> Result:
     seeds = range(settings.seed, settings.seed + settings.seeds)
     lines = driver.trials(Trials("training", fields, training_trial), seeds, alone=True)
     rows = summarise_training(lines)
-    done = [line for line in lines if "refused" not in line]
+    completed = [line for line in lines if "refused" not in line]
     summary = {
         **fields,
         "seed": settings.seed,
         "seeds": settings.seeds,
-        "refused": len(lines) - len(done),
+        "refused": len(lines) - len(completed),
         "rows": rows,
     }
     files: dict[str, Any] = {"summary.json": summary}
-    if done:
-        title = f"Training on the distances of phantom {done[0]['seed']}, knots every {PITCH_MM:g} mm"
-        files["training.png"] = png_bytes(training_figure(curves_of(done[0]), title), dpi=100)
+    if completed:
+        title = f"Training on the distances of phantom {completed[0]['seed']}, knots every {PITCH_MM:g} mm"
+        files["training.png"] = png_bytes(training_figure(curves_of(completed[0]), title), dpi=100)
     return Result(summary, _table(rows), files, refusals(lines))
 
 

@@ -235,11 +235,11 @@ def train_gradient(
     coefficients = np.zeros(network.shape)
     right = _project(bases, samples)
     grams = _grams(network, bases)
-    wanted = tolerance * float(np.linalg.norm(right))
+    limit = tolerance * float(np.linalg.norm(right))
     stop, count = Stop.MAX_ITERATIONS, max_iterations
     for i in range(max_iterations):
         downhill = right - _apply(grams, coefficients)
-        if np.linalg.norm(downhill) <= wanted:
+        if np.linalg.norm(downhill) <= limit:
             stop, count = Stop.CONVERGED, i
             break
         coefficients = coefficients + step * downhill
@@ -321,9 +321,9 @@ def _require_determined(gram: csr_array, tolerance: float, max_iterations: int) 
             f"{unsupported} of {len(energy)} basis functions have no samples in their support: the "
             "minimum is not unique; add samples there, widen the knots, or give a ridge"
         )
-    known = np.cos(np.arange(len(energy), dtype=np.float64) ** 2)
-    recovered = _solved(gram, gram @ known, tolerance, max_iterations).x
-    missing = float(np.linalg.norm(recovered - known) / np.linalg.norm(known))
+    reference = np.cos(np.arange(len(energy), dtype=np.float64) ** 2)
+    recovered = _solved(gram, gram @ reference, tolerance, max_iterations).x
+    missing = float(np.linalg.norm(recovered - reference) / np.linalg.norm(reference))
     if missing > PROBE_TOLERANCE:
         raise InvalidInputError(
             f"the samples do not determine the network: a known one is recovered with an error of "
