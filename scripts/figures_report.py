@@ -29,9 +29,9 @@ from dvf_ig.report.paper import (
     width_figure,
     write_paper_figures,
 )
-from dvf_ig.report.study.stylus import tracking_figure
 from dvf_ig.study.bench.timing import time_batches, time_calls
-from dvf_ig.study.stylus.holding import BeatingSurface, StylusRun, beating_surface, held_styli, hold_stylus
+from dvf_ig.study.tracking.study import tracking_figure
+from dvf_ig.study.tracking.stylus import BeatingSurface, StylusRun, beating_surface, held_styli, hold_stylus
 
 Row = tuple[str, str, str]
 

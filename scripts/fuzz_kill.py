@@ -36,7 +36,7 @@ WRITERS = {
     "model build": "model build --labels {scene}/preop/labels.nrrd --organ 1,2 -o o/model.npz",
     "register": "register {scene} -o o/registered",
     "replay": "replay {scene} -o o/run",
-    "study": "study retiming --seeds 1 -o o/study",
+    "study": "study calibration --kind watertank --seeds 1 --workers 1 -o o/study",
 }
 """Each writes below the folder "o"."""
 State = dict[str, tuple[int, int, int]]

@@ -10,9 +10,8 @@ from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_di
 
 if TYPE_CHECKING:
     from dvf_ig.guidance import Continuity
-    from dvf_ig.study.bench.rows import Bench
-    from dvf_ig.study.bench.servo import ServoBench
-    from dvf_ig.study.bench.servo_cost import TickCost
+    from dvf_ig.study.bench.calls import Bench
+    from dvf_ig.study.bench.servo import ServoBench, TickCost
     from dvf_ig.study.bench.session import SessionBench
     from dvf_ig.study.bench.timing import Row
 
@@ -66,8 +65,8 @@ def bench(
     with command(threads):
         from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
         from dvf_ig.io.json_file import plain
-        from dvf_ig.study.bench.heart import bench_model
-        from dvf_ig.study.bench.rows import BenchOptions, continuity_checks, run_bench
+        from dvf_ig.study.bench.calls import BenchOptions, continuity_checks, run_bench
+        from dvf_ig.study.bench.timing import bench_model
 
         options = BenchOptions(calls=calls, repeats=repeats, batch=min(calls, 5000), peers=peers, seed=seed)
         if model_file is not None:
@@ -92,8 +91,7 @@ def _bench_session(
     with command(threads):
         from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
         from dvf_ig.io.json_file import plain
-        from dvf_ig.study.bench.endless import round_of
-        from dvf_ig.study.bench.session import bench_scenario, bench_setup, run_session
+        from dvf_ig.study.bench.session import bench_scenario, bench_setup, round_of, run_session
 
         with progress("a synthetic intervention") as report:
             scenario = bench_scenario(seed, report)
@@ -125,9 +123,8 @@ def _bench_servo(
     with command(threads):
         from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
         from dvf_ig.io.json_file import plain
-        from dvf_ig.study.bench.heart import bench_model
-        from dvf_ig.study.bench.servo import bench_servo
-        from dvf_ig.study.bench.servo_cost import bench_tick
+        from dvf_ig.study.bench.servo import bench_servo, bench_tick
+        from dvf_ig.study.bench.timing import bench_model
 
         if model_file is not None:
             model = read_model(model_file)

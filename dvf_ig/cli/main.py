@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 import dvf_ig
-from dvf_ig.cli import bench, config, doctor, evaluate, force, gate, replay, view
+from dvf_ig.cli import bench, config, doctor, evaluate, force, gate, replay, study, view
 from dvf_ig.cli.calibrate import commands as calibrate
 from dvf_ig.cli.examples import show_examples
 from dvf_ig.cli.export import commands as export
@@ -17,7 +17,6 @@ from dvf_ig.cli.register import command as register
 from dvf_ig.cli.register.panels import RegisterCommand
 from dvf_ig.cli.serve import command as serve
 from dvf_ig.cli.shell import report_unexpected
-from dvf_ig.cli.study import commands as study
 from dvf_ig.cli.synth import commands as synth
 
 app = typer.Typer(

@@ -23,7 +23,7 @@ TOOL_SIGMA_MM = 0.25
 """Of the tracked tool, a coordinate: volumetric accuracy that optical trackers state. By judgement."""
 SHAPE_SIGMA_MM = 0.8
 """Of the surface by a change of shape, retiming and the model: what no rigid pose explains and a session
-cannot measure. In recordings of tuning hearts 1001–1003 and 1021 (`study margins`) errors are 1.29 σ without
+cannot measure. In recordings of tuning hearts 1001–1003 and 1021 errors are 1.29 σ without
 it, 0.96 σ with it; at 0.95 the wall then stands inside the true surface at 5 % of the places."""
 UPDATE_S = 1.0 / 30.0
 """So often σ is computed and the margins move: as often as a servo is told."""

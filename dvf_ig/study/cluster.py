@@ -126,7 +126,7 @@ def _client(distributed: ModuleType, address: str) -> Any:
 
 @contextmanager
 def _quiet_client_log() -> Iterator[None]:
-    """The package logs tracebacks of a lost connection, which is told here as one sentence."""
+    """Silence tracebacks of a lost connection, which is reported here as one sentence."""
     log = logging.getLogger("distributed.client")
     before = log.level
     log.setLevel(logging.CRITICAL)

@@ -34,7 +34,7 @@ from dvf_ig.kernels.fixture_field import LAW
 from dvf_ig.kernels.laws import LARGEST_FORCE_N
 from dvf_ig.kernels.servo import supervision
 from dvf_ig.kernels.servo import tick as kernel
-from dvf_ig.study.passivity.pressing import steady_transform
+from dvf_ig.study.passivity import steady_transform
 
 STRONG = DeviceLimits(stiffness_n_per_m=1e4, continuous_force_n=12.0, name="omega.3")
 PATH = PathTarget.static("mr", [[0.0, 0.0, 12.0], [0.0, 9.0, 12.0]])

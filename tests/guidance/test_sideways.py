@@ -10,7 +10,7 @@ from dvf_ig.guidance import DeviceLimits, Evaluator, Fixtures, FixtureSet, Sigmo
 from dvf_ig.guidance.devices import RecordedDevice
 from dvf_ig.guidance.servo import Servo
 from dvf_ig.guidance.sideways import check_sideways, sideways_stiffness
-from dvf_ig.study.passivity.wall import HALF_MM, KNOT_MM, wall_model
+from dvf_ig.study.passivity import HALF_MM, KNOT_MM, wall_model
 
 
 def slab(half_mm):

@@ -9,7 +9,7 @@ from short_axis_toy import CAVITY, contracting_stack
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
-from dvf_ig.study.cines.agreement import outline_distance_mm
+from dvf_ig.study.cines import outline_distance_mm
 
 
 @pytest.fixture

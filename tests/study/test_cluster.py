@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfIgError, InvalidInputError, MissingDependencyError
 from dvf_ig.study.cluster import cluster_results
-from dvf_ig.study.trials import Line, Study, run_trials
+from dvf_ig.study.driver import Line, Trials, run_trials
 
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` (dask.distributed) is absent")
 
@@ -38,7 +38,7 @@ def lines_on_disk(folder: Path) -> list[Line]:
 
 
 def test_the_lines_are_those_of_this_machine(cluster: Any, tmp_path: Path) -> None:
-    study = Study("multiples", {"factor": 3}, multiple)
+    study = Trials("multiples", {"factor": 3}, multiple)
     local, remote = tmp_path / "local", tmp_path / "remote"
     local.mkdir()
     remote.mkdir()
@@ -65,7 +65,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing(cluster: Any, tmp_path: Pat
             killed.append(lines_on_disk(tmp_path)[-1]["process"])
             os.kill(killed[0], signal.SIGKILL)
 
-    study = Study("whereabouts", {"seconds": 0.05}, whereabouts)
+    study = Trials("whereabouts", {"seconds": 0.05}, whereabouts)
     address = cluster.scheduler_address
     lines = run_trials(
         study, range(48), tmp_path, group_size=3, scheduler=address, progress=kill_in_the_middle
@@ -83,14 +83,14 @@ def test_a_trial_that_ends_its_workers_and_a_mistake_are_told(cluster: Any, tmp_
     for name in ("deadly", "mistaken"):
         (tmp_path / name).mkdir()
     with pytest.raises(ZeroDivisionError, match="seed 1"):
-        run_trials(Study("mistaken", {}, mistaken), [1], tmp_path / "mistaken", scheduler=address)
-    study = Study("deadly", {"deadly": 2}, deadly)
+        run_trials(Trials("mistaken", {}, mistaken), [1], tmp_path / "mistaken", scheduler=address)
+    study = Trials("deadly", {"deadly": 2}, deadly)
     with pytest.raises(DvfIgError, match=r"2 workers ended .*from-seed-2 .*run the study again"):
         run_trials(study, [1, 2], tmp_path / "deadly", scheduler=address)
 
 
 def test_a_lost_scheduler_is_told_and_what_was_done_is_kept(tmp_path: Path) -> None:
-    study = Study("whereabouts", {"seconds": 0.02}, whereabouts)
+    study = Trials("whereabouts", {"seconds": 0.02}, whereabouts)
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
     ) as cluster:
@@ -107,7 +107,7 @@ def test_a_lost_scheduler_is_told_and_what_was_done_is_kept(tmp_path: Path) -> N
 def test_no_scheduler_no_worker_and_no_package_are_sentences(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    study = Study("multiples", {"factor": 3}, multiple)
+    study = Trials("multiples", {"factor": 3}, multiple)
     with pytest.raises(InvalidInputError, match="no dask scheduler answers at nowhere"):
         run_trials(study, [1], tmp_path, scheduler="nowhere://1")
     with (

@@ -4,7 +4,7 @@ import os
 import time
 
 from dvf_ig.core import InvalidInputError
-from dvf_ig.study.trials import Line, Settings
+from dvf_ig.study.driver import Line, Settings
 
 
 def multiple(settings: Settings, seed: int) -> Line:

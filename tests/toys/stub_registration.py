@@ -1,14 +1,11 @@
-"""A registration problem whose every registration ends at the same distance from the truth."""
+"""Registration of the toy heart, for tests that need any result."""
 
-from dataclasses import replace
 from functools import lru_cache
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import InvalidInputError, Points, Rigid, Stop
 from dvf_ig.registration import (
     Level,
     RegistrationData,
@@ -17,10 +14,6 @@ from dvf_ig.registration import (
     channels_from_mr,
     register_rigid,
 )
-from dvf_ig.study.registration.problem import RegistrationProblem
-
-TARGETS = Points("mr", CENTER_MM + np.random.default_rng(1).uniform(-45, 45, (27, 3)))
-OFFSET_MM = 0.7
 
 
 @lru_cache(maxsize=1)
@@ -31,17 +24,3 @@ def any_result() -> RegistrationResult:
     options = RegistrationOptions(starts=1)
     data = RegistrationData(level, level, CENTER_MM)
     return register_rigid(data, toy_pose(), rng=np.random.default_rng(0), clock=perf_counter, options=options)
-
-
-def stub_problem(pair: int, condition: dict[str, Any]) -> RegistrationProblem:
-    """Registration that always ends OFFSET_MM from the truth, and refuses starts of the pair 13."""
-
-    def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-        if pair == 13:
-            raise InvalidInputError("pair 13 is refused")
-        off = toy_pose().perturbed_left([0, 0, 0], [0.0, OFFSET_MM, 0.0], CENTER_MM)
-        found = any_result()
-        evidence = replace(found.evidence, split_half_mm=np.inf)
-        return replace(found, target_from_source=off, stop=Stop.CONVERGED, evidence=evidence)
-
-    return RegistrationProblem(toy_pose(), TARGETS, CENTER_MM, register)

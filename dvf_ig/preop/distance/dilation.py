@@ -1,7 +1,7 @@
 """The paper's distance map: dilate voxel by voxel and count the layers (Ren 2008, Section III).
 
 Not Euclidean: the count depends on the structuring element and ignores the voxels' shape. Kept as the paper's
-method in `dvf-ig study distance`; models are built from `signed_distance_mm`.
+method; models are built from `signed_distance_mm`.
 """
 
 import numpy as np

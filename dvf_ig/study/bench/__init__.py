@@ -1,1 +1,1 @@
-"""`dvf-ig bench`: time and error of the fixture beside other ways to the same distance."""
+"""`dvf-ig bench`: time and error of the fixture and of other ways to the same distance."""

@@ -1,7 +1,11 @@
-"""Distance to a mesh by other libraries, for `dvf-ig bench`. Imports open3d and vtk where installed."""
+"""Other ways to the distance to a mesh, timed on the same points: Open3D, VTK, and a covariance tree.
+
+The covariance tree is the paper's rival (Ren 2008, Section III); its search is a kernel.
+"""
 
 import importlib
 import logging
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -10,10 +14,142 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dvf_ig.core import FloatArray, Mesh, read_only_arrays
+from dvf_ig.kernels.compiled import inlined, kernel
+from dvf_ig.kernels.mesh.closest import DEPTH, triangle_squared_distance
 from dvf_ig.kernels.mesh.winding import winding_numbers
+from dvf_ig.study.bench.timing import KERNEL_CALLS, Row, row, time_batches, time_calls
 
-from .covariance_tree import CovarianceTreeSearch, build_covariance_tree
-from .timing import KERNEL_CALLS, Row, row, time_batches, time_calls
+NODE = 15
+"""Numbers a node: centre 3, three unit axes 9, half lengths along them 3."""
+WORK = 2 * DEPTH + 1
+"""Work space: nodes still to visit, the squared distance to each, and the triangle found last."""
+
+
+@inlined
+def _squared_to_box(nodes: FloatArray, node: int, x: float, y: float, z: float) -> float:
+    dx, dy, dz = x - nodes[node, 0], y - nodes[node, 1], z - nodes[node, 2]
+    a = abs(nodes[node, 3] * dx + nodes[node, 4] * dy + nodes[node, 5] * dz) - nodes[node, 12]
+    b = abs(nodes[node, 6] * dx + nodes[node, 7] * dy + nodes[node, 8] * dz) - nodes[node, 13]
+    c = abs(nodes[node, 9] * dx + nodes[node, 10] * dy + nodes[node, 11] * dz) - nodes[node, 14]
+    a, b, c = max(a, 0.0), max(b, 0.0), max(c, 0.0)
+    squared: float = a * a + b * b + c * c
+    return squared
+
+
+@kernel
+def nearest_in_covariance_tree(
+    nodes: FloatArray, corners: FloatArray, xyz_mm: FloatArray, work: FloatArray
+) -> float:
+    """Unsigned distance from one point to the nearest triangle.
+
+    Args:
+        nodes: (2L − 1, 15) boxes; corners: (t, 9) triangle corners in leaf order.
+        xyz_mm: (3,) point.
+        work: (WORK,) kept between calls: the triangle found for one point bounds the search of the next.
+    """
+    x, y, z = xyz_mm[0], xyz_mm[1], xyz_mm[2]
+    leaves = (len(nodes) + 1) // 2
+    nearest = int(work[WORK - 1])
+    best = triangle_squared_distance(corners, nearest, x, y, z)
+    work[0], work[DEPTH] = 0.0, 0.0
+    count = 1
+    while count > 0:
+        count -= 1
+        if work[DEPTH + count] >= best:
+            continue
+        node = int(work[count])
+        while node < leaves - 1:
+            near, far = 2 * node + 1, 2 * node + 2
+            to_near, to_far = _squared_to_box(nodes, near, x, y, z), _squared_to_box(nodes, far, x, y, z)
+            if to_near > to_far:
+                near, far, to_near, to_far = far, near, to_far, to_near
+            if to_near >= best:
+                break
+            if to_far < best:
+                work[count], work[DEPTH + count] = far, to_far
+                count += 1
+            node = near
+        if node < leaves - 1:
+            continue
+        leaf = node - (leaves - 1)
+        for m in range(len(corners) * leaf // leaves, len(corners) * (leaf + 1) // leaves):
+            squared = triangle_squared_distance(corners, m, x, y, z)
+            if squared < best:
+                best, nearest = squared, m
+    work[WORK - 1] = nearest
+    return math.sqrt(best)
+
+
+@kernel
+def nearest_batch(
+    nodes: FloatArray, corners: FloatArray, xyz_mm: FloatArray, work: FloatArray, distance_mm: FloatArray
+) -> None:
+    """`nearest_in_covariance_tree` for (n, 3) points, into (n,) distances."""
+    for n in range(len(xyz_mm)):
+        distance_mm[n] = nearest_in_covariance_tree(nodes, corners, xyz_mm[n], work)
+
+
+LEAF_SIZE = 4
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class CovarianceTree:
+    """Complete binary tree of oriented boxes.
+
+    Attributes:
+        nodes: (2L − 1, 15), see `nearest_in_covariance_tree`.
+        corners: (t, 9) triangle corners in leaf order, mm.
+    """
+
+    nodes: FloatArray
+    corners: FloatArray
+
+
+class CovarianceTreeSearch:
+    """Searches of one thread in a tree: each begins at the triangle that the last one found."""
+
+    def __init__(self, tree: CovarianceTree) -> None:
+        self._nodes, self._corners = tree.nodes.copy(), tree.corners.copy()
+        self._work = np.zeros(WORK)
+
+    def distance_mm(self, point_mm: FloatArray) -> float:
+        """Unsigned distance of one (3,) point; quickest when it is near the last one."""
+        return nearest_in_covariance_tree(self._nodes, self._corners, point_mm, self._work)
+
+    def distances_mm(self, points_mm: FloatArray) -> FloatArray:
+        """(n,) unsigned distances of (n, 3) points."""
+        out = np.empty(len(points_mm))
+        nearest_batch(self._nodes, self._corners, points_mm, self._work, out)
+        return out
+
+
+def build_covariance_tree(mesh: Mesh) -> CovarianceTree:
+    """Every node is halved at the median along its longest axis; boxes fit its triangles' corners."""
+    triangles = mesh.vertices_mm[mesh.triangles]
+    count = len(triangles)
+    levels = max(0, int(np.ceil(np.log2(count / LEAF_SIZE))))
+    order = np.arange(count)
+    nodes = np.empty(((2 << levels) - 1, NODE))
+    for level in range(levels + 1):
+        start = (np.arange((1 << level) + 1, dtype=np.int64) * count) >> level
+        for k in range(1 << level):
+            part = slice(start[k], start[k + 1])
+            center, axes, half = _box(triangles[order[part]].reshape(-1, 3))
+            nodes[(1 << level) - 1 + k] = [*center, *axes.ravel(), *half]
+            if level < levels:
+                along = triangles[order[part]].mean(axis=1) @ axes[int(half.argmax())]
+                order[part] = order[part][np.argsort(along, kind="stable")]
+    return CovarianceTree(nodes, triangles[order].reshape(count, 9))
+
+
+def _box(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Centre, (3, 3) axes as rows, and half lengths of the box along the principal axes of (n, 3) points."""
+    axes = np.linalg.eigh(np.cov(points.T, bias=True))[1].T
+    along = points @ axes.T
+    low, high = along.min(axis=0), along.max(axis=0)
+    return 0.5 * (low + high) @ axes, axes, 0.5 * (high - low)
+
 
 STATIC = "static python"
 TREE = "static tree"

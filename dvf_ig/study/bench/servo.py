@@ -1,16 +1,28 @@
-"""Lateness of the servo while Python burns the GIL, beside the machine's floor and a servo in Python."""
+"""Lateness of servo loops while Python is busy, what a tick costs, and the floor in C++.
 
+The floor of one dynamic force is `floor.cpp`, compiled for this machine if it has a C++ compiler.
+"""
+
+import ctypes
 import gc
 import json
+import os
+import shutil
+import subprocess
+import tempfile
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import DvfModel, Mesh, Rigid
+from dvf_ig.core import DvfModel, FloatArray, Mesh, Rigid
 from dvf_ig.guidance import (
+    Evaluator,
     FixtureOptions,
     Fixtures,
     FixtureSet,
@@ -20,16 +32,71 @@ from dvf_ig.guidance import (
     Status,
     Supervisor,
 )
+from dvf_ig.guidance.device import COMMON_DEVICE
 from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.fixtures import FORCE, TICK_OUTPUT
 from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions
+from dvf_ig.guidance.servo.bound import bind_fixtures, new_scratch
 from dvf_ig.guidance.servo.deadlines import BINS, deadlines_of
 from dvf_ig.guidance.servo.threads import real_time_thread
+from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.servo import loop, shared
+from dvf_ig.kernels.servo.borrowed import borrowed
+from dvf_ig.kernels.servo.record import ROW
+from dvf_ig.kernels.servo.tick import unpacked_tick
+from dvf_ig.study.bench.calls import POSE, batch_of, steady
+from dvf_ig.study.bench.timing import CYCLE_S, RATE_HZ, Row, hand_path, random_points, row
 
-from .heart import CYCLE_S, hand_path
-from .rows import steady
-from .timing import Row
+SOURCE = Path(__file__).with_name("floor.cpp")
+FLAGS = ("-O3", "-march=native", "-ffast-math", "-fPIC", "-c")
+
+
+class CppFloor:
+    """The compiled floor, bound to a model with evenly spaced phases and a sigmoid at the surface."""
+
+    def __init__(self, library: ctypes.CDLL, model: DvfModel, model_from_query: Rigid, law: Sigmoid) -> None:
+        self._function = library.dynamic_forces
+        self._arrays = (
+            model.coefficients.copy(),
+            np.array(model.coefficients.shape, dtype=np.int32),
+            np.array(model.origin_mm),
+            np.ascontiguousarray(model_from_query.matrix[:3]),
+        )
+        self._per_knot, self._law = 1.0 / float(model.knot_spacing_mm), law
+
+    def forces(self, xyz_mm: FloatArray, phase: FloatArray) -> Callable[[int, int, FloatArray], None]:
+        """A function of begin, end and (n, 4) output: forces (N) and distance (mm) at those points."""
+        c, shape, origin, pose = (a.ctypes.data_as(ctypes.c_void_p) for a in self._arrays)
+        xyz, phi = (np.ascontiguousarray(a) for a in (xyz_mm, phase))
+        numbers = (ctypes.c_double(self._law.gamma_per_mm), ctypes.c_double(self._law.cap_n))
+        data = (xyz.ctypes.data_as(ctypes.c_void_p), phi.ctypes.data_as(ctypes.c_void_p))
+        per_knot, function = ctypes.c_double(self._per_knot), self._function
+
+        def run(begin: int, end: int, out: FloatArray) -> None:
+            place = out.ctypes.data_as(ctypes.c_void_p)
+            span = (ctypes.c_long(begin), ctypes.c_long(end))
+            function(c, shape, origin, per_knot, pose, *numbers, *data, *span, place)
+
+        run.__dict__["kept"] = (xyz, phi, self)
+        return run
+
+
+def compiled_floor(model: DvfModel, model_from_query: Rigid, law: Sigmoid) -> CppFloor | None:
+    """The floor; None if there is no C++ compiler."""
+    compiler = shutil.which(os.environ.get("CXX", "g++")) or shutil.which("c++")
+    if compiler is None:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        compiled, library = Path(folder) / "floor.o", Path(folder) / "floor.so"
+        # linked without -ffast-math: gcc would make the whole process flush subnormal numbers to zero
+        for step in (
+            [compiler, *FLAGS, str(SOURCE), "-o", str(compiled)],
+            [compiler, "-shared", str(compiled), "-o", str(library)],
+        ):
+            if subprocess.run(step, capture_output=True, check=False).returncode != 0:
+                return None
+        return CppFloor(ctypes.CDLL(str(library)), model, model_from_query, law)
+
 
 PUBLISH_S = 1.0 / 30.0
 RATES_HZ = (1000.0, 4000.0)
@@ -44,7 +111,7 @@ TWO_FIXTURES = FixtureSet(
 
 @dataclass(frozen=True, slots=True)
 class ServoBench:
-    """What `dvf-ig bench --servo` measured.
+    """Result of `dvf-ig bench --servo`.
 
     Attributes:
         rows: lateness of each loop, µs.
@@ -65,7 +132,7 @@ class ServoBench:
 def bench_servo(
     model: DvfModel, seconds: float, seed: int, progress: Callable[[float], None] | None = None
 ) -> ServoBench:
-    """Each loop for so many seconds, one after the other, under the same load."""
+    """Measure each loop for `seconds`, one after the other, under the same load."""
     mesh = model.reference[model.ed_phase]
     fixtures = Fixtures(model, TWO_FIXTURES)
     rows: list[Row] = []
@@ -74,17 +141,17 @@ def bench_servo(
     forced: dict[str, int] = {}
     realtime = True
 
-    def add(name: str, what: str, found: Deadlines, at: int) -> None:
-        rows.append(_row(name, what, found))
-        ticks[what], due[what] = found.ticks, found.ticks + found.skipped
+    def add(name: str, what: str, deadlines: Deadlines, at: int) -> None:
+        rows.append(_row(name, what, deadlines))
+        ticks[what], due[what] = deadlines.ticks, deadlines.ticks + deadlines.skipped
         if progress is not None:
             progress(at / 5.0)
 
     add("machine", "servo floor", _floor(seconds, 1000.0), 1)
     for k, rate_hz in enumerate(RATES_HZ):
         what = f"servo {rate_hz / 1e3:.0f} kHz"
-        found, pushed, granted = _servo(fixtures, mesh, seconds, rate_hz, seed)
-        add("dvf_ig", what, found, k + 2)
+        deadlines, pushed, granted = _servo(fixtures, mesh, seconds, rate_hz, seed)
+        add("dvf_ig", what, deadlines, k + 2)
         forced[what], realtime = pushed, realtime and granted
     add("machine", "servo floor, 4 kHz", _floor(seconds, 4000.0), 4)
     add("python", "servo python thread", _python_thread(fixtures, mesh, seconds, seed), 5)
@@ -101,17 +168,17 @@ def burn(seconds: float, often: Callable[[], None], every_s: float = PUBLISH_S) 
     """
     end = time.monotonic() + seconds
     due = 0.0
-    kept: list[dict[str, object]] = []
+    garbage: list[dict[str, object]] = []
     while (now := time.monotonic()) < end:
         if now >= due:
             often()
             due = now + every_s
-        made: dict[str, object] = {str(k): [k, {"squared": k * k}] for k in range(300)}
-        made["itself"] = made
-        kept.append(made)
+        cycle: dict[str, object] = {str(k): [k, {"squared": k * k}] for k in range(300)}
+        cycle["itself"] = cycle
+        garbage.append(cycle)
         json.loads(json.dumps({str(k): list(range(10)) for k in range(50)}))
-        if len(kept) > 30:
-            kept.clear()
+        if len(garbage) > 30:
+            garbage.clear()
             gc.collect()
 
 
@@ -150,7 +217,7 @@ def _floor(seconds: float, rate_hz: float) -> Deadlines:
 
 
 def _python_thread(fixtures: Fixtures, mesh: Mesh, seconds: float, seed: int) -> Deadlines:
-    """The same fixtures and supervisor stepped by a Python thread of the same priority."""
+    """Step the fixtures and the supervisor from a Python thread of the same priority."""
     path = hand_path(mesh, round(seconds * 1000.0) + 1000, np.random.default_rng(seed))
     pose = np.eye(3, 4)
     late: list[float] = []
@@ -193,7 +260,122 @@ def _steady_transform(model: DvfModel) -> PoseAndPhase:
     return PoseAndPhase(*steady(Rigid.identity(model.frame, "tracker")))
 
 
-def _row(name: str, what: str, found: Deadlines) -> Row:
-    median, p99, p999 = (found.percentile_us(p) for p in (50.0, 99.0, 99.9))
-    note = f"{found.ticks} of {found.ticks + found.skipped} ticks"
-    return Row(name, what, median, p99, p999, found.worst_us, None, 1, note)
+def _row(name: str, what: str, deadlines: Deadlines) -> Row:
+    median, p99, p999 = (deadlines.percentile_us(p) for p in (50.0, 99.0, 99.9))
+    note = f"{deadlines.ticks} of {deadlines.ticks + deadlines.skipped} ticks"
+    return Row(name, what, median, p99, p999, deadlines.worst_us, None, 1, note)
+
+
+POINTS = 10_000
+CALLS = 1000
+"""Points between two readings of the clock."""
+PASSES = 15
+
+Pass = Callable[[int, int], object]
+
+
+@dataclass(frozen=True, slots=True)
+class TickCost:
+    """Rows, and ratios of their medians to the floor's; no ratio without a C++ compiler."""
+
+    rows: tuple[Row, ...]
+    ratios: dict[str, float]
+
+
+def bench_tick(model: DvfModel, seed: int) -> TickCost:
+    """One force and one tick on a hand's path, and one force at random places and phases."""
+    rng = np.random.default_rng(seed)
+    mesh = model.reference[model.ed_phase]
+    back = POSE.inverse()
+    path = np.ascontiguousarray(back.apply_array(hand_path(mesh, POINTS, rng)))
+    anywhere = np.ascontiguousarray(back.apply_array(random_points(mesh, POINTS, rng)))
+    phase = (np.arange(POINTS) / (RATE_HZ * CYCLE_S)) % 1.0
+    anywhen = rng.uniform(size=POINTS)
+    law = Sigmoid()
+    arguments = Evaluator(model, law).kernel_arguments(POSE)
+    passes: dict[str, Pass] = {
+        "one force": batch_of(arguments, path, phase),
+        "one force, random": batch_of(arguments, anywhere, anywhen),
+        "servo tick": _ticks(model, path),
+    }
+    floor = compiled_floor(model, POSE, law)
+    if floor is not None:
+        out = np.empty((POINTS, 4))
+        for what, places, when in (("floor", path, phase), ("floor, random", anywhere, anywhen)):
+            passes[f"C++ {what}"] = partial(_into, floor.forces(places, when), out)
+    spent = _alternating(passes)
+    rows = tuple(
+        row("C++" if what.startswith("C++") else "dvf_ig", what, us, None, calls_per_sample=CALLS)
+        for what, us in spent.items()
+    )
+    median = {one.what: one.median_us for one in rows}
+    ratios = {}
+    if floor is not None:
+        ratios = {
+            "one force / C++ floor": median["one force"] / median["C++ floor"],
+            "one force / C++ floor, random": median["one force, random"] / median["C++ floor, random"],
+            "servo tick / C++ floor": median["servo tick"] / median["C++ floor"],
+        }
+    return TickCost(rows, ratios)
+
+
+def _into(function: Callable[[int, int, FloatArray], None], out: FloatArray, begin: int, end: int) -> None:
+    function(begin, end, out)
+
+
+def _alternating(passes: dict[str, Pass]) -> dict[str, FloatArray]:
+    """µs a call in blocks of CALLS, of each one's fastest pass; they take turns and so see one machine."""
+    best: dict[str, FloatArray] = {}
+    for call in passes.values():
+        call(0, CALLS)
+    for _ in range(PASSES):
+        for what, call in passes.items():
+            spent = np.empty(POINTS // CALLS)
+            for n in range(len(spent)):
+                start = time.perf_counter_ns()
+                call(n * CALLS, (n + 1) * CALLS)
+                spent[n] = time.perf_counter_ns() - start
+            spent /= CALLS * 1e3
+            if what not in best or np.median(spent) < np.median(best[what]):
+                best[what] = spent
+    return best
+
+
+def _ticks(model: DvfModel, tip: FloatArray) -> Pass:
+    """Pose, phase, two fixtures, composition, passivity, saturation, supervision; without device and clock.
+
+    The hand goes to and fro on the first 2 s of its path: a jump to another place would latch the force.
+    """
+    stay = tip[: round(2.0 * RATE_HZ)]
+    tip = np.ascontiguousarray(np.tile(np.concatenate([stay, stay[::-1]]), (3, 1))[: len(tip)])
+    numbers = np.zeros(1)
+    bound = tuple(bind_fixtures(Fixtures(model, TWO_FIXTURES), COMMON_DEVICE, ServoOptions(), 0.0))
+    scratch = tuple(new_scratch(len(TWO_FIXTURES.fixtures)))
+    inputs = ServoInputs(
+        PoseAndPhase(*steady(POSE)), 0.0, Rigid.identity("tracker", "device"), valid_for_s=1e9
+    )
+    values, row_, force = inputs.packed(0.0), np.empty(ROW), np.empty(3)
+
+    def run(i: int, j: int) -> None:
+        tick_batch(bound, scratch, values, tip[i:j], numbers, 1.0 / RATE_HZ, row_, force)
+
+    return run
+
+
+@kernel
+def tick_batch(
+    bound: Any,
+    scratch: Any,
+    inputs: FloatArray,
+    xyz_mm: FloatArray,
+    ticks: FloatArray,
+    period_s: float,
+    row_: FloatArray,
+    force: FloatArray,
+) -> None:
+    """`servo_tick` at (n, 3) positions a period apart; `ticks` counts on."""
+    bound, scratch, inputs, xyz_mm = borrowed(bound), borrowed(scratch), borrowed(inputs), borrowed(xyz_mm)
+    row_, force = borrowed(row_), borrowed(force)
+    for n in range(len(xyz_mm)):
+        unpacked_tick(*bound, inputs, xyz_mm[n], 0, 1.0 + ticks[0] * period_s, 0, *scratch, row_, force)
+        ticks[0] += 1.0

@@ -1,1 +1,1 @@
-"""Faults put into the streams of a session and its servo: what is detected, and what the force does."""
+"""Faults put into a session and its servo."""

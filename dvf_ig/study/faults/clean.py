@@ -16,16 +16,15 @@ from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.guidance import Fixtures, Hazard, SupervisorState
 from dvf_ig.guidance.servo import ServoInputs, SimulatedServo
 from dvf_ig.session import GuidanceState, Session, ToolPose
-from dvf_ig.study.trials import Line, Settings
+from dvf_ig.study.driver import Line, Settings
+from dvf_ig.study.faults.servo_trial import RATE_HZ, FaultyDevice
+from dvf_ig.study.faults.streams import HOME, KnownUltrasound, at_rest, wall_setup
 
-from .faulty_device import RATE_HZ, FaultyDevice
-from .known_ultrasound import KnownUltrasound, at_rest
-from .patient import HOME, wall_setup
 from .servo_trial import PUBLISH_S
 from .streams import Arrivals, InterventionSpec, TipPath, drawn_beats, drawn_ecg, drawn_streams
 
 SECONDS = 1200.0
-"""Of one intervention."""
+"""Length of one intervention."""
 JUST_BEFORE_S = 1e-3
 """A state so long before each pose of the tool, when the last one is oldest, and one at its arrival: the two
 of a session at 1 kHz in which most can be found."""
@@ -77,30 +76,30 @@ def clean_trial(settings: Settings, seed: int) -> Line:
     streams = drawn_streams(spec, samples, seed)
     _lose_single_frames(streams.tool, child_rng(seed, "lost"))
     arrivals = streams.merged()
-    session_alarms, servo_alarms, given = AlarmCount(), AlarmCount(), 0
+    session_alarms, servo_alarms, served = AlarmCount(), AlarmCount(), 0
     device = FaultyDevice(device_mm, np.zeros(len(device_mm), dtype=np.bool_))
     setup = wall_setup()
     servo = SimulatedServo(Fixtures(setup.heart.model, setup.fixtures), device)
     still, states = Rigid.identity("tracker", "device"), 0
-    told: ServoInputs | None = None
+    inputs: ServoInputs | None = None
     with Session(
         setup, ultrasound=lambda buffer: KnownUltrasound(buffer, at_rest, child_rng(seed, "beats"))
     ) as session:
         for state in _states(session, arrivals):
             session_alarms.add(int(state.supervised.hazards), int(state.supervised.state))
             states += 1
-            given += state.supervised.state == SupervisorState.OK
+            served += state.supervised.state == SupervisorState.OK
             if state.now_s - servo.now_s < PUBLISH_S:
                 continue
-            if told is not None:
-                record = servo.run(told, int((state.now_s - servo.now_s) * RATE_HZ))
+            if inputs is not None:
+                record = servo.run(inputs, int((state.now_s - servo.now_s) * RATE_HZ))
                 for hazards, of in zip(record.hazards.tolist(), record.state.tolist(), strict=True):
                     servo_alarms.add(hazards, of)
-            told = ServoInputs(state.transform, state.now_s, still, hazards=state.supervised.hazards)
+            inputs = ServoInputs(state.transform, state.now_s, still, hazards=state.supervised.hazards)
     return {
         "hours": spec.seconds / 3600.0,
         "rate_bpm": float(np.mean([rate for _, rate in spec.rhythm.rate_bpm])),
-        "served_share": given / states,
+        "served_share": served / states,
         "session": session_alarms.counts,
         "servo": servo_alarms.counts,
         "false_alarms": session_alarms.alarms + _own(servo_alarms, session_alarms),
@@ -137,7 +136,7 @@ def _states(session: Session, arrivals: Arrivals) -> Iterator[GuidanceState]:
 
 
 def _intervention(seed: int) -> tuple[InterventionSpec, FloatArray]:
-    """What is recorded, and (n, 3) places of the device in the tracker's frame at RATE_HZ."""
+    """Draw what is recorded, and (n, 3) positions of the device in the tracker's frame at RATE_HZ."""
     rng = child_rng(seed, "clean")
     knots_s = np.arange(0.0, SECONDS + 1.0, 120.0)
     middle = float(rng.uniform(58.0, 100.0))

@@ -1,20 +1,88 @@
-"""One fault at the servo, in simulated time: places of the hand, silent devices and sessions, late ticks."""
+"""One fault at the servo: a device, a session, or deadlines that fail."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numba import carray
 
 from data_synth.seeds import child_rng
 from dvf_ig.core import BoolArray, FloatArray, Rigid
 from dvf_ig.guidance import Fixtures, Hazard, SupervisorState
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, ServoRecord, SimulatedServo
-from dvf_ig.study.passivity.pressing import steady_transform
-from dvf_ig.study.passivity.wall import wall_model
+from dvf_ig.kernels.servo.device_call import device_function
+from dvf_ig.study.faults.session_trial import OUT_MM, TrialTrace
+from dvf_ig.study.passivity import steady_transform, wall_model
 
-from .faulty_device import RATE_HZ, FaultyDevice
-from .session_trial import OUT_MM
-from .trace import TrialTrace
+COUNT, START_NS, WRITTEN, HEADER = 0, 1, 2, 8
+"""Offsets in its context, float64 in an int64 array; then 4 numbers a sample and 4 a write."""
+RATE_HZ = 1000.0
+WRITES_A_SAMPLE = 2
+"""Room for those of the loop and of the watchdog."""
+
+
+@device_function
+def _read(context: Any, now_ns: int, out: Any) -> int:
+    """The sample of that time since the first read; not 0 where the device does not answer."""
+    header = carray(context, HEADER, np.float64)
+    position = carray(out, 3)
+    if header[START_NS] == 0.0:
+        header[START_NS] = float(now_ns)
+    count = int(header[COUNT])
+    at = min(int((now_ns - header[START_NS]) * 1e-9 * RATE_HZ + 1e-6), count - 1)
+    samples = carray(context, HEADER + 4 * count, np.float64)
+    for k in range(3):
+        position[k] = samples[HEADER + 4 * at + k]
+    return int(samples[HEADER + 4 * at + 3])
+
+
+@device_function
+def _write(context: Any, now_ns: int, force_n: Any) -> int:
+    """Note when a force was sent, and the force."""
+    header = carray(context, HEADER, np.float64)
+    force = carray(force_n, 3)
+    count, written = int(header[COUNT]), int(header[WRITTEN])
+    if written >= WRITES_A_SAMPLE * count:
+        return 0
+    log = carray(context, HEADER + 4 * count + 4 * WRITES_A_SAMPLE * count, np.float64)
+    at = HEADER + 4 * count + 4 * written
+    log[at] = (now_ns - header[START_NS]) * 1e-9
+    for k in range(3):
+        log[at + 1 + k] = force[k]
+    header[WRITTEN] = float(written + 1)
+    return 0
+
+
+class FaultyDevice:
+    """A `HapticDevice` of RATE_HZ samples.
+
+    Args:
+        position_mm: (n, 3) frame "device".
+        silent: (n,) True where it does not answer.
+    """
+
+    name, latency_s = "faulty device", 0.0
+
+    def __init__(self, position_mm: FloatArray, silent: BoolArray) -> None:
+        n = len(position_mm)
+        self.functions = np.array([_read.address, _write.address])
+        self.context = np.zeros(HEADER + 4 * n * (1 + WRITES_A_SAMPLE), dtype=np.int64)
+        numbers = self.context.view(np.float64)
+        numbers[COUNT] = n
+        samples = numbers[HEADER : HEADER + 4 * n].reshape(n, 4)
+        samples[:, :3], samples[:, 3] = position_mm, silent
+
+    @property
+    def sent(self) -> FloatArray:
+        """(m, 4) time since the first read, s, and force sent, N, in order of time."""
+        numbers = self.context.view(np.float64)
+        begin = HEADER + 4 * int(numbers[COUNT])
+        return numbers[begin : begin + 4 * int(numbers[WRITTEN])].reshape(-1, 4).copy()
+
+    def close(self) -> None:
+        """Do nothing: nothing is open."""
+
 
 BEGIN_S = 1.0
 """The force has risen by then; the fault begins within 0.1 s from here on."""
@@ -27,7 +95,7 @@ PUBLISH_S = 1.0 / 30.0
 
 @dataclass(slots=True)
 class Servoing:
-    """What a servo is given, tick by tick; faults change it.
+    """Inputs of a servo, tick by tick; faults change them.
 
     Attributes:
         place_mm: (n, 3) of the hand.
@@ -35,7 +103,7 @@ class Servoing:
         late_s: (n,) by which each tick wakes late.
         publishing: (n,) the session speaks.
         options: of the servo.
-        onset: tick with which the fault begins, where that is not the given one.
+        onset: tick with which the fault begins, if not the given one.
     """
 
     place_mm: FloatArray
@@ -77,11 +145,11 @@ class ServoRun:
     rearm_s: float
 
 
-def run_servo_fault(given: ServoFault, seed: int) -> ServoRun:
+def run_servo_fault(fault: ServoFault, seed: int) -> ServoRun:
     """Put a fault into a servo's ticks and run them."""
     rng = child_rng(seed, "servo")
     first = round(RATE_HZ * (BEGIN_S + 0.1 * float(rng.uniform())))
-    last = first + max(1, round(RATE_HZ * given.seconds))
+    last = first + max(1, round(RATE_HZ * fault.seconds))
     rearm = last + round(RATE_HZ * (OUT_AFTER_S + REARM_AFTER_S))
     ticks = rearm + round(RATE_HZ * UNTIL_S)
     servoing = Servoing(
@@ -90,12 +158,12 @@ def run_servo_fault(given: ServoFault, seed: int) -> ServoRun:
         np.zeros(ticks),
         np.ones(ticks, dtype=np.bool_),
     )
-    given.change(servoing, first, last, rng)
+    fault.change(servoing, first, last, rng)
     device = FaultyDevice(servoing.place_mm, servoing.silent)
     record = _run(servoing, device, rearm)
     onset = first if servoing.onset is None else servoing.onset
     begin_s = float(record.t_s[onset] - servoing.late_s[onset])
-    if given.by_energy:
+    if fault.by_energy:
         begin_s = _energy_passes(record, servoing.options)
     end_s, rearm_s = (float(record.t_s[min(k, len(record) - 1)]) for k in (last, rearm))
     return ServoRun(_course(record, device), begin_s, end_s, rearm_s)
@@ -121,9 +189,9 @@ def _run(servoing: Servoing, device: FaultyDevice, rearm: int) -> ServoRecord:
     ticks = len(servoing.late_s)
     if servoing.late_s.any():
         whole = ServoInputs(transform, 0.0, still, valid_for_s=10.0 * ticks / RATE_HZ)
-        asked = [servo.run(whole, rearm, servoing.late_s[:rearm])]
+        before = [servo.run(whole, rearm, servoing.late_s[:rearm])]
         servo.ask_rearm()
-        return _joined([*asked, servo.run(whole, ticks - rearm)])
+        return _joined([*before, servo.run(whole, ticks - rearm)])
     rows, inputs = [], ServoInputs(transform, 0.0, still)
     step = round(RATE_HZ * PUBLISH_S)
     for at in range(0, ticks, step):
@@ -140,7 +208,7 @@ def _joined(records: list[ServoRecord]) -> ServoRecord:
 
 
 def _course(record: ServoRecord, device: FaultyDevice) -> TrialTrace:
-    """What the device was sent: by a tick, or by the watchdog between two of them."""
+    """Forces sent to the device, by ticks and by the watchdog between two ticks."""
     sent = device.sent
     tick = np.searchsorted(record.t_s, sent[:, 0] - 1e-7)
     by_tick = np.abs(record.t_s[np.minimum(tick, len(record) - 1)] - sent[:, 0]) < 1e-6
@@ -160,10 +228,10 @@ def _energy_passes(record: ServoRecord, options: ServoOptions) -> float:
     """When Σ [F_sent − ½(F_k + F_{k−1})]·Δx, never below 0, passes the limit; the wall stands still."""
     moved = np.diff(record.xyz_mm, axis=0)
     ideal = 0.5 * (record.field_n[1:] + record.field_n[:-1])
-    made = ((record.sent_n[:-1] - ideal) * moved).sum(axis=1)
+    energy = ((record.sent_n[:-1] - ideal) * moved).sum(axis=1)
     total = 0.0
     for k in np.flatnonzero(record.t_s[1:] > BEGIN_S).tolist():
-        total = max(0.0, total + float(made[k]))
+        total = max(0.0, total + float(energy[k]))
         if total > options.residual_limit_mj:
             return float(record.t_s[k + 1])
     return float("inf")

@@ -1,26 +1,204 @@
-"""One fault in the streams of a session: states every millisecond around it, and the operator who re-arms."""
+"""One fault in the streams of a session, and the judgement of any fault's trace."""
 
 from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 
 from data_synth.seeds import child_rng
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError, read_only_arrays
+from dvf_ig.guidance import HAZARD_RULES, Hazard, Latch, Response, SupervisorState, withholding
+from dvf_ig.guidance.supervision.supervisor import FADE_S, FAST_FADE_S, LATCH_AFTER_S, SLOW_SLEW_N_PER_S
 from dvf_ig.session import GuidanceState, Rearm, Session, SessionHistory
-
-from .injection.fault import Fault, When
-from .known_ultrasound import Coordinates, KnownUltrasound, at_rest
-from .patient import CENTER, HOME, wall_setup
-from .streams import (
+from dvf_ig.study.faults.injection import Fault, When
+from dvf_ig.study.faults.streams import (
+    CENTER,
+    HOME,
+    Coordinates,
     InterventionSpec,
+    KnownUltrasound,
     Streams,
     TipPath,
+    at_rest,
     circling,
     drawn_beats,
     drawn_ecg,
     drawn_streams,
+    wall_setup,
 )
-from .trace import TrialTrace
+
+NEAR_S = 0.05
+"""A hazard raised this little before the fault counts: noise takes the tip across a border too early."""
+FORCE_N = 0.05
+"""A longer force after it should have gone is given in error."""
+POSE_OFF_MM = 2.5
+"""A patient's motion is over for the force when the pose in use is this near again: two registrations of a
+patient who lies still are (`registration_monitor.JUMP_MM`)."""
+BACK_SHARE = 0.8
+"""The force is back where it reaches this share of the wanted one."""
+
+_FADE_S = {Response.NO_FORCE: 0.0, Response.FAST_FADE: FAST_FADE_S, Response.FADE: FADE_S}
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class TrialTrace:
+    """Steps of one trial.
+
+    Attributes:
+        t_s: (n,).
+        hazards: (n,) bits that were active.
+        state: (n,) SupervisorState values.
+        sent_n, wanted_n: (n,) length of the force.
+        pose_error_mm: (n,) of the pose in use, at the heart's centre.
+    """
+
+    t_s: FloatArray
+    hazards: IntArray
+    state: IntArray
+    sent_n: FloatArray
+    wanted_n: FloatArray
+    pose_error_mm: FloatArray
+
+    def has(self, hazards: Hazard) -> BoolArray:
+        """(n,) whether any of these was active."""
+        return np.asarray((self.hazards & int(hazards)) != 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """Outcome of one fault.
+
+    Attributes:
+        detected_s: from its begin to the first of the row's hazards; infinite never.
+        found: the row's hazards that were raised.
+        early: any hazard before the fault began, but for a pose that moves with the beats.
+        error_n, error_s: largest force after it should have gone, and for how long above FORCE_N; None if
+            the rule lets the force be.
+        latched: the supervisor latched, and `latch_due`: it had to.
+        recovery_s: from the end of the fault, or the re-arm, until the force was back; infinite never, None
+            if it was never gone.
+        slow: while the rule asks for it the force changed by no more than 6 N/s; None if it does not.
+    """
+
+    detected_s: float
+    found: Hazard
+    early: bool
+    error_n: float | None
+    error_s: float | None
+    latched: bool
+    latch_due: bool
+    recovery_s: float | None
+    slow: bool | None
+
+    @property
+    def recovered(self) -> bool:
+        """The force came back, and in the way that the rule says."""
+        returned = self.recovery_s is None or self.recovery_s < inf
+        return returned and self.latched == self.latch_due and self.slow is not False
+
+
+def judge(
+    trace: TrialTrace,
+    expected: Hazard,
+    *,
+    begin_s: float,
+    end_s: float,
+    limit_s: float,
+    rearm_s: float,
+    by_pose: bool = False,
+) -> Judgement:
+    """Judge a trial.
+
+    Args:
+        expected: hazards of the row, any of which detects it.
+        begin_s, end_s: of the fault; limit_s: within which it must be detected.
+        rearm_s: when the operator re-armed.
+        by_pose: the force is wrong while the pose is off, whenever that is over.
+    """
+    t = trace.t_s
+    during = (t >= begin_s) & trace.has(expected)
+    first = int(np.argmax(during)) if during.any() else -1
+    raised = Hazard(int(np.bitwise_or.reduce(trace.hazards[during] & int(expected), initial=0)))
+    before = trace.has(~Hazard.POSE_MOVING)[t < begin_s - NEAR_S].any()
+    gone = _gone_within(trace, expected, first)
+    error_n = error_s = None
+    if raised & withholding(walls=True):  # without a phase the wall stays
+        wrong = (t > begin_s + limit_s + gone) & (t <= end_s)
+        if by_pose:
+            wrong &= trace.pose_error_mm > POSE_OFF_MM
+        error_n = float(trace.sent_n[wrong].max(initial=0.0))
+        error_s = _time(t, wrong & (trace.sent_n > FORCE_N))
+    latched = bool((trace.state == SupervisorState.LATCHED).any())
+    return Judgement(
+        detected_s=float(t[first]) - begin_s if first >= 0 else inf,
+        found=raised,
+        early=bool(before),
+        error_n=error_n,
+        error_s=error_s,
+        latched=latched,
+        latch_due=_latch_due(trace),
+        recovery_s=_recovery_s(trace, begin_s, rearm_s if latched else end_s),
+        slow=_slow(trace),
+    )
+
+
+def _gone_within(trace: TrialTrace, expected: Hazard, first: int) -> float:
+    """The slowest fade of the hazards with which the fault was found."""
+    at = Hazard(int(trace.hazards[first]) & int(expected)) if first >= 0 else Hazard.NONE
+    return max((_FADE_S.get(HAZARD_RULES[h].response, 0.0) for h in at), default=0.0)
+
+
+def _latch_due(trace: TrialTrace) -> bool:
+    """Change that the rules of the active hazards ask for."""
+    late = Hazard.NONE
+    for hazard, rule in HAZARD_RULES.items():
+        if rule.latch is Latch.AT_ONCE and trace.has(hazard).any():
+            return True
+        if rule.latch is Latch.AFTER_1_S:
+            late |= hazard
+    return _longest(trace.t_s, trace.has(late)) >= LATCH_AFTER_S
+
+
+def _recovery_s(trace: TrialTrace, begin_s: float, from_s: float) -> float | None:
+    """Time until the force is back at its expected value, if it was not."""
+    t, expected_n = trace.t_s, trace.wanted_n
+    restored = trace.sent_n > BACK_SHARE * expected_n
+    lacking = (t >= begin_s) & ((trace.state >= SupervisorState.FADE) | ~restored)
+    if not lacking.any():
+        return None
+    last = int(np.flatnonzero(lacking)[-1])
+    if last == len(t) - 1:
+        return inf
+    return max(0.0, float(t[last + 1]) - from_s)
+
+
+def _slow(trace: TrialTrace) -> bool | None:
+    """Force steps under a hazard with that response, against 6 N/s."""
+    slowing = Hazard.NONE
+    for hazard, rule in HAZARD_RULES.items():
+        if rule.response is Response.SLOW:
+            slowing |= hazard
+    active = trace.has(slowing)[1:] & (trace.state[1:] == SupervisorState.DEGRADED)
+    if not active.any():
+        return None
+    rate = np.abs(np.diff(trace.sent_n)) / np.diff(trace.t_s)
+    return bool((rate[active] <= 1.01 * SLOW_SLEW_N_PER_S).all())
+
+
+def _time(t_s: FloatArray, where: BoolArray) -> float:
+    """Time in the steps marked; a step lasts until the next."""
+    return float(np.diff(t_s)[where[:-1]].sum())
+
+
+def _longest(t_s: FloatArray, where: BoolArray) -> float:
+    """The longest stretch without a pause, s."""
+    longest, since = 0.0, None
+    for t, on in zip(t_s.tolist(), where.tolist(), strict=True):
+        since = (t if since is None else since) if on else None
+        longest = max(longest, t - since if since is not None else 0.0)
+    return longest
+
 
 BEGIN_S = 15.0
 """The pose is in use from about 13 s on; the fault begins within a second from here on."""
@@ -73,16 +251,16 @@ class SessionRun:
     rearm_s: float
 
 
-def run_session_fault(given: SessionFault, seed: int) -> SessionRun:
+def run_session_fault(planned: SessionFault, seed: int) -> SessionRun:
     """Put a fault into an intervention and run it."""
-    begin_s = 0.0 if given.from_start else BEGIN_S + float(child_rng(seed, "begin").uniform())
-    begin_s -= BEFORE_REGISTRATION_S if given.on_registration else 0.0
-    when = When(begin_s, begin_s + given.seconds)
-    out_s = when.end_s + given.comes_back_s
+    begin_s = 0.0 if planned.from_start else BEGIN_S + float(child_rng(seed, "begin").uniform())
+    begin_s -= BEFORE_REGISTRATION_S if planned.on_registration else 0.0
+    when = When(begin_s, begin_s + planned.seconds)
+    out_s = when.end_s + planned.comes_back_s
     rearm_s = out_s + REARM_AFTER_S
     until_s = rearm_s + 2.0 * REARM_AFTER_S
-    streams, when = _streams(given.fault, when, out_s, rearm_s, until_s, seed)
-    fault, rng = given.fault, child_rng(seed, "patient")
+    streams, when = _streams(planned.fault, when, out_s, rearm_s, until_s, seed)
+    fault, rng = planned.fault, child_rng(seed, "patient")
     patient = fault.patient(when, rng) if fault.patient is not None else at_rest
     registered = fault.registered(when, rng) if fault.registered is not None else at_rest
     history = SessionHistory()
@@ -91,20 +269,20 @@ def run_session_fault(given: SessionFault, seed: int) -> SessionRun:
         history=history,
         ultrasound=lambda buffer: KnownUltrasound(buffer, patient, child_rng(seed, "beats"), registered),
     ) as session:
-        times = _times(when, until_s, WARM_UP_STEP_S if given.from_start else given.step_s)
+        times = _times(when, until_s, WARM_UP_STEP_S if planned.from_start else planned.step_s)
         trace = _run(session, streams, patient, times, (when.begin_s, rearm_s))
-    if given.on_registration:
-        taken = [a.ready_s for a in history.attempts if when.begin_s <= a.asked_s < when.end_s]
-        if not taken:
+    if planned.on_registration:
+        registered_s = [a.ready_s for a in history.attempts if when.begin_s <= a.asked_s < when.end_s]
+        if not registered_s:
             raise InvalidInputError("no registration was asked for while the fault lasted; give it longer")
-        when = replace(when, begin_s=taken[0])
+        when = replace(when, begin_s=registered_s[0])
     return SessionRun(trace, when.begin_s, when.end_s, rearm_s)
 
 
 def _streams(
     fault: Fault, when: When, out_s: float, rearm_s: float, until_s: float, seed: int
 ) -> tuple[Streams, When]:
-    """What arrives, and when the fault really begins."""
+    """Streams with the fault, and when it really begins."""
     path = fault.tip(when) if fault.tip is not None else circling
     spec = InterventionSpec(until_s + 0.5, tip=_drawn_back(path, out_s, rearm_s))
     beats, rng = drawn_beats(spec, seed), child_rng(seed, "fault")
@@ -183,7 +361,7 @@ def _run(
 
 
 def _pose_error_mm(state: GuidanceState, patient: Coordinates) -> float:
-    """Of the pose in use at the heart's centre; 0 without one."""
+    """Error of the pose in use at the heart's centre; 0 without a pose."""
     if state.transform.pose is None:
         return 0.0
     there = patient(state.now_s)[3:]

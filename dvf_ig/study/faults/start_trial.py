@@ -20,8 +20,7 @@ from dvf_ig.core import DvfIgError, DvfModel, FloatArray, ImageMap, Landmarks, M
 from dvf_ig.io import read_model, read_transform, write_model, write_transform
 from dvf_ig.registration.flipped_axes import require_on_model, require_unflipped
 from dvf_ig.registration.start import start_from_landmarks
-
-from .patient import HOME, wall_heart
+from dvf_ig.study.faults.streams import HOME, wall_heart
 
 RAS = np.array([-1.0, -1.0, 1.0])
 TOUCH_MM, MARK_MM = 2.0, 2.0
@@ -78,14 +77,14 @@ def _landmarks(seed: int, *, on_axis: bool) -> tuple[DvfModel, Landmarks, Landma
         reference=(surface,) * model.phases,
         reference_caps=(np.zeros(len(surface.triangles), dtype=np.bool_),) * model.phases,
     )
-    given = heart.landmarks()
-    there = given.points.xyz_mm - off
+    landmarks = heart.landmarks()
+    there = landmarks.points.xyz_mm - off
     marked = there + MARK_MM * rng.standard_normal(there.shape)
     touched = HOME.inverse().apply_array(there) + TOUCH_MM * rng.standard_normal(there.shape)
     return (
         model,
-        Landmarks(given.names, Points("mr", marked)),
-        Landmarks(given.names, Points("tracker", touched)),
+        Landmarks(landmarks.names, Points("mr", marked)),
+        Landmarks(landmarks.names, Points("tracker", touched)),
     )
 
 
@@ -171,7 +170,7 @@ def of_patient(name: str) -> Start:
 
 
 def with_bytes_changed(count: int) -> Start:
-    """A model's file of which so many bytes were changed after it was written."""
+    """Start with a model file of which `count` bytes were changed after it was written."""
 
     def start(seed: int) -> None:
         rng = child_rng(seed, "bytes")

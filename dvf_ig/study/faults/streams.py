@@ -1,7 +1,12 @@
-"""The streams of one clean intervention: ECG, tool and probe as stamped, and when each part arrives."""
+"""Streams of an intervention at a flat wall: ECG, tool, frames, and an ultrasound whose pose is known.
+
+What they arrive as, when, and how jittered; the patient's heart is a wall, and images are replaced by what
+they would say about the pose.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from heapq import merge
 from operator import itemgetter
 
@@ -12,10 +17,219 @@ from data_synth.seeds import child_rng
 from data_synth.signals.ecg import EcgSpec, synthetic_ecg
 from data_synth.signals.rhythm import Beats, RhythmSpec, beat_series
 from data_synth.signals.tracker import TrackerSpec, sampling_times, tracked
-from dvf_ig.core import FloatArray, PoseStream, read_only_arrays
-from dvf_ig.session import EcgSamples, Event, ToolPose, TrackedFrame
+from dvf_ig.cardiac import RPeak
+from dvf_ig.core import (
+    FloatArray,
+    Grid,
+    ImageMap,
+    Points,
+    PoseStream,
+    Rigid,
+    Stop,
+    mean_displacement_mm,
+    read_only_arrays,
+)
+from dvf_ig.registration import (
+    BeatMeasurement,
+    Evidence,
+    Gated,
+    ImageStatistics,
+    ModelChannels,
+    PoseChart,
+    RegistrationOptions,
+    RegistrationResult,
+)
+from dvf_ig.session import (
+    BeatEvaluation,
+    CalibrationsInUse,
+    EcgSamples,
+    EcgSource,
+    Event,
+    GatedFrames,
+    Heart,
+    SessionSetup,
+    ToolPose,
+    TrackedFrame,
+)
+from dvf_ig.session.executor import Job, answered
+from dvf_ig.session.ultrasound.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
+from dvf_ig.session.ultrasound.frame_buffer import FrameBuffer
+from dvf_ig.session.ultrasound.gated_frames import MIN_FRAMES
+from dvf_ig.session.ultrasound.ultrasound_source import RegistrationAnswer, RegistrationRequest
+from dvf_ig.study.passivity import wall_model
 
-from .patient import ECG_HZ, HOME, TIP
+AMPLITUDE_MM = 5.0
+MODEL_RR_S = 0.8
+CENTER = np.zeros(3)
+HOME = Rigid.from_rotation_vector([0.3, -0.5, 0.8], [60.0, -30.0, 12.0], "mr", "tracker")
+"""mr_from_tracker of a patient at rest."""
+TIP = Points("tool", np.array([[10.0, 0.0, 150.0]]))
+LAG_S = -0.06
+ECG_HZ = 250.0
+
+
+@lru_cache(maxsize=1)
+def wall_heart() -> Heart:
+    """The wall, with channels that say when in the cycle it is known, and nothing else."""
+    model = wall_model(AMPLITUDE_MM, rr_s=MODEL_RR_S)
+    grid = Grid.axis_aligned("mr", (2, 2, 2), np.zeros(3), 1.0)
+    channels = ModelChannels(grid, np.zeros((20, 2, 2, 2, 2), dtype=np.float32), np.arange(20) / 20)
+    return Heart(model, channels, channels, CENTER, None)
+
+
+def wall_setup() -> SessionSetup:
+    """A session that starts 3 mm from where the patient is."""
+    probe_from_image = ImageMap(Rigid.identity("probe", "image"), np.array([4.0, 4.0]))
+    calibrations = CalibrationsInUse(probe_from_image, LAG_S, TIP)
+    start = pose_at(np.array([0.0, 0.0, 0.0, 3.0, 0.0, 0.0]))
+    return SessionSetup(wall_heart(), calibrations, EcgSource(ECG_HZ), start=start)
+
+
+def pose_at(coordinates: FloatArray) -> Rigid:
+    """mr_from_tracker at (6,) coordinates about HOME, mm (`PoseChart`)."""
+    return PoseChart(HOME, CENTER).pose(coordinates)
+
+
+SIGMA_MM = 0.8
+"""A beat tells each coordinate of the pose so well, as it says of itself."""
+NOISE_MM = 0.25
+"""Standard deviation of what it says, a coordinate."""
+FEWEST_FRAMES = 4
+"""Duration of a beat that can be compared."""
+
+Coordinates = Callable[[float], FloatArray]
+"""Time to the six coordinates of a pose about that at rest, mm."""
+
+
+def at_rest(t_s: float) -> FloatArray:
+    """The patient does not move."""
+    return np.zeros(6)
+
+
+@dataclass(frozen=True, slots=True)
+class KnownBeat:
+    """A beat whose ultrasound shows where the patient was half-way through it."""
+
+    begin_s: float
+    end_s: float
+    detected_s: float
+    pose: Rigid
+
+    def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation:
+        """Compare the beat with a pose."""
+        information = np.eye(6) / SIGMA_MM**2
+        offset = PoseChart(pose, center_mm).coordinates(self.pose)
+        measurement = BeatMeasurement(
+            pose=pose,
+            best=self.pose,
+            offset_information_mm=information @ offset,
+            information=information,
+            similarity=0.4,
+            best_similarity=0.6,
+            log_likelihood_ratio=float(0.5 * offset @ information @ offset),
+            wrong_pose_log_ratio=12.0,
+            moved_mm=mean_displacement_mm(pose, self.pose, center_mm),
+            overlap=1.0,
+            evaluations=1,
+        )
+        return BeatEvaluation(
+            begin_s=self.begin_s,
+            end_s=self.end_s,
+            detected_s=self.detected_s,
+            decided_s=self.detected_s + BEAT_COMPUTE_S,
+            frames=10,
+            measurement=measurement,
+            in_use=in_use,
+            seconds=0.0,
+            view_mm=np.zeros((3, 3)),
+        )
+
+
+class KnownUltrasound:
+    """An `UltrasoundSource` on the frames that have arrived.
+
+    Args:
+        buffer: of the session.
+        patient: where the patient is.
+        rng: of what beats say.
+        registered: where registrations are off to, by the time at which they are asked for.
+    """
+
+    def __init__(
+        self,
+        buffer: FrameBuffer,
+        patient: Coordinates,
+        rng: np.random.Generator,
+        registered: Coordinates = at_rest,
+    ) -> None:
+        self._buffer, self._patient, self._rng = buffer, patient, rng
+        self._registered = registered
+
+    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationAnswer]:
+        """Where the patient was on average over the frames."""
+        event_s = self._shown_s(request.from_s, request.until_s, known_s)
+        if not len(event_s):
+            return answered(RegistrationAnswer(None, None, "no ultrasound image has arrived"))
+        n, index = len(event_s), np.arange(len(event_s), dtype=np.int64)
+        turns = np.tile(np.eye(3), (n, 1, 1))
+        frames = GatedFrames(0, 0, Gated(index, {}), index, event_s, np.zeros(n), turns, np.zeros((n, 3)))
+        if n < MIN_FRAMES:
+            return answered(RegistrationAnswer(frames, None))
+        mean = np.mean([self._patient(t_s) for t_s in event_s.tolist()], axis=0)
+        there = mean + self._registered(request.until_s) + self._noise()
+        return answered(RegistrationAnswer(frames, _registration(pose_at(there))))
+
+    def beat(
+        self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool
+    ) -> Job[ComparedBeat]:
+        """Where the patient was half-way through the beat."""
+        begin, end = peaks[-2:]
+        if len(self._shown_s(begin.t_s, end.t_s, known_s)) < FEWEST_FRAMES:
+            return answered(ComparedBeat(None, None, irregular=False))
+        there = pose_at(self._patient(0.5 * (begin.t_s + end.t_s)) + self._noise())
+        beat = KnownBeat(begin.t_s, end.t_s, end.detected_at_s, there)
+        compared = None if pose is None else beat.evaluate_beat(pose, CENTER, in_use=in_use)
+        return answered(ComparedBeat(beat, compared, irregular=False))
+
+    def _noise(self) -> FloatArray:
+        return NOISE_MM * self._rng.standard_normal(6)
+
+    def _shown_s(self, from_s: float, until_s: float, known_s: float) -> FloatArray:
+        """Event times of tracked frames with an image."""
+        part = self._buffer.between(from_s - max(0.0, LAG_S), known_s)
+        if part is None:
+            return np.zeros(0)
+        sequence, _ = part
+        event_s = sequence.t_s + LAG_S
+        shown = sequence.image_valid & sequence.stream("tracker", "probe").valid
+        return np.asarray(event_s[shown & (event_s >= from_s) & (event_s < until_s)])
+
+
+def _registration(pose: Rigid) -> RegistrationResult:
+    """A registration that ended at `pose` and found nothing against itself."""
+    covariance = np.diag([(0.4 / 40) ** 2] * 3 + [0.4**2] * 3)
+    return RegistrationResult(
+        target_from_source=pose,
+        stop=Stop.CONVERGED,
+        success_probability=1.0,
+        tre_bound_mm=2.0,
+        covariance=covariance,
+        noise_covariance=covariance,
+        center_mm=CENTER,
+        similarity=0.6,
+        start_similarity=0.5,
+        overlap=1.0,
+        evidence=Evidence(z_score=10.0, split_half_mm=0.2, phase_mm=0.5),
+        statistics=ImageStatistics(0.3, 0.8, 0.8, 0.9, 48.0, 30.0, 25.0, 0.6, 1.0, 300.0),
+        outside="",
+        second_best=0.0,
+        moved_mm=1.0,
+        evaluations=1,
+        seconds=1.0,
+        slices=48,
+        options=RegistrationOptions(),
+    )
+
 
 TOOL_HZ, FRAME_HZ = 100.0, 12.0
 TOOL_LATE_S, FRAME_LATE_S, ECG_LATE_S = 0.003, 0.030, 0.004
@@ -25,7 +239,7 @@ ARRIVAL_JITTER_S = 0.0005
 TOOL_TRACKER = TrackerSpec(rate_hz=TOOL_HZ, position_mm=0.1, rotation_deg=0.05)
 PROBE_TRACKER = TrackerSpec(rate_hz=FRAME_HZ)
 DEPTH_MM = 9.0
-"""Of the tip in the model, along the normal of the wall, which moves from 0 to 5 mm."""
+"""Range of the tip in the model, along the normal of the wall, which moves from 0 to 5 mm."""
 CIRCLE_MM, CIRCLE_RAD_S = 10.0, 3.0
 """The tip moves along the wall at 30 mm/s."""
 
@@ -39,7 +253,7 @@ TipPath = Callable[[FloatArray], FloatArray]
 @read_only_arrays
 @dataclass(frozen=True, slots=True)
 class InterventionSpec:
-    """What is recorded.
+    """Recorded intervention.
 
     Attributes:
         seconds: length.
@@ -58,7 +272,7 @@ class InterventionSpec:
 
 @dataclass(slots=True)
 class Streams:
-    """What arrives in one intervention; faults change the lists."""
+    """Arrivals of one intervention; faults change the lists."""
 
     tool: Arrivals
     frames: Arrivals
@@ -146,7 +360,7 @@ def _frames(spec: InterventionSpec, fast: float, rng: np.random.Generator) -> Ar
 
 
 def _matrices(stream: PoseStream) -> list[FloatArray | None]:
-    """(4, 4) each, read-only; None where the status was not OK."""
+    """(4, 4) each, read-only; None if the status was not OK."""
     matrices = np.tile(np.eye(4), (len(stream), 1, 1))
     matrices[:, :3, :3], matrices[:, :3, 3] = stream.rotations, stream.translations_mm
     matrices.setflags(write=False)

@@ -8,7 +8,7 @@ hearts (cross-fitting in FOLDS). Fitted are, for each kind of images, the tables
 2. isotonic regression (pool adjacent violators) of success on the cross-fitted prediction;
 3. the split-conformal 95 % quantile of its residuals, one trial a heart;
 4. the prediction above which a pose is refused: 1 − GOOD_REFUSED of the good poses lie below;
-5. the covariance's scale: gamma regression of the squared error, then so much more or less that the region
+5. the covariance's scale: gamma regression of the squared error, then scaled until the region
    of LEVEL holds as many cross-fitted trials;
 6. ranges of the image statistics.
 """
@@ -23,29 +23,30 @@ from scipy.stats import chi2
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError
 from dvf_ig.registration.evidence.assessment import FEATURES, SUCCESS_MM, logarithms
-from dvf_ig.study.trials import Line
+from dvf_ig.study.driver import Line
 
 FOLDS = 5
 LEAST_HEARTS = 20
-"""Of one kind, below which nothing is fitted."""
+"""Hearts of one kind below which nothing is fitted."""
 CONFIDENCE = 0.95
 LEVEL = 0.9
-"""Of the region by which the covariance is scaled: of sixty trials only three lie beyond one of 95 %."""
+"""Level of the region that scales the covariance: of sixty trials only three lie beyond one of 95 %."""
 DEGREES_OF_FREEDOM = 6
 GOOD_REFUSED = 0.04
 """Share of poses below SUCCESS_MM that the prediction may refuse: with the checks' limits, at most 5 %."""
 DISTURBED_WEIGHT = 0.2
-"""Of a trial with drawn errors of calibration and clock beside one without: how careless interventions are is
-not known; they are taken for the lesser part."""
+"""Weight of a trial with drawn errors of calibration and clock, relative to one without: it is not known how
+careless interventions are; such errors are taken to be the lesser part."""
 HUBER = 1.345
-"""Residuals beyond so many standard deviations count linearly (Huber 1981)."""
+"""Standard deviations beyond which residuals count linearly (Huber 1981)."""
 RIDGE = 0.02
-"""Of the weights, in squared standard deviations of a feature: checks that say alike share their weight."""
+"""Ridge of the weights, in squared standard deviations of a feature: like checks share their weight."""
 SCALE_RIDGE = 1.0
-"""Of the weights of the covariance's scale, in trials, for features of standard deviation 1. On 65 threshold
-hearts 0.3 and 3 have the same coverage and a mean χ² of 5.7 and 5.4 calm, 6.0 and 6.3 with poor images."""
+"""Ridge of the weights of the covariance's scale, in trials, for features of standard deviation 1. On 65
+threshold hearts 0.3 and 3 have the same coverage and a mean χ² of 5.7 and 5.4 calm, 6.0 and 6.3 with poor
+images."""
 RANGE_MARGIN = 0.25
-"""Of the range of an image statistic over the hearts, beyond either end."""
+"""Share of the range of an image statistic over the hearts that is added at either end."""
 JUDGED_LATER = ("DOUBTFUL", "CONVERGED")
 """Stops of poses that no check refused by its own limit: the others come before the tables."""
 
@@ -59,11 +60,11 @@ def fit_tables(lines: Sequence[Line]) -> dict[str, Any]:
     Raises:
         InvalidInputError: no kind has enough hearts, or a line lacks a field.
     """
-    done = [line for line in lines if "refused" not in line]
-    kinds = sorted({str(line["images"]) for line in done})
+    completed = [line for line in lines if "refused" not in line]
+    kinds = sorted({str(line["images"]) for line in completed})
     tables = {}
     for kind in kinds:
-        of_kind = [line for line in done if line["images"] == kind]
+        of_kind = [line for line in completed if line["images"] == kind]
         if len({_heart(line) for line in of_kind}) >= LEAST_HEARTS:
             tables[kind] = fit_table(of_kind)
     if not tables:
@@ -88,15 +89,15 @@ def fit_table(lines: Sequence[Line]) -> dict[str, Any]:
     weight = np.where(disturbed, DISTURBED_WEIGHT, 1.0)
     weight = weight / np.bincount(hearts, weight)[hearts]
     low, high, missing = feature_limits(x, success)
-    known = np.clip(np.where(np.isnan(x), missing, x), low, high)
+    features = np.clip(np.where(np.isnan(x), missing, x), low, high)
     target = np.log(np.clip(error, 0.1, 100.0))
-    predicted = cross_fitted(known, target, weight, hearts)
-    intercept, weights = fit_error(known, target, weight)
+    predicted = cross_fitted(features, target, weight, hearts)
+    intercept, weights = fit_error(features, target, weight)
     at, chance = isotonic(predicted[passed], success[passed], weight[passed])
     good = passed & success
     refused = ~passed
     squared = _squared_errors(lines, passed & ~disturbed)
-    scale_intercept, scale_weights = fit_scale(known, squared, weight, hearts)
+    scale_intercept, scale_weights = fit_scale(features, squared, weight, hearts)
     return {
         "hearts": int(hearts.max()) + 1,
         "trials": len(lines),
@@ -159,9 +160,9 @@ def cross_fitted(x: FloatArray, target: FloatArray, weight: FloatArray, hearts: 
     """(n,) prediction for each trial from a fit on other hearts."""
     fold, out = _fold_of(hearts), np.empty(len(target))
     for k in range(FOLDS):
-        held = fold == k
-        offset, weights = fit_error(x[~held], target[~held], weight[~held])
-        out[held] = offset + x[held] @ weights
+        held_out = fold == k
+        offset, weights = fit_error(x[~held_out], target[~held_out], weight[~held_out])
+        out[held_out] = offset + x[held_out] @ weights
     return out
 
 
@@ -197,7 +198,7 @@ def _quantile(values: FloatArray, weight: FloatArray, share: float) -> float:
 
 
 def conformal_quantile(residual: FloatArray, hearts: IntArray, weight: FloatArray) -> float | None:
-    """The ⌈(n + 1)·0.95⌉-th smallest of n residuals, one trial a heart; None where n is too small.
+    """The ⌈(n + 1)·0.95⌉-th smallest of n residuals, one trial a heart; None if n is too small.
 
     Each heart's trials share one mass: a weighted quantile with the mass of one new heart at infinity.
     """
@@ -241,9 +242,9 @@ def fit_scale(
     )
     left = np.empty(len(ratio))
     for k in range(FOLDS):
-        held = fold == k
-        intercept, weights = gamma_regression(x[~held], ratio[~held], own[~held])
-        left[held] = ratio[held] * np.exp(-intercept - x[held] @ weights)
+        held_out = fold == k
+        intercept, weights = gamma_regression(x[~held_out], ratio[~held_out], own[~held_out])
+        left[held_out] = ratio[held_out] * np.exp(-intercept - x[held_out] @ weights)
     intercept, weights = gamma_regression(x, ratio, own)
     region = float(chi2.ppf(LEVEL, DEGREES_OF_FREEDOM)) / DEGREES_OF_FREEDOM
     return intercept + math.log(_quantile(left, own, LEVEL) / region), weights
@@ -267,9 +268,9 @@ def gamma_regression(x: FloatArray, ratio: FloatArray, weight: FloatArray) -> tu
 
     least = np.where(np.array(FEATURES) == "predicted_mm", -2.0, 0.0) * size
     bounds = [(None, None), *((low, None) for low in least.tolist())]
-    found = minimize(loss, np.zeros(x.shape[1] + 1), method="L-BFGS-B", bounds=bounds).x
-    weights = found[1:] / size
-    return float(found[0] - mean @ weights), weights
+    solution = minimize(loss, np.zeros(x.shape[1] + 1), method="L-BFGS-B", bounds=bounds).x
+    weights = solution[1:] / size
+    return float(solution[0] - mean @ weights), weights
 
 
 def _ranges(statistics: Sequence[dict[str, float]], hearts: int) -> dict[str, Any]:

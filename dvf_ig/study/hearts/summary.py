@@ -1,4 +1,4 @@
-"""What trials on hearts say together; the unit is the heart.
+"""Summary and table of the trials on hearts; the unit is the heart.
 
 Shares have Wilson intervals, percentiles bootstrap intervals over hearts (Efron and Tibshirani 1993, ch. 13),
 both of 95 %. Where a heart has several trials, hearts are resampled with all of theirs, and a share's
@@ -15,24 +15,24 @@ import numpy as np
 from scipy.stats import chi2
 
 from dvf_ig.core import FloatArray
-from dvf_ig.study.registration.line import FAILURE_MM, SUCCESS_MM
-from dvf_ig.study.registration.summary import auc_of
-from dvf_ig.study.share import Share, share_of
-from dvf_ig.study.trials import Line
+from dvf_ig.study.driver import Line, Rows
+from dvf_ig.study.statistics import (
+    FAILURE_MM,
+    SUCCESS_MM,
+    Estimate,
+    Share,
+    auc_of,
+    bootstrap,
+    calibration_error,
+    calibration_error_by_chance,
+    estimate_text,
+    median_of,
+    number_text,
+    share_of,
+    share_text,
+)
 
 COVERAGE = 0.95
-RESAMPLES = 2000
-LEAST_HEARTS = 2
-"""Fewer have no interval."""
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A statistic over hearts with its bootstrap 95 % interval; None of too few."""
-
-    value: float | None
-    low: float | None
-    high: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,14 +47,14 @@ class HeartGroup:
         target_p95_mm, target_max_mm: 95th percentile over hearts of each heart's 95th percentile over its
             targets, and of its largest.
         floor_median_mm, floor_p95_mm: over hearts, of the error that no rigid registration removes; without a
-            value in the first world, which does not tell it.
+            value in the first world, which does not state it.
         bad_refused: of hearts with an error above FAILURE_MM; good_refused: of those below SUCCESS_MM.
-        chi2_mean: of the squared error by the stated covariance, 6 where that is right.
+        chi2_mean: of the squared error by the stated covariance, 6 if that is right.
         region_covers: of hearts whose true pose lies in the stated 95 % region.
         bound_covers: of hearts whose largest error over the targets stays below `tre_bound_mm`.
         bound_median_mm: of the bounds.
         calibration_error: mean difference between stated probability and success over tenths of it.
-        calibration_error_by_chance: what so many trials show on average where the probabilities are right.
+        calibration_error_by_chance: its mean if the probabilities are right.
         auc: chance that a success has a higher stated probability than a failure.
         outside: hearts for which no probability was stated.
         seconds_median: of one registration.
@@ -96,66 +96,15 @@ def summarise_hearts(lines: Sequence[Line]) -> list[HeartGroup]:
     return [_group(key, of) for key, of in groups.items()]
 
 
-def bootstrap(
-    values: Sequence[float], statistic: Callable[..., Any], hearts: Sequence[int] | None = None
-) -> Estimate:
-    """A statistic of values and its percentile interval over resampled hearts.
-
-    Args:
-        statistic: of an array along `axis`, for example np.median.
-        hearts: which heart each value is of; one each without.
-    """
-    known = np.array(values, dtype=np.float64)
-    if len(known) == 0:
-        return Estimate(None, None, None)
-    value = float(statistic(known, axis=0))
-    own = np.unique(range(len(known)) if hearts is None else hearts, return_inverse=True)[1].ravel()
-    count = int(own.max()) + 1
-    if count < LEAST_HEARTS:
-        return Estimate(value, None, None)
-    drawn = np.random.default_rng(0).integers(0, count, size=(RESAMPLES, count))
-    if count == len(known):
-        resampled = statistic(known[np.argsort(own)][drawn], axis=1)
-    else:
-        members = [known[own == heart] for heart in range(count)]
-        resampled = [statistic(np.concatenate([members[heart] for heart in row]), axis=0) for row in drawn]
-    low, high = np.percentile(resampled, [2.5, 97.5])
-    return Estimate(value, float(low), float(high))
-
-
-def calibration_error(stated: Sequence[float], succeeded: Sequence[bool]) -> float | None:
-    """Mean difference of stated probability and success, by tenths of the probability; None of nothing.
-
-    Source: expected calibration error, Naeini et al. 2015.
-    """
-    if not stated:
-        return None
-    p, good = np.array(stated), np.array(succeeded, dtype=np.float64)
-    tenth = np.minimum((10 * p).astype(int), 9)
-    apart = [abs(float((p - good)[tenth == t].sum())) for t in np.unique(tenth)]
-    return sum(apart) / len(p)
-
-
-def calibration_error_by_chance(stated: Sequence[float]) -> float | None:
-    """`calibration_error` on average over draws of success with the stated probabilities; None of nothing."""
-    if not stated:
-        return None
-    p = np.array(stated)
-    drawn = np.random.default_rng(0).random((RESAMPLES, len(p))) < p
-    tenth = np.minimum((10 * p).astype(int), 9)
-    apart = [np.abs((p - drawn)[:, tenth == t].sum(axis=1)) for t in np.unique(tenth)]
-    return float(np.sum(apart, axis=0).mean() / len(p))
-
-
 def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
     world, images, quality, disturbed = key
-    done = [line for line in lines if "refused" not in line]
-    stated = [line for line in done if line["success_probability"] is not None]
-    bounded = [line for line in done if line.get("tre_bound_mm") is not None]
-    placed = [line for line in done if line["chi2"] is not None]
-    floored = [line for line in done if line.get("floor_mm") is not None]
-    bad = [line for line in done if line["tre_mm"] > FAILURE_MM]
-    good = [line for line in done if line["tre_mm"] < SUCCESS_MM]
+    completed = [line for line in lines if "refused" not in line]
+    stated = [line for line in completed if line["success_probability"] is not None]
+    bounded = [line for line in completed if line.get("tre_bound_mm") is not None]
+    placed = [line for line in completed if line["chi2"] is not None]
+    floored = [line for line in completed if line.get("floor_mm") is not None]
+    bad = [line for line in completed if line["tre_mm"] > FAILURE_MM]
+    good = [line for line in completed if line["tre_mm"] < SUCCESS_MM]
     region = float(chi2.ppf(COVERAGE, 6))
     return HeartGroup(
         world=str(world),
@@ -164,12 +113,12 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
         disturbed=bool(disturbed),
         hearts=len({line["heart"] for line in lines}),
         trials=len(lines),
-        failed=len(lines) - len(done),
+        failed=len(lines) - len(completed),
         success=_share(lines, lambda line: "refused" not in line and line["tre_mm"] < SUCCESS_MM),
-        tre_median_mm=_over_hearts(done, "tre_mm", np.median),
-        tre_p95_mm=_over_hearts(done, "tre_mm", _p95),
-        target_p95_mm=_over_hearts(done, "tre_p95_mm", _p95),
-        target_max_mm=_over_hearts(done, "tre_max_mm", _p95),
+        tre_median_mm=_over_hearts(completed, "tre_mm", np.median),
+        tre_p95_mm=_over_hearts(completed, "tre_mm", _p95),
+        target_p95_mm=_over_hearts(completed, "tre_p95_mm", _p95),
+        target_max_mm=_over_hearts(completed, "tre_max_mm", _p95),
         floor_median_mm=_over_hearts(floored, "floor_mm", np.median),
         floor_p95_mm=_over_hearts(floored, "floor_mm", _p95),
         bad_refused=_share(bad, _is_refused),
@@ -177,14 +126,14 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
         chi2_mean=_over_hearts(placed, "chi2", np.mean),
         region_covers=_share(placed, lambda line: line["chi2"] <= region),
         bound_covers=_share(bounded, lambda line: line["tre_max_mm"] <= line["tre_bound_mm"]),
-        bound_median_mm=_median([line["tre_bound_mm"] for line in bounded]),
+        bound_median_mm=median_of([line["tre_bound_mm"] for line in bounded]),
         calibration_error=calibration_error(
             [line["success_probability"] for line in stated], [line["tre_mm"] < SUCCESS_MM for line in stated]
         ),
         calibration_error_by_chance=calibration_error_by_chance(_probabilities(stated)),
         auc=auc_of(_probabilities(bad), _probabilities(good)),
-        outside=len(done) - len(stated),
-        seconds_median=_median([line["seconds"] for line in done]),
+        outside=len(completed) - len(stated),
+        seconds_median=median_of([line["seconds"] for line in completed]),
     )
 
 
@@ -197,7 +146,7 @@ def _p95(values: FloatArray, axis: int) -> FloatArray:
 
 
 def _share(lines: Sequence[Line], true: Callable[[Line], bool]) -> Share:
-    """Of trials, with the interval of as many as there are hearts."""
+    """Share of trials, with the interval of as many trials as there are hearts."""
     return share_of(sum(map(true, lines)), len(lines), len({line["heart"] for line in lines}))
 
 
@@ -210,5 +159,32 @@ def _probabilities(lines: Sequence[Line]) -> list[float]:
     return [math.nan if p is None else float(p) for p in stated]
 
 
-def _median(values: Sequence[float]) -> float | None:
-    return float(np.median(values)) if values else None
+def hearts_table(groups: Sequence[HeartGroup]) -> Rows:
+    """One column a group, one row a figure."""
+    figures: dict[str, Callable[[HeartGroup], str]] = {
+        "hearts": lambda g: str(g.hearts),
+        "trials (failed)": lambda g: f"{g.trials} ({g.failed})",
+        "below 2 mm": lambda g: share_text(g.success),
+        "TRE median mm": lambda g: estimate_text(g.tre_median_mm),
+        "TRE p95 mm": lambda g: estimate_text(g.tre_p95_mm),
+        "per-target p95 mm": lambda g: estimate_text(g.target_p95_mm),
+        "TRE with true matches, median mm": lambda g: estimate_text(g.floor_median_mm),
+        "TRE with true matches, p95 mm": lambda g: estimate_text(g.floor_p95_mm),
+        "above 3 mm refused": lambda g: share_text(g.bad_refused),
+        "below 2 mm refused": lambda g: share_text(g.good_refused),
+        "chi² of 6, mean": lambda g: estimate_text(g.chi2_mean),
+        "95 % region covers": lambda g: share_text(g.region_covers),
+        "TRE bound covers": lambda g: share_text(g.bound_covers),
+        "TRE bound median mm": lambda g: number_text(g.bound_median_mm),
+        "calibration error": lambda g: number_text(g.calibration_error),
+        "by chance alone": lambda g: number_text(g.calibration_error_by_chance),
+        "AUC": lambda g: number_text(g.auc),
+        "outside calibration": lambda g: str(g.outside),
+        "seconds": lambda g: number_text(g.seconds_median),
+    }
+    rows = [(label, *(figure(g) for g in groups)) for label, figure in figures.items()]
+    return [("", *(_heading(g) for g in groups)), *rows]
+
+
+def _heading(group: HeartGroup) -> str:
+    return f"{group.images}, {group.quality}" + (", disturbed" if group.disturbed else "")

@@ -1,1 +1,1 @@
-"""Simulated operators at the evaluation tasks of Ren 2008, with and without the fixtures' force."""
+"""Simulated operators at the evaluation tasks of Ren 2008."""

@@ -1,25 +1,273 @@
-"""One operator at one task in closed loop: hand, device, servo, fixture, in simulated time at 1 kHz."""
+"""One operator at one task in closed loop: hand, device, servo, fixture, in simulated time at 1 kHz.
+
+Here are also the conditions of the tasks (whether the force is felt, and what is wrong with it), the heart
+that the operators work on, true and as the fixture knows it, and lines that ride on its beating surface.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
+from data_synth.heart.motion import MotionPreset
+from data_synth.operator.contact import MovingSurface
+from data_synth.operator.contact_sites import Site
 from data_synth.operator.felt_force import LearntForce
 from data_synth.operator.fulcrum import Fulcrum
 from data_synth.operator.held_instrument import HeldInstrument, Stylus
 from data_synth.operator.operator_spec import OperatorSpec, drawn_operator
 from data_synth.operator.simulated_operator import RATE_HZ, SimulatedOperator
-from dvf_ig.core import FloatArray, Rigid, read_only_arrays
-from dvf_ig.guidance import DEVICES, FixtureOptions, Fixtures, FixtureSet, Law
+from data_synth.seeds import child_rng
+from dvf_ig.core import DvfModel, FloatArray, Rigid, read_only_arrays
+from dvf_ig.guidance import DEVICES, FixtureOptions, Fixtures, FixtureSet, Law, PoseAndPhase
 from dvf_ig.guidance.devices.protocol import HapticDevice
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, SimulatedServo
 from dvf_ig.guidance.supervision.supervisor import SupervisorState
-from dvf_ig.study.stylus.holding import FASTEST_MM_S
+from dvf_ig.study.passivity import steady_transform
+from dvf_ig.study.tracking.stylus import FASTEST_MM_S, BeatingSurface, beating_surface
 
-from .conditions import Condition
-from .heart import OperatingHeart
+NO_HAPTICS = "visual only"
+HAPTICS = "visual + haptic"
+UNATTENDED = "haptic, not attended to"
+"""The force moves the hand, and the operator makes nothing of it: what the fixture does by itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """One way to do a task.
+
+    Attributes:
+        name: in tables.
+        haptic: the device's motors are on.
+        beating: the heart beats; else it stands still at end-diastole.
+        noise: factor on the operator's errors of depth.
+        attends: the operator takes felt force for what it says of depth.
+        foresight: factor on the share of the beat that the operator foresees.
+        force_noise: factor on the errors of felt force, and on the least force that is felt.
+        registration_mm: error of the registration, a shift in a direction drawn by the operator's seed.
+        phase_error: of the fixture's phase, in cycles.
+        lag_s: from a force to its effect; lag_known: the servo knows it.
+        wrong_organ: the fixture is another person's heart, centred on this one's.
+    """
+
+    name: str
+    haptic: bool = True
+    beating: bool = True
+    noise: float = 1.0
+    attends: bool = True
+    foresight: float = 1.0
+    force_noise: float = 1.0
+    registration_mm: float = 0.0
+    phase_error: float = 0.0
+    lag_s: float = 0.0
+    lag_known: bool = False
+    wrong_organ: bool = False
+
+
+STILL, BEATING = "still heart", "beating heart"
+MONO, STEREO = "mono", "stereo"
+MONO_NOISE = 2.0
+"""Depth is seen so much worse with one eye: assumed."""
+
+
+def _three(prefix: str, common: Condition) -> tuple[Condition, ...]:
+    """Without force, with it, and with it while the operator makes nothing of it."""
+    return (
+        replace(common, name=f"{prefix}{NO_HAPTICS}", haptic=False),
+        replace(common, name=f"{prefix}{HAPTICS}"),
+        replace(common, name=f"{prefix}{UNATTENDED}", attends=False),
+    )
+
+
+TASKS = {
+    "cutting": (
+        *_three(f"{STILL}, ", Condition("", beating=False)),
+        *_three(f"{BEATING}, ", Condition("")),
+    ),
+    "dissection": (
+        *_three(f"{MONO}, ", Condition("", beating=False, noise=MONO_NOISE)),
+        *_three(f"{STEREO}, ", Condition("", beating=False)),
+    ),
+    "tracking": _three("manual, ", Condition("")),
+}
+"""Conditions of each task."""
+
+_REFERENCE = Condition(HAPTICS)
+ABLATIONS = (
+    *_three("", _REFERENCE),
+    Condition("doubled depth noise, visual only", haptic=False, noise=2.0),
+    replace(_REFERENCE, name="doubled depth noise", noise=2.0),
+    replace(_REFERENCE, name="force felt 3 times as badly", force_noise=3.0),
+    Condition("beat not foreseen, visual only", haptic=False, foresight=0.0),
+    replace(_REFERENCE, name="beat not foreseen", foresight=0.0),
+    *(replace(_REFERENCE, name=f"registration error {mm} mm", registration_mm=float(mm)) for mm in (1, 2, 3)),
+    *(
+        replace(_REFERENCE, name=f"phase error {percent} %", phase_error=percent / 100)
+        for percent in (5, 10, 50)
+    ),
+    *(replace(_REFERENCE, name=f"unknown lag {ms} ms", lag_s=ms / 1000) for ms in (5, 10, 20)),
+    replace(_REFERENCE, name="known lag 20 ms", lag_s=0.02, lag_known=True),
+    replace(_REFERENCE, name="wrong organ", wrong_organ=True),
+)
+"""Ablations of cutting on the beating heart; the first three are its conditions."""
+
+
+HEART_SEED, OTHER_HEART_SEED = 1001, 1002
+"""Hearts of the list TUNING (`dvf_ig.study.hearts.recordings`)."""
+MOTION: MotionPreset = "paper5mm"
+CYCLE_S = 0.6
+"""20 volumes T_d = 0.03 s apart, as in the paper."""
+STILL_S = 1e9
+"""A heart that stands still has a cycle of this length."""
+ACCESS = np.array([0.6, -0.7, 0.2]) / np.linalg.norm([0.6, -0.7, 0.2])
+"""From the heart towards the operator."""
+
+
+@dataclass(frozen=True, slots=True)
+class OperatingHeart:
+    """True surface and its model.
+
+    Attributes:
+        truth: true surface over the cycle.
+        model: fitted to 20 phases of it; the registration's error is separate.
+        cycle_s: length of a beat.
+    """
+
+    truth: MovingSurface
+    model: DvfModel
+    cycle_s: float = CYCLE_S
+
+    def cycle(self, condition: Condition) -> float:
+        """Length of a cycle, s."""
+        return self.cycle_s if condition.beating else STILL_S
+
+    def phase(self, condition: Condition, t_s: float) -> float:
+        """True phase."""
+        return (t_s / self.cycle(condition)) % 1.0
+
+    def fixture_model(self, condition: Condition) -> DvfModel:
+        """This heart's, or another person's."""
+        return surface_of(OTHER_HEART_SEED).model if condition.wrong_organ else self.model
+
+    def transform(self, condition: Condition, seed: int) -> PoseAndPhase:
+        """Pose and phase that a session would publish, with the condition's errors.
+
+        Args:
+            seed: of the operator; draws the direction of the registration's error.
+        """
+        model = self.fixture_model(condition)
+        direction = child_rng(seed, "registration").standard_normal(3)
+        shift = condition.registration_mm * direction / np.linalg.norm(direction)
+        shift += model_center_mm(model) - model_center_mm(self.model)
+        pose = Rigid(model.frame, "tracker", np.eye(3), shift)
+        return steady_transform(
+            model, pose=pose, rr_s=self.cycle(condition), phase_offset=condition.phase_error
+        )
+
+
+def operating_heart() -> OperatingHeart:
+    """The heart of every trial."""
+    surface = surface_of(HEART_SEED)
+    return OperatingHeart(surface.truth, surface.model)
+
+
+@cache
+def surface_of(seed: int) -> BeatingSurface:
+    """A phantom's true surface and its model, kept in the process; the worst of its places is the last."""
+    return beating_surface(MOTION, cycle_s=CYCLE_S, seed=seed)
+
+
+def model_center_mm(model: DvfModel) -> FloatArray:
+    """(3,) mean of the reference surface's vertices at the first phase."""
+    return np.asarray(model.reference[0].vertices_mm.mean(axis=0))
+
+
+PHASES = 128
+STEP_MM = 1.0
+NEWTON_STEPS = 8
+NEAREST = 4
+"""Vertices whose motion a point of the surface follows."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingLine:
+    """Places along a line at every phase of the cycle, and their motion.
+
+    Attributes:
+        places_mm: (p, n, 3) at evenly spread phases from 0 on, STEP_MM apart along the line.
+        rates_mm: (p, n, 3) their derivative by phase, mm a cycle.
+    """
+
+    places_mm: FloatArray
+    rates_mm: FloatArray
+
+    @property
+    def length_mm(self) -> float:
+        return STEP_MM * float(self.places_mm.shape[1] - 1)
+
+    def at(self, along_mm: float, phase: float) -> FloatArray:
+        """(3,) place."""
+        return _between(self.places_mm, along_mm, phase)
+
+    def rate_mm(self, along_mm: float, phase: float) -> FloatArray:
+        """(3,) motion of a place with the beat, mm a cycle."""
+        return _between(self.rates_mm, along_mm, phase)
+
+    def tangent(self, along_mm: float) -> FloatArray:
+        """(3,) mm along the line a mm, at phase 0."""
+        here = min(max(along_mm, 0.0), self.length_mm - STEP_MM)
+        return np.asarray((self.at(here + STEP_MM, 0.0) - self.at(here, 0.0)) / STEP_MM)
+
+
+def moving_line(surface: MovingSurface, site: Site, length_mm: float, depth_mm: float) -> MovingLine:
+    """A straight line over a site, projected onto the surface at phase 0, riding on it from then on.
+
+    Args:
+        surface: true.
+        length_mm: 0 for a point.
+        depth_mm: signed distance of its places to the surface, positive inside.
+    """
+    count = 1 + round(length_mm / STEP_MM)
+    along = (np.arange(count) - 0.5 * (count - 1)) * STEP_MM
+    base = _at_depth(surface, site.point_mm + along[:, None] * site.slide, 0.0, 0.0)
+    resting = surface.at(0.0)
+    apart = np.linalg.norm(base[:, None] - resting[None], axis=2)
+    nearest = np.argsort(apart, axis=1)[:, :NEAREST]
+    weight = 1.0 / (np.take_along_axis(apart, nearest, axis=1) + 1e-3)
+    weight /= weight.sum(axis=1, keepdims=True)
+    phases = np.arange(PHASES) / PHASES
+    places = np.empty((PHASES, count, 3))
+    for i, phase in enumerate(phases.tolist()):
+        moved = (surface.at(phase) - resting)[nearest]
+        places[i] = _at_depth(surface, base + np.einsum("ij,ijk->ik", weight, moved), phase, depth_mm)
+    closed = np.concatenate([places, places[:1]])
+    rates = CubicSpline(np.append(phases, 1.0), closed, bc_type="periodic")(phases, 1)
+    return MovingLine(places, rates)
+
+
+def _at_depth(surface: MovingSurface, xyz_mm: FloatArray, phase: float, depth_mm: float) -> FloatArray:
+    """(n, 3) the points moved along the gradient until they are so deep."""
+    out = np.array(xyz_mm)
+    at = np.full(len(out), phase)
+    for _ in range(NEWTON_STEPS):
+        distance, gradient = surface.distance(out, at)
+        out += (depth_mm - distance)[:, None] * gradient
+    return out
+
+
+def _between(table: FloatArray, along_mm: float, phase: float) -> FloatArray:
+    p, n = table.shape[:2]
+    u, v = (phase % 1.0) * p, min(max(along_mm / STEP_MM, 0.0), n - 1.0)
+    i, k = int(u) % p, min(int(v), max(n - 2, 0))
+    a, b, j, m = u - int(u), v - k, (i + 1) % p, min(k + 1, n - 1)
+    low = (1.0 - b) * table[i, k] + b * table[i, m]
+    high = (1.0 - b) * table[j, k] + b * table[j, m]
+    return np.asarray((1.0 - a) * low + a * high)
+
 
 DEVICE = DEVICES["premium"]
 LIMITS = DEVICE.limits(fastest_mm_s=FASTEST_MM_S)
@@ -30,7 +278,7 @@ READINGS = 200
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Loop:
-    """What stays the same through a trial.
+    """Constants of a trial.
 
     Attributes:
         heart, condition: see there.
@@ -55,7 +303,7 @@ class Loop:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """What happened, at every step of the operator.
+    """Course of a trial, at every step of the operator.
 
     Attributes:
         t_s: (n,).
@@ -149,7 +397,7 @@ def operator_of(loop: Loop) -> OperatorSpec:
 
 
 def learnt_force(law: Law, target_depth_mm: float) -> LearntForce:
-    """What the force of a law on the organ's surface says to one who knows it.
+    """Depth that an operator reads from the force of a law on the organ's surface.
 
     A forbidden region's force says how deep the tip is; a guidance's how far away its target is.
     """

@@ -1,4 +1,4 @@
-"""What the operators' trials say together: each condition, and paired differences to the one without force.
+"""Summary of the operators' trials: each condition, and paired differences to the one without force.
 
 The unit is the simulated operator. Means have bootstrap intervals over operators (95 %); a difference is
 that of the same operator under two conditions, with its effect size d_z, the mean difference over the
@@ -13,17 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray
-from dvf_ig.study.hearts.summary import Estimate, bootstrap
-from dvf_ig.study.trials import Line
-
-from .conditions import HAPTICS, NO_HAPTICS, TASKS, UNATTENDED
+from dvf_ig.study.driver import Line
+from dvf_ig.study.operators.closed_loop import HAPTICS, NO_HAPTICS, TASKS, UNATTENDED
+from dvf_ig.study.statistics import Estimate, bootstrap
 
 MEASURES = {
     "cutting": ("depth_error_mm", "largest_excess_mm", "perforations", "time_s"),
     "dissection": ("removed", "errors", "violation_mm", "time_s"),
     "tracking": ("mean_mm", "p95_mm", "max_mm"),
 }
-"""Of each task, those that tables show."""
+"""Measures of each task that tables show."""
 LEAST = 3
 """Fewer operators have no effect size."""
 NORMAL_975 = 1.959964
@@ -39,8 +38,8 @@ class Difference:
         measure: its name.
         condition, reference: of both.
         mean: mean of condition − reference, with its 95 % interval.
-        relative: mean difference over the reference's mean; None where that is 0.
-        effect_size: d_z, with its 95 % interval; None where the differences do not vary.
+        relative: mean difference over the reference's mean; None if that is 0.
+        effect_size: d_z, with its 95 % interval; None if the differences do not vary.
         better: operators with less (of removed pellets: more) under the condition; of: all.
     """
 
@@ -82,9 +81,9 @@ class OperatorsSummary:
 
 def summarise_operators(task: str, lines: Sequence[Line]) -> OperatorsSummary:
     """Rows and differences of a task's trials."""
-    done = [line for line in lines if "refused" not in line]
-    conditions = [line["conditions"] for line in done]
-    names = [c.name for c in TASKS[task]] if done else []
+    completed = [line for line in lines if "refused" not in line]
+    conditions = [line["conditions"] for line in completed]
+    names = [c.name for c in TASKS[task]] if completed else []
     pairs = [
         (name, name.replace(felt, NO_HAPTICS))
         for name in names
@@ -93,10 +92,10 @@ def summarise_operators(task: str, lines: Sequence[Line]) -> OperatorsSummary:
     ]
     return OperatorsSummary(
         task,
-        len(done),
-        len(lines) - len(done),
+        len(completed),
+        len(lines) - len(completed),
         _rows(conditions),
-        _rows([line["ablations"] for line in done if "ablations" in line]),
+        _rows([line["ablations"] for line in completed if "ablations" in line]),
         tuple(
             difference(measure, name, reference, conditions)
             for name, reference in pairs
@@ -111,7 +110,7 @@ def difference(
     """A paired difference over operators, one of `lines` each: measures by condition."""
     with_it, without = (np.array([line[name][measure] for line in lines]) for name in (condition, reference))
     change = with_it - without
-    wanted = change if measure == "removed" else -change
+    improvement = change if measure == "removed" else -change
     mean = float(without.mean())
     return Difference(
         measure,
@@ -120,7 +119,7 @@ def difference(
         bootstrap(change.tolist(), np.mean),
         float(change.mean()) / mean if mean != 0.0 else None,
         _effect_size(change),
-        int((wanted > 0.0).sum()),
+        int((improvement > 0.0).sum()),
         len(change),
     )
 

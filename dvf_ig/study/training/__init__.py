@@ -1,1 +1,1 @@
-"""Training of the spline network: gradient descent (eq. 3), conjugate gradients, exact least squares."""
+"""Training of the spline network, three ways."""

@@ -6,17 +6,17 @@ import pytest
 from dvf_ig.guidance import Hazard, Sigmoid, SupervisorState
 from dvf_ig.guidance.devices.simulated import PREMIUM, Hand
 from dvf_ig.guidance.servo import ServoOptions
-from dvf_ig.study.passivity.cases import (
+from dvf_ig.study.passivity import (
     CAP_N,
     STEEP,
     UNBOUNDED_MJ,
     VISCOUS,
     beating_walls,
     passive_gamma,
+    press,
     steep_walls,
+    wall_model,
 )
-from dvf_ig.study.passivity.pressing import press
-from dvf_ig.study.passivity.wall import wall_model
 
 PUSH = Hand(push_n=np.array([0.3, 0.0, 0.0]))
 

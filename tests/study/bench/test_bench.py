@@ -13,11 +13,16 @@ from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, InvalidInputError, Mesh
 from dvf_ig.io import write_model
 from dvf_ig.preop import build_triangle_tree
-from dvf_ig.study.bench.covariance_tree import CovarianceTreeSearch, build_covariance_tree
-from dvf_ig.study.bench.heart import REACH_MM, bench_model, hand_path, random_points
-from dvf_ig.study.bench.peers import signs
-from dvf_ig.study.bench.rows import BenchOptions
-from dvf_ig.study.bench.timing import time_batches, time_calls
+from dvf_ig.study.bench.calls import BenchOptions
+from dvf_ig.study.bench.peers import CovarianceTreeSearch, build_covariance_tree, signs
+from dvf_ig.study.bench.timing import (
+    REACH_MM,
+    bench_model,
+    hand_path,
+    random_points,
+    time_batches,
+    time_calls,
+)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +67,7 @@ def test_bench_prints_rows_and_ratios(
     model: DvfModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # two more processes would say nothing about the shape of the result
-    monkeypatch.setattr("dvf_ig.study.bench.rows.first_call_seconds", lambda: 0.25)
+    monkeypatch.setattr("dvf_ig.study.bench.calls.first_call_seconds", lambda: 0.25)
     write_model(model, tmp_path / "model.npz")
     arguments = [str(tmp_path / "model.npz"), "--calls", "100", "--repeats", "1", "--continuity", "300"]
     result = CliRunner().invoke(app, ["bench", *arguments, "-o", str(tmp_path / "out"), "--json"])
@@ -94,7 +99,7 @@ def test_bench_prints_rows_and_ratios(
 def test_bench_without_open3d_leaves_its_rows_out_and_says_so(
     model: DvfModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dvf_ig.study.bench.rows.first_call_seconds", lambda: 0.25)
+    monkeypatch.setattr("dvf_ig.study.bench.calls.first_call_seconds", lambda: 0.25)
     monkeypatch.setitem(sys.modules, "open3d", None)
     write_model(model, tmp_path / "model.npz")
     arguments = [str(tmp_path / "model.npz"), "--calls", "100", "--repeats", "1", "--json"]

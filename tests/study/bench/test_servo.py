@@ -5,9 +5,8 @@ import pytest
 
 from dvf_ig.core import DvfModel, Rigid
 from dvf_ig.guidance import Evaluator, Sigmoid
-from dvf_ig.study.bench.cpp_floor import compiled_floor
-from dvf_ig.study.bench.heart import bench_model, random_points
-from dvf_ig.study.bench.servo import bench_servo
+from dvf_ig.study.bench.servo import bench_servo, compiled_floor
+from dvf_ig.study.bench.timing import bench_model, random_points
 
 
 @pytest.fixture(scope="module")

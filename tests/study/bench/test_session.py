@@ -9,8 +9,7 @@ from dvf_ig.core import InvalidInputError, PhaseState, Scenario
 from dvf_ig.replay import Replay
 from dvf_ig.session import EcgSamples, EcgSource, Session, ToolPose, TrackedFrame
 from dvf_ig.session.heart_clock import HeartClock
-from dvf_ig.study.bench.endless import OUT_OF_SIGHT_S, Round, round_of
-from dvf_ig.study.bench.session import run_session
+from dvf_ig.study.bench.session import OUT_OF_SIGHT_S, Round, round_of, run_session
 
 
 @pytest.fixture(scope="module")

@@ -4,14 +4,21 @@ import numpy as np
 import pytest
 
 from dvf_ig.guidance import Hazard, SupervisorState
-from dvf_ig.report.study.faults import faults_page
+from dvf_ig.study.driver import Line
 from dvf_ig.study.faults import clean
 from dvf_ig.study.faults.catalogue import ROWS, SEVERITIES
 from dvf_ig.study.faults.clean import AlarmCount, clean_trial
-from dvf_ig.study.faults.summary import summarise_clean, summarise_faults, table_counts
-from dvf_ig.study.faults.trace import TrialTrace, judge
-from dvf_ig.study.faults.trial import CASES, case_of, fault_trial, trial_numbers
-from dvf_ig.study.trials import Line
+from dvf_ig.study.faults.session_trial import TrialTrace, judge
+from dvf_ig.study.faults.study import (
+    CASES,
+    case_of,
+    fault_trial,
+    faults_page,
+    summarise_clean,
+    summarise_faults,
+    table_counts,
+    trial_numbers,
+)
 
 SEED = 101
 OK, DEGRADED, FADE, LATCHED = SupervisorState

@@ -5,12 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dvf_ig.study.hearts.summary import (
-    bootstrap,
-    calibration_error,
-    calibration_error_by_chance,
-    summarise_hearts,
-)
+from dvf_ig.study.hearts.summary import summarise_hearts
+from dvf_ig.study.statistics import bootstrap, calibration_error, calibration_error_by_chance
 
 
 def line(heart: int, tre_mm: float, **more: Any) -> dict[str, Any]:

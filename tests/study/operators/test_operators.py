@@ -9,17 +9,31 @@ from data_synth.operator.contact_sites import Site
 from dvf_ig.core import CycleTiming, FloatArray, SurfaceSeries
 from dvf_ig.guidance import Gaussian, Sigmoid
 from dvf_ig.preop import ModelOptions, model_from_surfaces
-from dvf_ig.report.study.operators import Compared, Curve, Interval, OperatorsFigure, Panel, operators_figure
-from dvf_ig.study.operators import cutting, dissection
-from dvf_ig.study.operators.assumptions import UNKNOWN, assumptions, paper_figures
-from dvf_ig.study.operators.closed_loop import Trace, learnt_force
-from dvf_ig.study.operators.conditions import ABLATIONS, HAPTICS, NO_HAPTICS, TASKS, UNATTENDED, Condition
-from dvf_ig.study.operators.cutting import cut, cutting_measures
-from dvf_ig.study.operators.excursions import count_excursions
-from dvf_ig.study.operators.heart import OperatingHeart
-from dvf_ig.study.operators.moving_line import moving_line
+from dvf_ig.study.operators import tasks
+from dvf_ig.study.operators.closed_loop import (
+    ABLATIONS,
+    HAPTICS,
+    NO_HAPTICS,
+    TASKS,
+    UNATTENDED,
+    Condition,
+    OperatingHeart,
+    Trace,
+    learnt_force,
+    moving_line,
+)
+from dvf_ig.study.operators.figure import Compared, Curve, Interval, OperatorsFigure, Panel, operators_figure
+from dvf_ig.study.operators.study import UNKNOWN, assumptions, paper_figures
 from dvf_ig.study.operators.summary import difference, summarise_operators
-from dvf_ig.study.operators.tracking import track, tracking_measures
+from dvf_ig.study.operators.tasks import (
+    count_excursions,
+    cut,
+    cutting_measures,
+    dissect,
+    dissection_measures,
+    track,
+    tracking_measures,
+)
 
 CENTER = np.array([10.0, -5.0, 3.0])
 RADIUS_MM = 45.0
@@ -49,7 +63,7 @@ def heart() -> OperatingHeart:
 def cuts(heart: OperatingHeart) -> dict[str, list[dict[str, float]]]:
     """Two operators cut 12 mm on the beating ball."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cutting, "LENGTH_MM", 12.0)
+        patch.setattr(tasks, "CUT_LENGTH_MM", 12.0)
         wanted = (*ABLATIONS[:3], Condition("shifted", registration_mm=3.0))
         return {c.name: [cutting_measures(cut(heart, c, seed)) for seed in (1, 2)] for c in wanted}
 
@@ -75,7 +89,7 @@ def test_guidance_helps_a_hand_to_follow_the_beat(heart: OperatingHeart) -> None
     normal = np.array([0.6, -0.64, 0.48])
     place = Site(CENTER + RADIUS_MM * normal, normal, np.array([0.0, 0.6, 0.8]))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dvf_ig.study.operators.tracking.CYCLES", 8)
+        patch.setattr("dvf_ig.study.operators.tasks.CYCLES", 8)
         alone, helped = (tracking_measures(track(heart, place, c, 3)) for c in TASKS["tracking"][:2])
     assert helped["mean_mm"] < 0.5 * alone["mean_mm"]
     assert alone["largest_force_n"] == 0.0
@@ -83,9 +97,9 @@ def test_guidance_helps_a_hand_to_follow_the_beat(heart: OperatingHeart) -> None
 
 def test_pellets_are_removed_through_the_fulcrum(heart: OperatingHeart) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(dissection, "PELLETS", 2)
-        done = dissection.dissect(heart, TASKS["dissection"][4], 1)
-    measures = dissection.dissection_measures(done)
+        patch.setattr(tasks, "PELLETS", 2)
+        done = dissect(heart, TASKS["dissection"][4], 1)
+    measures = dissection_measures(done)
     assert done.lever == pytest.approx(140.0 / 190.0, rel=0.01)
     assert measures["removed"] == 2.0
     assert measures["time_s"] < 2 * (8.0 + 4.0)

@@ -8,8 +8,14 @@ from hypothesis import strategies as st
 from dvf_ig.core import InvalidInputError, Stop
 from dvf_ig.kernels.spline import spline_batch
 from dvf_ig.preop import AxisSolver, fit_coefficients
-from dvf_ig.study.training.network import SplineAxis, SplineNetwork
-from dvf_ig.study.training.trainers import safe_step, train_gradient, train_scattered, train_separable
+from dvf_ig.study.training.trainers import (
+    SplineAxis,
+    SplineNetwork,
+    safe_step,
+    train_gradient,
+    train_scattered,
+    train_separable,
+)
 
 MIXED = SplineNetwork(SplineAxis(2, -3.0, 1.5, 4), SplineAxis(3, 1.0, 2.0, 3), SplineAxis(1, 0.0, 0.75, 5))
 

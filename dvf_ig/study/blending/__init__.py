@@ -1,1 +1,0 @@
-"""How many phases a dynamic fixture needs."""

@@ -1,1 +1,0 @@
-"""Whether calibration intervals hold the truth as often as they say."""

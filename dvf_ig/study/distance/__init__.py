@@ -1,1 +1,0 @@
-"""Ways to make a distance map, side by side."""

@@ -1,1 +1,0 @@
-"""Faults of the streams: what is taken out of them, put into them, or changed between two moments."""

@@ -1,1 +1,0 @@
-"""Rows of the table of hazards, by what is disturbed."""

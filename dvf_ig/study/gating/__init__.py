@@ -1,1 +1,0 @@
-"""R peaks and phase against annotated recordings."""

@@ -1,0 +1,394 @@
+"""Hearts of the synthetic worlds, imaged and registered once from a coarse start, without landmarks.
+
+Which hearts are for what: three sealed lists, written before anything was tuned on them. The unit of a
+claim is the heart (Efron and Tibshirani 1993, ch. 8: resample what varies independently). Methods are tuned
+on TUNING; limits, probabilities and bounds are fitted on THRESHOLD; figures that are stated come from
+REPORTED alone. A limit that is changed after a look at reported hearts makes them tuning hearts: new ones
+are named here then.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import lru_cache
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from scipy.optimize import bisect
+
+from data_synth import (
+    PRESETS,
+    HeartSpec,
+    ImagedHeart,
+    ImagePair,
+    PairSpec,
+    Preset,
+    ScenarioSpec,
+    SecondWorldSpec,
+    child_rng,
+    image_pair,
+    imaged_heart,
+    phantom_scenario,
+    second_world_pair,
+    second_world_recording,
+)
+from data_synth.heart.motion import MotionPreset
+from dvf_ig.core import (
+    HEART_RADIUS_MM,
+    FloatArray,
+    InvalidInputError,
+    Points,
+    Rigid,
+    Scenario,
+    nearest_phase,
+    read_only_arrays,
+)
+from dvf_ig.registration import (
+    GREY_VOLUMES,
+    VOLUME_SMOOTHING_MM,
+    BoundaryTarget,
+    ModelChannels,
+    RegistrationResult,
+    VolumeTarget,
+    channels_from_mr,
+    register_volumes,
+    target_errors_mm,
+    target_from_labels,
+)
+from dvf_ig.replay import register_scenario
+from dvf_ig.session import Heart, build_heart, register_gated_volumes
+from dvf_ig.session.heart import label_map
+from dvf_ig.study.driver import Settings, option
+
+
+class ListName(StrEnum):
+    """Lists of hearts."""
+
+    tuning = "tuning"
+    threshold = "threshold"
+    reported = "reported"
+
+
+def list_option() -> Any:
+    """The list of hearts that a study takes."""
+    return option(
+        "Hearts that are tuned on, that limits come from, or reported.", ListName.reported, flag="--list"
+    )
+
+
+def hearts_option() -> Any:
+    """How many hearts of its list a study takes."""
+    return option(
+        "How many hearts of the list, from its first on (default: all).", None, flag="--hearts", least=1
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class HeartList:
+    """Hearts of one purpose.
+
+    Attributes:
+        name: as the command line names it.
+        first_world: seeds of hearts of the first synthetic world.
+        second_world: seeds of hearts of the second; it is never tuned on.
+        patients: of `acdc-cine`, whose real cines are the MR.
+    """
+
+    name: str
+    first_world: range
+    second_world: range
+    patients: tuple[str, ...]
+
+    def of_world(self, world: str) -> range:
+        """Seeds of the hearts of the "first" or the "second" world.
+
+        Raises:
+            InvalidInputError: the list has none there.
+        """
+        seeds = self.second_world if world == "second" else self.first_world
+        if not seeds:
+            raise InvalidInputError(
+                f"the {self.name} list has no hearts of the {world} world, which is for reporting alone; "
+                "take --list reported"
+            )
+        return seeds
+
+
+TUNING = HeartList("tuning", range(1001, 1061), range(0), ("002", "003"))
+THRESHOLD = HeartList("threshold", range(2001, 2201), range(0), ("008", "009"))
+REPORTED = HeartList("reported", range(3181, 3301), range(4081, 4161), ("012", "016", "018"))
+"""Hearts looked at before a table was fitted, or a rule chosen, are left behind: 3001 to 3060 until decision
+0036, 3061 to 3120 until 0039 of sweeps, 3121 to 3180 until 0039 of gated volumes; of the second world 4001 to
+4040 until 0038, 4041 to 4080 until 0039."""
+HEART_LISTS = {chosen.name: chosen for chosen in (TUNING, THRESHOLD, REPORTED)}
+
+
+def heart_list(name: str) -> HeartList:
+    """The list of that name.
+
+    Raises:
+        InvalidInputError: there is none.
+    """
+    if name not in HEART_LISTS:
+        raise InvalidInputError(f"there is no list of hearts '{name}'; choose from {', '.join(HEART_LISTS)}")
+    return HEART_LISTS[name]
+
+
+PER_HEART = 100
+"""Trials that one heart may have: a trial's number is PER_HEART · heart + place of its condition."""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """Condition of one recording.
+
+    Attributes:
+        quality: preset of the scenario.
+        draw: 0: the plain preset; from 1 on: with drawn errors of calibration, clock, anatomy and start.
+    """
+
+    quality: str
+    draw: int
+
+    @property
+    def disturbed(self) -> bool:
+        return self.draw > 0
+
+
+def conditions_of(settings: Settings) -> list[Condition]:
+    """Every condition of a study.
+
+    Args:
+        settings: `qualities`, and `disturbed`, how many disturbed recordings of each quality.
+    """
+    draws = range(settings["disturbed"] + 1)
+    return [Condition(quality, draw) for quality in settings["qualities"] for draw in draws]
+
+
+def trial_numbers(hearts: range, settings: Settings) -> list[int]:
+    """Number of every trial; those of a heart follow one another."""
+    count = len(conditions_of(settings))
+    return [PER_HEART * heart + place for heart in hearts for place in range(count)]
+
+
+def of_trial(number: int, settings: Settings) -> tuple[int, Condition]:
+    """Heart and condition of a trial."""
+    heart, place = divmod(number, PER_HEART)
+    return heart, conditions_of(settings)[place]
+
+
+GATED = (0.0, 0.35, 0.75)
+"""Gated phases: end-diastole, end-systole, diastasis, where the heart moves least."""
+VARIED = HeartSpec("varied")
+"""Drawn from a population of healthy, dilated and hypertrophic hearts."""
+MOTION = ("paper5mm", "physiological")
+"""Motions of hearts with even and with odd numbers."""
+SWEEP_S = 14.0
+"""Length of a tracked sweep: what a session has seen when it registers first, and as much again."""
+START_MM = (4.0, 12.0)
+"""Mean error of the start over the targets, drawn evenly."""
+DISTURBED_START_MM = (4.0, 50.0)
+START_OF = {False: START_MM, True: DISTURBED_START_MM}
+DISTURBED_SWEEP_S = (6.0, 14.0)
+DISTURBED_MISMATCH_MM = (1.0, 5.0)
+DISTURBED_PROBE_MM = (0.0, 2.0)
+DISTURBED_LATENCY_S = (0.0, 0.06)
+"""Ranges from which disturbed trials draw, evenly: they make the errors between good and lost that a stated
+probability is fitted to."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """The true mr_from_tracker, where errors are declared, and a centre (3,) to turn about."""
+
+    truth: Rigid
+    targets: Points
+    center_mm: FloatArray
+
+
+def start_with_error(known: Truth, start_mm: float, rng: np.random.Generator) -> Rigid:
+    """A pose of that mean target error: random axis, direction and share of rotation.
+
+    Rotation ends at half a turn; what is then missing is translation.
+    """
+    axis, direction = rng.normal(size=3), rng.normal(size=3)
+    share = rng.uniform()
+    axis, direction = axis / np.linalg.norm(axis), direction / np.linalg.norm(direction)
+
+    def displaced(size_mm: float) -> Rigid:
+        turn = min(size_mm * share / HEART_RADIUS_MM, np.pi) * axis
+        return known.truth.perturbed_left(turn, size_mm * (1.0 - share) * direction, known.center_mm)
+
+    def excess_mm(size_mm: float) -> float:
+        error_mm = target_errors_mm(displaced(size_mm), known.truth, known.targets).mean()
+        return float(error_mm) - start_mm
+
+    if excess_mm(0.0) >= 0.0:
+        return known.truth  # the requested error is of rounding's size
+    high = 20.0 * start_mm + 1.0
+    while excess_mm(high) < 0.0:
+        high *= 2.0
+    return displaced(bisect(excess_mm, 0.0, high, xtol=1e-12))
+
+
+def volume_target(pair: ImagePair) -> VolumeTarget:
+    """The pre-operative heart of a pair as gated volumes at GATED are registered to it."""
+    channels, surface = _preoperative(pair.spec.seed, pair.spec.motion, pair.spec.heart)
+    return VolumeTarget(channels, pair.center_mm, surface, kind=GREY_VOLUMES)
+
+
+@lru_cache(maxsize=2)
+def _preoperative(seed: int, motion: MotionPreset, heart: HeartSpec) -> tuple[ModelChannels, BoundaryTarget]:
+    """Two are kept: the trials of a heart alternate between its own MR and one with other noise."""
+    data = image_pair(PairSpec(seed, motion, heart=heart)).preop
+    if data.mr is None:
+        raise TypeError("the phantom's pre-operative data hold MR")
+    phases = np.array(GATED)
+    numbers = nearest_phase(data.mr.timing.fractions, phases).tolist()
+    channels = channels_from_mr(data.mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=numbers)
+    return channels, target_from_labels(label_map(data), phases)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegisteredHeart:
+    """A registration with its start, its truth, and what was drawn for it.
+
+    Attributes:
+        floor_mm: mean error at the targets of the pose that fits every point of the heart in the images to
+            its own place in the MR: what no rigid registration removes. None in the first world, which does
+            not state it.
+    """
+
+    result: RegistrationResult
+    start: Rigid
+    known: Truth
+    drawn: dict[str, float]
+    floor_mm: float | None = None
+
+
+def registered_heart(settings: Settings, number: int) -> RegisteredHeart:
+    """Make, image and register one heart.
+
+    Args:
+        settings: as `heart_trial`.
+        number: of the trial.
+    Raises:
+        InvalidInputError: a disturbed heart of the second world, which is never fitted to.
+    """
+    seed, condition = of_trial(number, settings)
+    if settings["world"] == "second":
+        if condition.disturbed:
+            raise InvalidInputError("the second world is for reporting; its hearts are not disturbed further")
+        rng = child_rng(seed, "heart trial")
+        quality: Any = condition.quality
+        second = {"sweep": _second_sweep, "volumes": _second_volumes}[settings["images"]]
+        return second(SecondWorldSpec(seed, quality, _motion(seed), SWEEP_S), rng)
+    drawing = seed if condition.draw == 0 else number
+    rng = child_rng(drawing, "heart trial")
+    first: Callable[..., RegisteredHeart] = {"sweep": _sweep, "volumes": _volumes}[settings["images"]]
+    return first(seed, drawing, condition, rng)
+
+
+def _motion(seed: int) -> Any:
+    return MOTION[seed % 2]
+
+
+@lru_cache(maxsize=1)
+def _prepared(seed: int) -> tuple[ImagedHeart, Heart]:
+    """A heart of the first world with what is made of its pre-operative images, for all its trials."""
+    imaged = imaged_heart(ScenarioSpec(motion=_motion(seed), seed=seed, heart=VARIED))
+    return imaged, build_heart(imaged.preop)
+
+
+def _sweep(seed: int, drawing: int, condition: Condition, rng: np.random.Generator) -> RegisteredHeart:
+    """The probe's path, speckle and rhythm of disturbed recordings are drawn again, the heart is not."""
+    imaged, heart = _prepared(seed)
+    preset, drawn = PRESETS[condition.quality], {"sweep_s": SWEEP_S}
+    if condition.disturbed:
+        preset, drawn = _disturbed(preset, rng)
+    same = replace(VARIED, anatomy_seed=seed, motion_seed=seed)
+    spec = ScenarioSpec(
+        condition.quality, _motion(seed), drawn["sweep_s"], drawing, changed=preset, heart=same
+    )
+    scenario = phantom_scenario(spec, imaged=imaged)
+    return _registered_sweep(scenario, heart, seed, START_OF[condition.disturbed], rng, drawn)
+
+
+def _second_sweep(spec: SecondWorldSpec, rng: np.random.Generator) -> RegisteredHeart:
+    recording = second_world_recording(spec)
+    heart = build_heart(recording.scenario.preop)
+    registered = _registered_sweep(
+        recording.scenario, heart, spec.seed, START_MM, rng, {"sweep_s": spec.seconds}
+    )
+    return replace(registered, floor_mm=recording.floor.pose_mm)
+
+
+def _registered_sweep(
+    touched: Scenario,
+    heart: Heart,
+    seed: int,
+    start_mm: tuple[float, float],
+    rng: np.random.Generator,
+    drawn: dict[str, float],
+) -> RegisteredHeart:
+    """Without landmarks: what is judged is what the images say."""
+    scenario = replace(touched, landmarks_mr=None, landmarks_tracker=None)
+    truth = scenario.truth
+    if truth is None:
+        raise TypeError("a synthetic scenario has its truth")
+    box = truth.surface.vertices_mm[0]
+    center = (box.min(axis=0) + box.max(axis=0)) / 2
+    reference = Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
+    start = start_with_error(reference, float(rng.uniform(*start_mm)), rng)
+    registered = register_scenario(scenario, start, heart=heart, seed=seed)
+    return RegisteredHeart(registered.result, start, reference, drawn)
+
+
+def _disturbed(preset: Preset, rng: np.random.Generator) -> tuple[Preset, dict[str, float]]:
+    """The preset with errors drawn from the ranges above, and what was drawn."""
+    drawn = {
+        "sweep_s": float(rng.uniform(*DISTURBED_SWEEP_S)),
+        "mismatch_mm": float(rng.uniform(*DISTURBED_MISMATCH_MM)),
+        "probe_mm": float(rng.uniform(*DISTURBED_PROBE_MM)),
+        "ecg_late_s": float(rng.uniform(*DISTURBED_LATENCY_S)),
+    }
+    ecg = replace(preset.ecg, latency_s=drawn["ecg_late_s"])
+    changed = replace(
+        preset,
+        mismatch_mm=drawn["mismatch_mm"],
+        other_probe_mm=drawn["probe_mm"],
+        ecg=ecg,
+        other_probe_deg=0.0,
+    )
+    return changed, drawn
+
+
+def _volumes(seed: int, drawing: int, condition: Condition, rng: np.random.Generator) -> RegisteredHeart:
+    named: Any = condition.quality
+    change: Any = str(rng.choice(["none", "deformation", "motion"])) if condition.disturbed else "none"
+    late = float(rng.uniform(0.0, 0.06)) if condition.disturbed else 0.0
+    same = replace(VARIED, anatomy_seed=seed, motion_seed=seed)
+    pair = image_pair(PairSpec(drawing, _motion(seed), named, change, same))
+    reference = Truth(pair.mr_from_tracker, pair.targets.points, pair.center_mm)
+    volumes = pair.volumes(GATED, phase_error=late)
+    start = start_with_error(reference, float(rng.uniform(*START_OF[condition.disturbed])), rng)
+    target, drawn = volume_target(pair), np.random.default_rng(seed)
+    result = register_volumes(volumes, target, start, rng=drawn, clock=perf_counter)
+    return RegisteredHeart(result, start, reference, {"gate_late": late})
+
+
+def _second_volumes(spec: SecondWorldSpec, rng: np.random.Generator) -> RegisteredHeart:
+    pair = second_world_pair(spec)
+    reference = Truth(pair.mr_from_tracker, pair.targets.points, pair.center_mm)
+    start = start_with_error(reference, float(rng.uniform(*START_MM)), rng)
+    result = register_gated_volumes(
+        pair.volumes(GATED),
+        build_heart(pair.preop),
+        start,
+        mr=pair.preop.mr,
+        seed=spec.seed,
+        clock=perf_counter,
+    )
+    return RegisteredHeart(result, start, reference, {}, pair.floor.pose_mm)

@@ -1,0 +1,211 @@
+"""Register the hearts of a list: accuracy, refusals, and what the result says about itself.
+
+One trial a heart and condition, from a coarse start, without landmarks. Intervals are over hearts: Wilson's
+for shares, bootstrap for percentiles. Hearts of the list `reported` have never been looked at before; the
+second world is never tuned on. With --fit nothing is registered: probability and bound are fitted on trials
+of the list `threshold`.
+
+    dvf-ig study hearts --hearts 60 -o study
+    dvf-ig study hearts --list threshold --hearts 8 --quality calm -o study
+"""
+
+import math
+from dataclasses import dataclass, fields
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import DvfIgError, FloatArray, Rigid
+from dvf_ig.registration import (
+    PoseChart,
+    RegistrationResult,
+    covariance_to_mm,
+    predicted_error_mm,
+    target_errors_mm,
+)
+from dvf_ig.registration.evidence.assessment import TABLES, features_of
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, option, trials_of
+from dvf_ig.study.hearts.fit import fit_tables
+from dvf_ig.study.hearts.recordings import (
+    ListName,
+    RegisteredHeart,
+    conditions_of,
+    heart_list,
+    hearts_option,
+    list_option,
+    of_trial,
+    registered_heart,
+    trial_numbers,
+)
+from dvf_ig.study.hearts.summary import hearts_table, summarise_hearts
+
+
+class World(StrEnum):
+    """Synthetic worlds."""
+
+    first = "first"
+    second = "second"
+
+
+class Quality(StrEnum):
+    """Presets of image quality."""
+
+    calm = "calm"
+    poor = "poor-image"
+
+
+class Images(StrEnum):
+    """Kinds of registered images."""
+
+    sweep = "sweep"
+    volumes = "volumes"
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeartsSettings:
+    """Options of the study."""
+
+    list: ListName = list_option()
+    world: World = option("The second shares no table with the first; reported only.", World.first)
+    images: Images = option("A tracked sweep of 14 s, or gated 3-D volumes.", Images.sweep)
+    quality: tuple[Quality, ...] = option("Image quality (repeatable; default: both).", ())
+    disturbed: int = option(
+        "Further sweeps of each heart and quality, with errors of calibration, clock, anatomy and start "
+        "drawn for each.",
+        0,
+        least=0,
+        most=20,
+    )
+    hearts: int | None = hearts_option()
+    fit: tuple[Path, ...] = option(
+        "Register nothing: fit probability and bound on the trials of this folder (repeatable).", ()
+    )
+
+
+def heart_trial(settings: Settings, number: int) -> Line:
+    """One recording of one heart of a list.
+
+    Args:
+        settings: `world` ("first", "second"), `images` ("sweep": a tracked sweep, "volumes": gated 3-D
+            images), `qualities` (presets of scenarios), `disturbed` (see `conditions_of`).
+        number: of the trial.
+    """
+    heart, condition = of_trial(number, settings)
+    named = {
+        "world": settings["world"],
+        "images": settings["images"],
+        "quality": condition.quality,
+        "disturbed": condition.disturbed,
+        "heart": heart,
+    }
+    try:
+        registered = registered_heart(settings, number)
+    except DvfIgError as exc:
+        return {**named, "refused": str(exc)}
+    return {**named, **registered.drawn, **_measured(registered)}
+
+
+def _measured(registered: RegisteredHeart) -> Line:
+    """Errors at the targets, and what the result states about itself."""
+    result = registered.result
+    errors = target_errors_mm(result.target_from_source, registered.known.truth, registered.known.targets)
+    return {
+        "start_mm": float(
+            target_errors_mm(registered.start, registered.known.truth, registered.known.targets).mean()
+        ),
+        "floor_mm": registered.floor_mm,
+        "tre_mm": float(errors.mean()),
+        "tre_p95_mm": float(np.percentile(errors, 95)),
+        "tre_max_mm": float(errors.max()),
+        "chi2": _chi2(result, registered.known.truth),
+        "covariance_scale": result.covariance_scale,
+        "stop": result.stop.name,
+        "usable": result.stop.usable,
+        "success_probability": result.success_probability,
+        "tre_bound_mm": result.tre_bound_mm,
+        "features": features_of(
+            result.evidence,
+            result.similarity,
+            predicted_error_mm(result.covariance / result.covariance_scale),
+        ),
+        "statistics": None if result.statistics is None else result.statistics.values(),
+        "offset_mm": _offset(result, registered.known.truth),
+        "covariance_mm2": _listed(result.covariance),
+        "similarity": result.similarity,
+        "moved_mm": result.moved_mm,
+        "overlap": result.overlap,
+        "sigma_mm": _sigma_mm(result.covariance),
+        "seconds": result.seconds,
+        **_numbers_of(result.evidence),
+    }
+
+
+def _chi2(result: RegistrationResult, truth: Rigid) -> float | None:
+    """Squared error of the pose by its covariance, of 6 degrees of freedom; None without a covariance."""
+    if not np.isfinite(result.covariance).all():
+        return None
+    off = PoseChart(result.target_from_source, result.center_mm).coordinates(truth)
+    return float(off @ np.linalg.solve(covariance_to_mm(result.covariance), off))
+
+
+def _offset(result: RegistrationResult, truth: Rigid) -> list[float]:
+    """The true pose in the coordinates of `PoseChart` about the result."""
+    return [float(v) for v in PoseChart(result.target_from_source, result.center_mm).coordinates(truth)]
+
+
+def _listed(covariance: FloatArray) -> list[list[float]] | None:
+    finite = bool(np.isfinite(covariance).all())
+    return [[float(v) for v in row] for row in covariance_to_mm(covariance)] if finite else None
+
+
+def _sigma_mm(covariance: FloatArray) -> float | None:
+    mean = float(np.trace(covariance_to_mm(covariance))) / 6.0
+    return float(np.sqrt(mean)) if np.isfinite(mean) else None
+
+
+def _numbers_of(evidence: Any) -> Line:
+    """Every number of the evidence by its name, None if it was not tested or is infinite."""
+    values = {field.name: getattr(evidence, field.name) for field in fields(evidence)}
+    return {
+        name: float(value) if isinstance(value, float) and np.isfinite(value) else None
+        for name, value in values.items()
+        if value is None or isinstance(value, float)
+    }
+
+
+def run(settings: HeartsSettings, driver: Driver) -> Result:
+    """Register every heart of the list, or fit tables on trials."""
+    if settings.fit:
+        return _fitted(settings.fit)
+    conditions: Settings = {
+        "world": settings.world.value,
+        "images": settings.images.value,
+        "qualities": [chosen.value for chosen in settings.quality or Quality],
+        "disturbed": settings.disturbed,
+    }
+    hearts = heart_list(settings.list.value).of_world(settings.world.value)[: settings.hearts]
+    lines = driver.trials(
+        Trials("hearts", conditions, heart_trial),
+        trial_numbers(hearts, conditions),
+        group_size=len(conditions_of(conditions)),
+    )
+    groups = summarise_hearts(lines)
+    summary = {"list": settings.list.value, **conditions, "groups": groups}
+    return Result(summary, hearts_table(groups), {"summary.json": summary})
+
+
+def _fitted(folders: tuple[Path, ...]) -> Result:
+    """Tables that replace the package's own: registrations state them from then on."""
+    tables = fit_tables([line for folder in folders for line in trials_of(folder)])
+    rows: Rows = [("", "hearts", "trials", "95 % bound / prediction", "refused above, mm")]
+    for kind, table in tables["kinds"].items():
+        quantile = table["bound_quantile"]
+        factor = "–" if quantile is None else f"{math.exp(quantile):.2f}"
+        limit = f"{math.exp(table['largest']):.2f}"
+        rows.append((kind, str(table["hearts"]), str(table["trials"]), factor, limit))
+    return Result(tables, rows, {TABLES: tables})
+
+
+STUDY = Study(HeartsSettings, run, outputs=lambda settings: (TABLES,) if settings.fit else ("summary.json",))

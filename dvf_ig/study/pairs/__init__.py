@@ -1,1 +1,0 @@
-"""Registration of pairs of organ images that do not beat: one trial a pair."""

@@ -1,1 +1,0 @@
-"""A hand on a simulated device against a wall: what sampling does, with and without the controller."""

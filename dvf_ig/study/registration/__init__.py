@@ -1,1 +1,0 @@
-"""The registration studies: experiments, scenes, baselines, summaries."""

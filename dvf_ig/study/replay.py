@@ -1,0 +1,209 @@
+"""Make interventions, replay each from raw streams to force, and score it: TRE, force, and hazard_s.
+
+hazard_s is the time in which a force was given on a pose more than 5 mm off; the table shows the largest over
+the seeds. The unit is the seed: it draws heart, patient and noise.
+
+    dvf-ig study replay --preset lost-ultrasound --seeds 10 -o study
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from data_synth.scenario.presets import PRESETS, ScenarioSpec, preset_name
+from data_synth.scenario.recording import phantom_scenario
+from dvf_ig.io import cached_model
+from dvf_ig.replay import result_of, run_replay
+from dvf_ig.session.pose.registration_monitor import ELSEWHERE_BEATS
+from dvf_ig.study.driver import (
+    Driver,
+    Line,
+    Result,
+    Rows,
+    Settings,
+    Study,
+    Trials,
+    option,
+    seed_option,
+    seeds_option,
+)
+from dvf_ig.study.statistics import median_of, number_text
+
+
+class Motion(StrEnum):
+    """Motion presets."""
+
+    paper5mm = "paper5mm"
+    physiological = "physiological"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplaySettings:
+    """Options of the study."""
+
+    preset: tuple[str, ...] = option("One preset; may be repeated (default: all).", ())
+    motion: Motion = option("How far the heart moves.", Motion.paper5mm)
+    seconds: float = option("Length of each intervention.", 60.0)
+    seeds: int = seeds_option(10)
+    seed: int = seed_option(1)
+
+
+@dataclass(frozen=True, slots=True)
+class PresetSummary:
+    """One preset over its seeds.
+
+    Attributes:
+        preset: its name.
+        seeds: replays; refused: those that ended in an error.
+        guided: replays that gave a force at any time; the numbers below are over these, medians unless said.
+        tre_median_mm, tre_worst_mm: median TRE of each replay: their median and their largest.
+        force_error_n: median error in contact.
+        valid_share: of the ticks.
+        served_share: of the ticks in contact.
+        hazard_s: largest time with a force on a pose more than 5 mm off; hazard_longest_s: at a stretch.
+        withheld_s: time in which the pose was suspended or unconfirmed.
+        latched_s: time in which the operator had to re-arm.
+        tip_seen: replays in which images showed the tool's tip; tip_elsewhere: of them
+            for so long away from its expected position that no pose was used.
+    """
+
+    preset: str
+    seeds: int
+    refused: int
+    guided: int
+    tre_median_mm: float | None
+    tre_worst_mm: float | None
+    force_error_n: float | None
+    valid_share: float | None
+    served_share: float | None
+    hazard_s: float | None
+    hazard_longest_s: float | None
+    withheld_s: float | None
+    latched_s: float | None
+    tip_seen: int
+    tip_elsewhere: int
+
+
+def summarise_replays(lines: Sequence[Line], presets: Sequence[str]) -> list[PresetSummary]:
+    """A summary of each preset, in the order in which `trial_of` numbers them."""
+    return [
+        _summary(preset, [line for line in lines if line["seed"] % len(presets) == place])
+        for place, preset in enumerate(presets)
+    ]
+
+
+def _summary(preset: str, lines: Sequence[Line]) -> PresetSummary:
+    scored = [line for line in lines if "refused" not in line]
+    tre = [line["tre_mm"]["median"] for line in scored if line["tre_mm"]]
+    return PresetSummary(
+        preset=preset,
+        seeds=len(lines),
+        refused=len(lines) - len(scored),
+        guided=len(tre),
+        tre_median_mm=median_of(tre),
+        tre_worst_mm=max(tre, default=None),
+        force_error_n=median_of([x["force_error_n"]["median"] for x in scored if x["force_error_n"]]),
+        valid_share=median_of([x["valid_ticks"] / x["ticks"] for x in scored]),
+        served_share=median_of([x["contact"]["served_share"] for x in scored if x["contact"]]),
+        hazard_s=max((x["hazard_s"] for x in scored), default=None),
+        hazard_longest_s=max((x["hazard_longest_s"] for x in scored), default=None),
+        withheld_s=median_of([x["withheld_s"] for x in scored]),
+        latched_s=median_of([x["supervisor"]["latched_s"] for x in scored]),
+        tip_seen=sum(x["tip_in_image"] is not None for x in scored),
+        tip_elsewhere=sum(
+            x["tip_in_image"] is not None and x["tip_in_image"]["elsewhere_beats"] >= ELSEWHERE_BEATS
+            for x in scored
+        ),
+    )
+
+
+KEPT = (
+    "tre_mm",
+    "phase_error_percent_rr",
+    "force_error_n",
+    "contact",
+    "hazard_s",
+    "hazard_longest_s",
+    "withheld_s",
+    "valid_ticks",
+    "ticks",
+    "supervisor",
+    "tip_in_image",
+    "seconds",
+)
+"""Fields of a replay's result that a line keeps."""
+
+
+def trial_of(settings: Settings, number: int) -> tuple[int, str]:
+    """Seed and preset of a trial; those of one seed follow one another."""
+    presets = settings["presets"]
+    return number // len(presets), presets[number % len(presets)]
+
+
+def trial_numbers(presets: int, first_seed: int, seeds: int) -> range:
+    """Numbers of the trials of consecutive seeds."""
+    return range(first_seed * presets, (first_seed + seeds) * presets)
+
+
+def replay_trial(settings: Settings, number: int) -> Line:
+    """Make, replay and score one intervention.
+
+    Args:
+        settings: `presets`, `motion`, `seconds`.
+        number: see `trial_of`.
+    """
+    seed, preset = trial_of(settings, number)
+    spec = ScenarioSpec(preset=preset, motion=settings["motion"], seconds=settings["seconds"], seed=seed)
+    scenario = phantom_scenario(spec)
+    result = result_of(run_replay(scenario, model=cached_model(scenario.preop).model))
+    return {
+        "scenario_seed": seed,
+        "preset": preset,
+        "usable_registrations": sum(a["usable"] for a in result["registrations"]),
+        "registrations": len(result["registrations"]),
+        **{name: result[name] for name in KEPT},
+    }
+
+
+def run(settings: ReplaySettings, driver: Driver) -> Result:
+    """Replay every preset on every seed."""
+    named = [preset_name(name) for name in settings.preset]
+    presets = list(dict.fromkeys(named)) or list(PRESETS)
+    checked = ScenarioSpec(
+        preset=presets[0], motion=settings.motion.value, seconds=settings.seconds, seed=settings.seed
+    )
+    fields = {"presets": presets, "motion": checked.motion, "seconds": checked.seconds}
+    lines = driver.trials(
+        Trials("replay", fields, replay_trial),
+        trial_numbers(len(presets), settings.seed, settings.seeds),
+        group_size=len(presets),
+    )
+    rows = summarise_replays(lines, presets)
+    summary = {**fields, "seed": settings.seed, "seeds": settings.seeds, "rows": rows}
+    return Result(summary, _table(rows), {"summary.json": summary})
+
+
+def _table(rows: Sequence[PresetSummary]) -> Rows:
+    head = ("preset", "guided", "TRE mm, worst", "force error N", "valid", "in contact", "hazard s")
+    more = ("at a stretch", "withheld s", "latched s", "tip seen, elsewhere")
+    return [(*head, *more), *(_cells(row) for row in rows)]
+
+
+def _cells(row: PresetSummary) -> tuple[str, ...]:
+    tre = "" if row.tre_median_mm is None else f"{row.tre_median_mm:.2f}, {row.tre_worst_mm:.2f}"
+    return (
+        row.preset,
+        f"{row.guided} of {row.seeds}",
+        tre,
+        number_text(row.force_error_n, "{:.3f}", ""),
+        number_text(row.valid_share, "{:.0%}", ""),
+        number_text(row.served_share, "{:.0%}", ""),
+        number_text(row.hazard_s, "{:.2f}", ""),
+        number_text(row.hazard_longest_s, "{:.2f}", ""),
+        number_text(row.withheld_s, "{:.1f}", ""),
+        number_text(row.latched_s, "{:.1f}", ""),
+        f"{row.tip_seen}, {row.tip_elsewhere}",
+    )
+
+
+STUDY = Study(ReplaySettings, run)

@@ -1,1 +1,0 @@
-"""Uniform against two-segment retiming."""

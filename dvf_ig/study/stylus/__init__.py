@@ -1,1 +1,0 @@
-"""A stylus held to the beating surface by a guidance fixture alone."""

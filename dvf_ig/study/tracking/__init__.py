@@ -1,0 +1,1 @@
+"""Stylus held to the beating surface by a guidance fixture alone."""

@@ -1,0 +1,482 @@
+"""Watch over a pose in use while nothing happens, and while the heart is shifted or drifts.
+
+Alarms of quiet recordings are false; their rate has the exact Poisson interval. Shifts of 4 and 8 mm and
+drifts of 1, 3 and 10 mm a minute are put into the recorded beats; shares have intervals over hearts. The
+unit is the heart.
+
+    dvf-ig study watch --list tuning --hearts 3 -o study
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from data_synth import ScenarioSpec, child_rng, phantom_scenario
+from dvf_ig.core import FloatArray, Rigid, Scenario, mean_displacement_mm, read_only_arrays
+from dvf_ig.guidance import Hazard
+from dvf_ig.io import cached_model
+from dvf_ig.registration import PoseEstimate, ShiftDetector
+from dvf_ig.replay import events_of
+from dvf_ig.replay.calibrations import calibrate
+from dvf_ig.replay.start import landmarks_start, start_pose
+from dvf_ig.session import (
+    BeatEvaluation,
+    InCaller,
+    Job,
+    RegistrationMonitor,
+    Session,
+    SessionHistory,
+    SessionSetup,
+    beat_source_of,
+    build_heart,
+)
+from dvf_ig.session.ultrasound.beat_evaluation import ComparableBeat, ComparedBeat, evaluation_of
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, option
+from dvf_ig.study.hearts.recordings import MOTION, VARIED, ListName, heart_list, hearts_option, list_option
+from dvf_ig.study.statistics import Estimate, estimate_text, number_text, poisson_rate, share_over_hearts
+
+
+@dataclass(frozen=True, kw_only=True)
+class WatchSettings:
+    """Options of the study."""
+
+    list: ListName = list_option()
+    preset: str = option("A preset in which neither patient nor probe moves.", "calm")
+    seconds: float = option("Length of each recording.", 60.0)
+    hearts: int | None = hearts_option()
+
+
+T = TypeVar("T")
+STATE_EVERY_S = 0.1
+"""The session is asked so often for its state, instead of every millisecond: it does the same work."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WatchedBeat:
+    """A beat that was compared with the pose in use.
+
+    Attributes:
+        slices: its ultrasound.
+        evaluation: against that pose.
+        estimate: that pose, before the beat.
+    """
+
+    slices: ComparableBeat
+    evaluation: BeatEvaluation
+    estimate: PoseEstimate
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class WatchedRecording:
+    """Run of a session over a quiet recording.
+
+    Attributes:
+        center_mm: (3,) centre of the heart box, frame "mr".
+        truth: mr_from_tracker.
+        beats: compared with the pose in use, in order.
+        alarms: sentences of the doubts that suspended the pose.
+        guided_s: time in which a pose was in use; unconfirmed_s: of it, with a pose that no beat confirmed.
+    """
+
+    center_mm: FloatArray
+    truth: Rigid
+    beats: tuple[WatchedBeat, ...]
+    alarms: tuple[str, ...]
+    guided_s: float
+    unconfirmed_s: float
+
+
+class _KeepingExecutor(InCaller):
+    """Does the work when its result is due, and keeps the beats."""
+
+    def __init__(self) -> None:
+        self.slices: list[ComparableBeat] = []
+
+    def submit(self, work: Callable[[], T]) -> Job[T]:
+        def kept() -> T:
+            completed = work()
+            if isinstance(completed, ComparedBeat) and completed.slices is not None:
+                self.slices.append(completed.slices)
+            return completed
+
+        return super().submit(kept)
+
+
+def watch_recording(scenario: Scenario, seed: int) -> WatchedRecording:
+    """Run a session over a synthetic recording in which nothing happens."""
+    if scenario.truth is None:
+        raise TypeError("a synthetic scenario has its truth")
+    heart = build_heart(scenario.preop, cached_model(scenario.preop).model)
+    start = None if landmarks_start(scenario) else start_pose(scenario, heart, seed)
+    setup = SessionSetup(
+        heart,
+        calibrate(scenario, seed).in_use,
+        beat_source_of(scenario.ecg),
+        start=start,
+        fan=scenario.fan,
+        seed=seed,
+    )
+    history, executor = SessionHistory(), _KeepingExecutor()
+    estimates: list[PoseEstimate] = []
+    guided = unconfirmed = 0
+    events = events_of(scenario)
+    upcoming = next(events)
+    last_s = float(scenario.ultrasound.t_s[-1])
+    with Session(setup, executor=executor, history=history) as session:
+        for now_s in np.arange(0.0, last_s, STATE_EVERY_S).tolist():
+            while upcoming[0] <= now_s:
+                session.push(upcoming[1])
+                upcoming = next(events, (np.inf, upcoming[1]))
+            state = session.state(now_s)
+            if state.estimate is not None and (not estimates or estimates[-1] is not state.estimate):
+                estimates.append(state.estimate)
+            guided += state.transform.pose is not None
+            unconfirmed += bool(state.supervised.hazards & Hazard.POSE_UNCONFIRMED)
+    return WatchedRecording(
+        heart.center_mm,
+        scenario.truth.mr_from_tracker_at(0.0),
+        _in_use(history, executor.slices, estimates),
+        tuple(update.doubt.sentence for update in history.updates if update.doubt is not None),
+        guided * STATE_EVERY_S,
+        unconfirmed * STATE_EVERY_S,
+    )
+
+
+def _in_use(
+    history: SessionHistory, slices: list[ComparableBeat], estimates: list[PoseEstimate]
+) -> tuple[WatchedBeat, ...]:
+    """Beats with the estimate they were compared with: both hold the same pose."""
+    of_begin = {beat.begin_s: beat for beat in slices}
+    of_pose = {id(estimate.pose): estimate for estimate in estimates}
+    beats = []
+    for evaluation in history.beats:
+        estimate = of_pose.get(id(evaluation.measurement.pose))
+        if evaluation.in_use and estimate is not None and evaluation.begin_s in of_begin:
+            beats.append(WatchedBeat(of_begin[evaluation.begin_s], evaluation, estimate))
+    return tuple(beats)
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class DisplacedBeat:
+    """A beat of a heart that lies `shift_mm` (3,), frame "mr", from where the recording has it.
+
+    The pose that puts images of the displaced heart where they belong is E T, with T the recording's and E a
+    translation by `shift_mm`: at X they match as the recorded images do at E⁻¹X.
+    """
+
+    beat: ComparableBeat
+    shift_mm: FloatArray
+
+    @property
+    def begin_s(self) -> float:
+        return self.beat.begin_s
+
+    @property
+    def end_s(self) -> float:
+        return self.beat.end_s
+
+    def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
+        """See `ComparableBeat`."""
+        back = moved(pose, -self.shift_mm)
+        result = self.beat.evaluate_beat(back, center_mm - self.shift_mm, in_use=in_use)
+        if result is None:
+            return None
+        best = moved(result.measurement.best, self.shift_mm)
+        return replace(result, measurement=replace(result.measurement, pose=pose, best=best))
+
+
+def moved(pose: Rigid, shift_mm: FloatArray) -> Rigid:
+    """The pose of a heart that has moved by `shift_mm` (3,), target frame."""
+    return pose.perturbed_left(np.zeros(3), shift_mm, np.zeros(3))
+
+
+SHIFTS_MM = (4.0, 8.0)
+ONSET_EVERY, FIRST_ONSET, FOLLOWED_BEATS = 6, 4, 10
+"""A shift begins at every sixth beat from the fifth on; each is followed for ten beats at most."""
+DRIFTS_MM_PER_MIN = (1.0, 3.0, 10.0)
+
+
+def watch_trial(settings: Settings, number: int) -> Line:
+    """One heart.
+
+    Args:
+        settings: `preset`, `seconds`.
+        number: seed of the heart.
+    """
+    motion: Any = MOTION[number % 2]
+    spec = ScenarioSpec(settings["preset"], motion, settings["seconds"], number, heart=VARIED)
+    return measured(watch_recording(phantom_scenario(spec), number), number)
+
+
+def measured(recording: WatchedRecording, number: int) -> Line:
+    """Evaluate the watch on the recording as it is, and with a heart that moves."""
+    beats, rng = recording.beats, child_rng(number, "watch trial")
+    onsets = range(FIRST_ONSET, len(beats) - FOLLOWED_BEATS, ONSET_EVERY)
+    off_mm = [mean_displacement_mm(b.estimate.pose, recording.truth, recording.center_mm) for b in beats]
+    bounds = [b.estimate.tre_bound_mm for b in beats]
+    return {
+        "beats": len(beats),
+        "guided_s": round(recording.guided_s, 2),
+        "unconfirmed_s": round(recording.unconfirmed_s, 2),
+        "alarms": list(recording.alarms),
+        "statistic": [round(x, 2) for x in statistics(beats)],
+        "tre_mm": _rounded(off_mm),
+        "tre_bound_mm": _rounded(bounds),
+        "shifts": {
+            f"{mm:g}": [beats_until_found(recording, first, mm * _direction(rng)) for first in onsets]
+            for mm in SHIFTS_MM
+        },
+        "drifts": {
+            f"{rate:g}": followed_drift(recording, rate / 60.0 * _direction(rng))
+            for rate in DRIFTS_MM_PER_MIN
+        },
+    }
+
+
+def _rounded(values: list[float]) -> list[float]:
+    return [round(value, 3) for value in values]
+
+
+def _direction(rng: np.random.Generator) -> FloatArray:
+    drawn = rng.normal(size=3)
+    return np.asarray(drawn / np.linalg.norm(drawn))
+
+
+def detectors(beats: tuple[WatchedBeat, ...]) -> list[ShiftDetector]:
+    """The detector before each beat, and after the last."""
+    before = [ShiftDetector()]
+    for beat in beats:
+        measurement = beat.evaluation.measurement
+        before.append(
+            before[-1].after(beat.evaluation.begin_s, beat.estimate, measurement)
+            if measurement.informative
+            else before[-1]
+        )
+    return before
+
+
+def statistics(beats: tuple[WatchedBeat, ...]) -> list[float]:
+    """The statistic of `ShiftDetector` after each beat."""
+    tests = [detector.test for detector in detectors(beats)[1:]]
+    return [0.0 if test is None else test.statistic for test in tests]
+
+
+def monitor_before(recording: WatchedRecording, first: int) -> RegistrationMonitor:
+    """The monitor as it was before a beat."""
+    return RegistrationMonitor(
+        recording.center_mm,
+        None,
+        estimate=recording.beats[first].estimate,
+        suspended=False,
+        shift=detectors(recording.beats[:first])[-1],
+    )
+
+
+def beats_until_found(recording: WatchedRecording, first: int, shift_mm: FloatArray) -> int | None:
+    """Beats from the shift at the beginning of beat `first` on, with the one that suspends the pose.
+
+    None if FOLLOWED_BEATS do not. No registration takes part: it comes every 12 s, and would only find
+    the shift sooner.
+    """
+    monitor = monitor_before(recording, first)
+    for count, beat in enumerate(recording.beats[first : first + FOLLOWED_BEATS], start=1):
+        monitor = _after(monitor, DisplacedBeat(beat.slices, shift_mm))
+        if monitor.in_use is None:
+            return count
+    return None
+
+
+def followed_drift(recording: WatchedRecording, mm_per_s: FloatArray) -> Line | None:
+    """A drift from the fifth beat to the last: how far the pose in use lags, and whether it is found.
+
+    The lag is against the pose that the session had without a drift, displaced as the heart was. It counts
+    while the pose is in use.
+    """
+    beats = recording.beats[FIRST_ONSET:]
+    if not beats:
+        return None
+    monitor, lag_mm, found_s = monitor_before(recording, FIRST_ONSET), 0.0, None
+    for beat in beats:
+        since_s = beat.slices.end_s - beats[0].slices.begin_s
+        gone_mm = mm_per_s * since_s
+        monitor = _after(monitor, DisplacedBeat(beat.slices, gone_mm))
+        if monitor.in_use is None:
+            found_s = since_s
+            break
+        there = moved(beat.estimate.pose, gone_mm)
+        lag_mm = max(lag_mm, mean_displacement_mm(monitor.in_use.pose, there, recording.center_mm))
+    return {"lag_mm": round(lag_mm, 2), "found_s": found_s, "seconds": round(since_s, 1)}
+
+
+def _after(monitor: RegistrationMonitor, beat: DisplacedBeat) -> RegistrationMonitor:
+    if monitor.in_use is None:
+        return monitor
+    result = evaluation_of(beat, monitor.in_use, monitor.center_mm, in_use=True)
+    return monitor if result is None else monitor.after_beat(result)
+
+
+WITHIN_BEATS = (1, 2, 3, 5, 10)
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftSummary:
+    """Shifts of one length.
+
+    Attributes:
+        mm: length; shifts: how many.
+        within: number of beats to the share that is found within them.
+        median_beats: until found.
+    """
+
+    mm: float
+    shifts: int
+    within: dict[str, Estimate]
+    median_beats: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class DriftSummary:
+    """Drifts of one speed.
+
+    Attributes:
+        mm_per_min: speed; drifts: how many, one a heart.
+        found: of them, by a suspension; the others were followed to the end.
+        lag_median_mm, lag_max_mm: largest lag of the pose while it was in use, over hearts.
+    """
+
+    mm_per_min: float
+    drifts: int
+    found: int
+    lag_median_mm: float | None
+    lag_max_mm: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class WatchSummary:
+    """All hearts of one preset.
+
+    Attributes:
+        hearts: trials; failed: those that ended in an error.
+        beats: compared with a pose in use; hours: with one.
+        alarms: false ones, as the user saw them; alarms_per_hour.
+        unconfirmed_s: time with a pose that no beat confirmed.
+        statistic_p99, statistic_max: of the shift detector, quiet.
+        tre_median_mm, bound_median_mm: of the pose in use, and of its stated 95 % bound.
+        bound_covers: share of beats whose pose is within its bound.
+    """
+
+    hearts: int
+    failed: int
+    beats: int
+    hours: float
+    alarms: tuple[str, ...]
+    alarms_per_hour: Estimate
+    unconfirmed_s: float
+    statistic_p99: float | None
+    statistic_max: float | None
+    tre_median_mm: float | None
+    bound_median_mm: float | None
+    bound_covers: Estimate
+    shifts: tuple[ShiftSummary, ...]
+    drifts: tuple[DriftSummary, ...]
+
+
+def summarise_watch(lines: Sequence[Line]) -> WatchSummary:
+    """Everything about one preset."""
+    completed = [line for line in lines if "refused" not in line]
+    quiet = [x for line in completed for x in line["statistic"]]
+    alarms = tuple(alarm for line in completed for alarm in line["alarms"])
+    hours = sum(line["guided_s"] for line in completed) / 3600.0
+    return WatchSummary(
+        hearts=len(lines),
+        failed=len(lines) - len(completed),
+        beats=sum(line["beats"] for line in completed),
+        hours=hours,
+        alarms=alarms,
+        alarms_per_hour=poisson_rate(len(alarms), hours),
+        unconfirmed_s=sum(line["unconfirmed_s"] for line in completed),
+        statistic_p99=float(np.percentile(quiet, 99)) if quiet else None,
+        statistic_max=max(quiet, default=None),
+        tre_median_mm=_median([x for line in completed for x in line["tre_mm"]]),
+        bound_median_mm=_median([x for line in completed for x in line["tre_bound_mm"]]),
+        bound_covers=share_over_hearts([_covered(line) for line in completed]),
+        shifts=tuple(_shifts(mm, completed) for mm in SHIFTS_MM),
+        drifts=tuple(_drifts(rate, completed) for rate in DRIFTS_MM_PER_MIN),
+    )
+
+
+def _covered(line: Line) -> list[bool]:
+    return [off <= bound for off, bound in zip(line["tre_mm"], line["tre_bound_mm"], strict=True)]
+
+
+def _shifts(mm: float, completed: Sequence[Line]) -> ShiftSummary:
+    of_hearts = [line["shifts"][f"{mm:g}"] for line in completed]
+    every = [np.inf if k is None else float(k) for trials in of_hearts for k in trials]
+    within = {
+        str(n): share_over_hearts([[k is not None and k <= n for k in trials] for trials in of_hearts])
+        for n in WITHIN_BEATS
+    }
+    return ShiftSummary(mm, len(every), within, _median(every))
+
+
+def _drifts(rate: float, completed: Sequence[Line]) -> DriftSummary:
+    drifts = [line["drifts"][f"{rate:g}"] for line in completed]
+    drifts = [drift for drift in drifts if drift is not None]
+    lags = [drift["lag_mm"] for drift in drifts]
+    suspended = sum(drift["found_s"] is not None for drift in drifts)
+    return DriftSummary(rate, len(drifts), suspended, _median(lags), max(lags, default=None))
+
+
+def _median(values: Sequence[float]) -> float | None:
+    middle = float(np.median(values)) if values else np.inf
+    return middle if np.isfinite(middle) else None
+
+
+def run(settings: WatchSettings, driver: Driver) -> Result:
+    """Watch every heart of the list."""
+    checked = ScenarioSpec(preset=settings.preset, seconds=settings.seconds)
+    fields = {"preset": checked.preset, "seconds": checked.seconds}
+    hearts = heart_list(settings.list.value).first_world[: settings.hearts]
+    result = summarise_watch(driver.trials(Trials("watch", fields, watch_trial), hearts))
+    summary = {"list": settings.list.value, **fields, **asdict(result)}
+    return Result(summary, _table(result), {"summary.json": summary})
+
+
+def _table(result: WatchSummary) -> Rows:
+    rows = [
+        ("hearts (failed)", f"{result.hearts} ({result.failed})"),
+        ("quiet beats", f"{result.beats} in {result.hours:.2f} h"),
+        ("false alarms", str(len(result.alarms))),
+        ("false alarms an hour", estimate_text(result.alarms_per_hour)),
+        ("unconfirmed s", f"{result.unconfirmed_s:.1f}"),
+        (
+            "shift statistic, 99 %, largest",
+            f"{number_text(result.statistic_p99)}, {number_text(result.statistic_max)}",
+        ),
+        (
+            "TRE, bound, median mm",
+            f"{number_text(result.tre_median_mm)}, {number_text(result.bound_median_mm)}",
+        ),
+        ("bound covers", estimate_text(result.bound_covers, "{:.0%}")),
+    ]
+    for shift in result.shifts:
+        rows += [
+            (f"{shift.mm:g} mm found within {beats} beats", estimate_text(share, "{:.0%}"))
+            for beats, share in shift.within.items()
+        ]
+    rows += [
+        (
+            f"drift of {drift.mm_per_min:g} mm/min",
+            f"found in {drift.found} of {drift.drifts}; lag {number_text(drift.lag_median_mm)} mm, "
+            f"at most {number_text(drift.lag_max_mm)}",
+        )
+        for drift in result.drifts
+    ]
+    return [("", f"{result.hearts} hearts"), *rows]
+
+
+STUDY = Study(WatchSettings, run)

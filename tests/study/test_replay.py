@@ -1,0 +1,39 @@
+"""The replay study: which trial is which, and what a preset's replays say together."""
+
+from typing import Any
+
+from data_synth.scenario.presets import PRESETS
+from dvf_ig.study.replay import summarise_replays, trial_numbers, trial_of
+
+
+def line(number: int, tre_mm: float | None, hazard_s: float) -> dict[str, Any]:
+    return {
+        "seed": number,
+        "tre_mm": None if tre_mm is None else {"median": tre_mm},
+        "force_error_n": None if tre_mm is None else {"median": 0.1 * tre_mm},
+        "contact": {"served_share": 0.5},
+        "hazard_s": hazard_s,
+        "hazard_longest_s": hazard_s / 2,
+        "withheld_s": 3.0,
+        "valid_ticks": 800,
+        "ticks": 1000,
+        "supervisor": {"latched_s": 0.0},
+        "tip_in_image": None,
+    }
+
+
+def test_the_trials_of_one_seed_follow_one_another() -> None:
+    settings = {"presets": list(PRESETS)}
+    numbers = trial_numbers(len(PRESETS), first_seed=7, seeds=2)
+    asked = [trial_of(settings, number) for number in numbers]
+    assert asked == [(seed, preset) for seed in (7, 8) for preset in PRESETS]
+
+
+def test_the_worst_seed_gives_the_hazard_and_the_median_the_error() -> None:
+    lines = [line(4, 1.0, 0.0), line(6, 3.0, 4.0), line(8, None, 0.0), {"seed": 10, "refused": "no"}]
+    (calm, other) = summarise_replays(lines, ["calm", "ectopy"])
+    assert (calm.seeds, calm.refused, calm.guided) == (4, 1, 2)
+    assert (calm.tre_median_mm, calm.tre_worst_mm) == (2.0, 3.0)
+    assert (calm.hazard_s, calm.hazard_longest_s) == (4.0, 2.0)
+    assert calm.valid_share == 0.8
+    assert (other.seeds, other.hazard_s) == (0, None)
