@@ -47,7 +47,6 @@ from .scenario.ground_truth import draw_ground_truth as draw_ground_truth
 from .scenario.image_pair import ImagePair as ImagePair
 from .scenario.image_pair import PairSpec as PairSpec
 from .scenario.image_pair import image_pair as image_pair
-from .scenario.image_pair import plane_views as plane_views
 from .scenario.presets import MOTIONS as MOTIONS
 from .scenario.presets import PRESETS as PRESETS
 from .scenario.presets import Preset as Preset

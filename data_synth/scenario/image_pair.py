@@ -1,7 +1,4 @@
-"""Gated ultrasound of a heart, and the MR acquired of it before: a pair whose registration is known.
-
-Two kinds: 3-D images of a matrix array, one a cardiac phase, and cine loops of tracked planes.
-"""
+"""Gated 3-D ultrasound of a heart, and the MR acquired of it before: a pair whose registration is known."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,20 +14,15 @@ from data_synth.heart.heart_spec import STANDARD_HEART, HeartSpec
 from data_synth.heart.motion import MotionPreset
 from data_synth.mr.cine import cine_preop
 from data_synth.seeds import child_rng, child_seed
-from data_synth.ultrasound.presets import PROBES
-from data_synth.ultrasound.probe import SectorProbe
-from data_synth.ultrasound.sequence import simulate_sequence
-from data_synth.ultrasound.views import COUPLING_MM, standard_view, view_from
+from data_synth.ultrasound.views import standard_view
 from data_synth.ultrasound.volume import MatrixProbe, shown_volume, simulate_pyramid
 from data_synth.ultrasound.volume_faults import degraded_pyramid
 from dvf_ig.core import (
     FloatArray,
     InvalidInputError,
     Landmarks,
-    PoseStream,
     Preop,
     Rigid,
-    TrackedSequence,
     TrackedVolume,
 )
 
@@ -153,42 +145,6 @@ class ImagePair:
             out.append(TrackedVolume(shown.image, shown.mask, pose, phases[k] % 1.0))
         return tuple(out)
 
-    def planes(
-        self,
-        views: Sequence[Rigid],
-        phases: Sequence[float],
-        *,
-        probe: SectorProbe | None = None,
-        phase_error: float = 0.0,
-    ) -> tuple[TrackedSequence, FloatArray]:
-        """Cine loops of planes held still, with the (n,) model phase of each frame.
-
-        Args:
-            views: mr_from_plane of each plane.
-            phases: of the frames of one loop.
-        """
-        sector = probe or PROBES["apical"]
-        if not isinstance(sector, SectorProbe):
-            raise InvalidInputError("planes need a probe that makes planes; choose a sector probe")
-        poses = [view for view in views for _ in phases]
-        at = np.tile(np.asarray(phases, dtype=np.float64), len(views))
-        lines = np.repeat(((at + phase_error) % 1.0)[:, None], sector.lines, axis=1)
-        seed = child_seed(self.spec.heart.seeds(self.spec.seed).speckle, "pair ultrasound")
-        images = simulate_sequence(self.now, sector, poses, lines, seed=seed)
-        rng = child_rng(self.spec.seed, "pair poses")
-        read = [self._read(pose, rng, "probe") for pose in poses]
-        t_s = np.arange(len(poses)) / 25.0
-        stream = PoseStream(
-            "tracker",
-            "probe",
-            t_s,
-            np.stack([r.rotation for r in read]),
-            np.stack([r.translation_mm for r in read]),
-            np.ones(len(poses), dtype=np.bool_),
-        )
-        every = np.ones(len(poses), dtype=np.bool_)
-        return TrackedSequence(t_s, images, every, {stream.name: stream}), at
-
     def _read(self, mr_from_plane: Rigid, rng: np.random.Generator, frame: str, readings: int = 1) -> Rigid:
         """The mean of some readings of a probe's pose; `frame` is the probe's."""
         jitter = JITTER[self.spec.quality]
@@ -216,42 +172,6 @@ def image_pair(spec: PairSpec) -> ImagePair:
     rotation = Rotation.random(rng=rng).as_matrix()
     truth = Rigid("mr", "tracker", rotation, rng.uniform(-200.0, 200.0, 3))
     return ImagePair(spec, before, now, truth)
-
-
-PlaneSet = Literal["one", "shared axis", "off axis", "five"]
-
-
-def plane_views(anatomy: PhantomAnatomy, kind: PlaneSet, rng: np.random.Generator) -> tuple[Rigid, ...]:
-    """mr_from_plane of sets of planes.
-
-    "one": an apical plane. "shared axis": apical planes turned by 0, 60 and 120° about the beam.
-    "off axis": the first two of them and a short-axis one from the front. "five": the three apical ones, the
-    short axis, and one from the left.
-    """
-    apical = standard_view("apical four-chamber", anatomy.reference)
-    turned = [_turned(apical, np.deg2rad(a)) for a in (0.0, 60.0, 120.0)]
-    across = standard_view("epicardial short-axis", anatomy.reference)
-    if kind == "one":
-        chosen = turned[:1]
-    elif kind == "shared axis":
-        chosen = turned
-    elif kind == "off axis":
-        chosen = [*turned[:2], across]
-    else:
-        center = anatomy.box_mm.mean(axis=0)
-        reach = 0.5 * (anatomy.box_mm[1, 0] - anatomy.box_mm[0, 0]) + COUPLING_MM
-        chosen = [*turned, across, view_from(center + np.array([reach, 0.0, 0.0]), center)]
-    return tuple(_hand_held(view, rng) for view in chosen)
-
-
-def _turned(view: Rigid, angle_rad: float) -> Rigid:
-    """The view turned about its beam."""
-    return Rigid(
-        "mr",
-        "plane",
-        view.rotation @ Rotation.from_rotvec([0, angle_rad, 0]).as_matrix(),
-        view.translation_mm,
-    )
 
 
 def _hand_held(view: Rigid, rng: np.random.Generator) -> Rigid:

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from dvf_ig.study.driver import Study
 
 FOLDER = Path(dvf_ig.__file__).parent / "study"
+EXAMPLE = re.compile(r"^ {4}(dvf-ig study .+)$", re.MULTILINE)
+"""Example of a command in a docstring."""
 RENAMED = {"--pairs": "--seeds", "--trials": "--seeds"}
 """Former options, by the name they have now."""
 
@@ -46,21 +48,22 @@ def studies() -> dict[str, Path]:
     files = {path.stem: path for path in FOLDER.glob("*.py")}
     files |= {path.parent.name: path for path in FOLDER.glob("*/study.py")}
     return {
-        name: files[name] for name in sorted(files) if re.search(r"^STUDY = ", files[name].read_text(), re.M)
+        name: files[name]
+        for name in sorted(files)
+        if re.search(r"^STUDY = ", files[name].read_text(encoding="utf-8"), re.MULTILINE)
     }
 
 
 class StudyCommand(TyperCommand):
-    """A study in a list; its options are made when they are needed."""
+    """A study in a list: its help is its docstring; its options are made when they are needed."""
 
     def __init__(self, name: str, file: Path) -> None:
         docstring = file.read_text(encoding="utf-8").split('"""')[1]
-        examples = re.findall(r"^ {4}(dvf-ig study .+)$", docstring, re.M)
-        paragraphs = re.sub(r"^ {4}dvf-ig study .+$", "", docstring, flags=re.M).strip().split("\n\n")
-        about = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
-        self._module = f"dvf_ig.study.{name}" + (".study" if file.name == "study.py" else "")
+        paragraphs = [" ".join(text.split()) for text in EXAMPLE.sub("", docstring).strip().split("\n\n")]
+        examples = EXAMPLE.findall(docstring)
         head = "Examples:" if len(examples) > 1 else "Example:"
-        super().__init__(name, help=about, epilog="\n\n".join((head, *examples)))
+        self._module = f"dvf_ig.study.{name}" + (".study" if file.name == "study.py" else "")
+        super().__init__(name, help="\n\n".join(paragraphs), epilog="\n\n".join((head, *examples)))
 
     @property
     def params(self) -> list[Any]:
@@ -100,24 +103,19 @@ app = typer.Typer(cls=StudyGroup, help="Many trials with a known truth.", no_arg
 def _command_of(module: str, name: str, about: str, epilog: str) -> Any:
     """The command of a study, with an option for each field of its settings."""
     study: Study = import_module(module).STUDY
-    hints = get_type_hints(study.settings)
-    about_fields = {one.name: one for one in fields(study.settings)}
-    parameters = {one.name: _option(one, hints[one.name]) for one in about_fields.values()}
-    parameters |= _shared(study)
+    hints, chosen = get_type_hints(study.settings), fields(study.settings)
+    options = {one.name: _option(one, hints[one.name]) for one in chosen} | _shared(study)
 
-    def run(**given: Any) -> None:
-        chosen = {
-            field_name: _value(hints[field_name], given.pop(field_name), about_fields[field_name])
-            for field_name in about_fields
-        }
-        _run(study, study.settings(**chosen), **given)
+    def run(**values: Any) -> None:
+        settings = {one.name: _value(one, hints[one.name], values.pop(one.name)) for one in chosen}
+        _run(study, study.settings(**settings), **values)
 
-    signature = [
+    parameters = [
         inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-        for key, (annotation, default) in parameters.items()
+        for key, (annotation, default) in options.items()
     ]
-    run.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
-    run.__annotations__ = {key: annotation for key, (annotation, _) in parameters.items()}
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {key: annotation for key, (annotation, _) in options.items()}
     alone = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]}, add_completion=False)
     alone.command(name, help=about, epilog=epilog)(run)
     return get_command(alone)
@@ -127,38 +125,35 @@ def _option(one: "Field[Any]", hint: Any) -> tuple[Any, Any]:
     """Annotation and default of a field's option."""
     about = one.metadata
     flag = about["flag"] or f"--{one.name.replace('_', '-')}"
-    default = inspect.Parameter.empty if one.default is MISSING else one.default
     if _is_numbers(hint):
-        text = None if one.default is None else ",".join(map(str, _numbers(one)))
-        return Annotated[str | None, typer.Option(flag, help=about["help"])], text
+        return Annotated[str | None, typer.Option(flag, help=about["help"])], _with_commas(one)
     if get_origin(hint) is tuple:
         return Annotated[list[get_args(hint)[0]] | None, typer.Option(flag, help=about["help"])], None  # type: ignore[misc]
+    default = inspect.Parameter.empty if one.default is MISSING else one.default
     if about["argument"]:
         return Annotated[hint, typer.Argument(help=about["help"])], default
-    return (
-        Annotated[hint, typer.Option(flag, help=about["help"], min=about["least"], max=about["most"])],
-        default,
-    )
+    bounds = {"min": about["least"], "max": about["most"]}
+    return Annotated[hint, typer.Option(flag, help=about["help"], **bounds)], default
 
 
 def _is_numbers(hint: Any) -> bool:
-    """Numbers that are written with commas between them: whole ones, or a voxel size."""
+    """Whether a field is written as numbers with commas between them: whole ones, or a voxel size."""
     parts = get_args(hint)
     return parts == (int, ...) or any(get_args(part) == (float, float, float) for part in parts)
 
 
-def _numbers(one: "Field[Any]") -> tuple[Any, ...]:
-    """Default of a field of numbers."""
-    return tuple(one.default) if isinstance(one.default, tuple) else ()
+def _with_commas(one: "Field[Any]") -> str | None:
+    """Default of a field of numbers, as it is written."""
+    return ",".join(map(str, one.default)) if isinstance(one.default, tuple) else None
 
 
-def _value(hint: Any, given: Any, one: "Field[Any]") -> Any:
+def _value(one: "Field[Any]", hint: Any, value: Any) -> Any:
     """A field's value from its option's."""
     if get_args(hint) == (int, ...):
-        return whole_numbers(given, f"--{one.name}", ",".join(map(str, _numbers(one))))
+        return whole_numbers(value, f"--{one.name}", str(_with_commas(one)))
     if _is_numbers(hint):
-        return voxel_size(given)
-    return tuple(given or ()) if get_origin(hint) is tuple else given
+        return voxel_size(value)
+    return tuple(value or ()) if get_origin(hint) is tuple else value
 
 
 def _shared(study: "Study") -> dict[str, tuple[Any, Any]]:

@@ -17,8 +17,6 @@ from .cine_model import CineOptions as CineOptions
 from .cine_model import model_from_cine as model_from_cine
 from .conjugate_gradients import Solution as Solution
 from .conjugate_gradients import conjugate_gradients as conjugate_gradients
-from .distance.dilation import NEIGHBOURHOODS as NEIGHBOURHOODS
-from .distance.dilation import dilation_distance_mm as dilation_distance_mm
 from .distance.signed import inside_mask as inside_mask
 from .distance.signed import signed_distance_mm as signed_distance_mm
 from .distance.triangle_tree import Nearest as Nearest

@@ -1,1 +1,1 @@
-"""Signed distance to a closed surface: exact, and by dilation as in the paper."""
+"""Exact signed distance to a closed surface."""

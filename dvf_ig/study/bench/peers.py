@@ -1,6 +1,9 @@
 """Other ways to the distance to a mesh, timed on the same points: Open3D, VTK, and a covariance tree.
 
-The covariance tree is the paper's rival (Ren 2008, Section III); its search is a kernel.
+Open3D and VTK are imported if they are installed. The covariance tree (Li and Taylor) is the mesh search
+that a fixture of splines replaces: each box lies along the principal axes of its own triangles. The tree is
+complete and implicit as in `closest`; leaf l of L holds triangles t·l // L to t·(l+1) // L of the leaf
+order.
 """
 
 import importlib

@@ -1,6 +1,7 @@
-"""Lateness of servo loops while Python is busy, what a tick costs, and the floor in C++.
+"""Lateness of servo loops while Python is busy, what a tick costs, and the floor of one dynamic force in C++.
 
-The floor of one dynamic force is `floor.cpp`, compiled for this machine if it has a C++ compiler.
+The floor is `floor.cpp`, compiled for this machine if it has a C++ compiler; all of it is measured in one
+run.
 """
 
 import ctypes

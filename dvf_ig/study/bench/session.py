@@ -1,4 +1,7 @@
-"""A whole session at many times real time: throughput, states and memory over an endless intervention."""
+"""A whole session on one core: time of a state and of a beat's update, and whether its memory grows.
+
+A recorded intervention runs without an end: its streams round after round, with later stamps in each.
+"""
 
 import os
 import time

@@ -1,4 +1,7 @@
-"""One fault at the servo: a device, a session, or deadlines that fail."""
+"""One fault at the servo, in simulated time: positions of the hand, silent devices and sessions, late ticks.
+
+The device is moved along given positions, fails when it should, and records what it is sent.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

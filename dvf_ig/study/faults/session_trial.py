@@ -1,4 +1,8 @@
-"""One fault in the streams of a session, and the judgement of any fault's trace."""
+"""One fault in the streams of a session: states every millisecond around it, and the operator who re-arms.
+
+A trace of hazards and force is judged by the rules of the hazards: detection, force in error, recovery. The
+same judgement serves faults at the servo.
+"""
 
 from dataclasses import dataclass, replace
 from math import inf

@@ -1,7 +1,9 @@
-"""Streams of an intervention at a flat wall: ECG, tool, frames, and an ultrasound whose pose is known.
+"""Streams of one clean intervention at a beating wall: ECG, tool and probe as stamped, and when each arrives.
 
-What they arrive as, when, and how jittered; the patient's heart is a wall, and images are replaced by what
-they would say about the pose.
+The patient is a wall whose pose is known. In place of pixels the ultrasound has what images would say about
+the pose, within noise; frames, their poses, their buffer and all decisions about registrations and beats
+are the session's own. Left out are the registration of images and their comparison with the model, whose
+false alarms `dvf-ig study watch` counts.
 """
 
 from collections.abc import Callable

@@ -7,7 +7,6 @@ from dvf_ig.core import Grid, InvalidInputError, Mesh
 from dvf_ig.preop import (
     angle_deg,
     build_triangle_tree,
-    dilation_distance_mm,
     facet_normals,
     inside_mask,
     signed_distance_mm,
@@ -65,36 +64,6 @@ def test_a_rotated_grid_is_refused(sphere_of):
     turned = Grid("mr", (41, 41, 41), [-30.0] * 3, [1.5] * 3, np.eye(3)[[1, 2, 0]])
     with pytest.raises(InvalidInputError, match="rotated"):
         signed_distance_mm(Mesh("mr", *sphere_of(20.0, 1)), turned, 6.0)
-
-
-@pytest.mark.parametrize(
-    ("neighbours", "norm"),
-    [
-        (6, lambda p: np.abs(p).sum(axis=-1)),
-        (26, lambda p: np.abs(p).max(axis=-1)),
-        (18, lambda p: np.maximum(np.abs(p).max(axis=-1), np.ceil(np.abs(p).sum(axis=-1) / 2))),
-    ],
-)
-def test_dilation_counts_in_its_own_metric(neighbours, norm):
-    """Around one voxel, k layers reach the ball of the structuring element's norm."""
-    mask = np.zeros((13, 13, 13), dtype=bool)
-    mask[6, 6, 6] = True
-    offset = np.moveaxis(np.indices(mask.shape), 0, -1) - 6.0
-    expected = -(norm(offset) - 0.5) * 1.5
-    expected[6, 6, 6] = 0.75
-    np.testing.assert_array_equal(dilation_distance_mm(mask, 1.5, neighbours), expected)
-
-
-def test_dilation_of_a_slab_is_exact_and_of_nothing_refused():
-    mask = np.zeros((12, 5, 5), dtype=bool)
-    mask[:6] = True
-    expected = np.broadcast_to((5.5 - np.arange(12.0))[:, None, None], mask.shape) * 2.0
-    for neighbours in (6, 18, 26):
-        np.testing.assert_array_equal(dilation_distance_mm(mask, 2.0, neighbours), expected)
-    with pytest.raises(InvalidInputError, match="choose 6, 18 or 26"):
-        dilation_distance_mm(mask, 2.0, 8)
-    with pytest.raises(InvalidInputError, match="inside and outside"):
-        dilation_distance_mm(np.zeros((3, 3, 3), dtype=bool), 2.0, 6)
 
 
 def test_nearest_points_and_smooth_normals_of_a_sphere(sphere_of):

@@ -1,12 +1,20 @@
 """Hearts that something was tuned on are never reported; a start has exactly the error that was asked for."""
 
+import json
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
 import numpy as np
 import pytest
-from toy_heart import CENTER_MM, toy_pose
+from toy_heart import CENTER_MM, toy_mr, toy_pose
+from toy_volume import toy_volume
 
-from dvf_ig.core import InvalidInputError, Points
+from dvf_ig.core import InvalidInputError, Landmarks, Points, Preop, TrackedVolume, VolumeSeries
 from dvf_ig.registration import pose_difference, target_errors_mm
+from dvf_ig.study.hearts import recordings
 from dvf_ig.study.hearts.recordings import HEART_LISTS, REPORTED, Truth, heart_list, start_with_error
+from dvf_ig.study.hearts.study import heart_trial
 
 TARGETS = Points("mr", CENTER_MM + np.random.default_rng(1).uniform(-45, 45, (27, 3)))
 KNOWN = Truth(toy_pose(), TARGETS, CENTER_MM)
@@ -52,3 +60,37 @@ def test_a_start_has_exactly_the_mean_error_asked_for(start_mm: float) -> None:
 def test_a_start_may_be_the_truth() -> None:
     at_truth = start_with_error(KNOWN, 0.0, np.random.default_rng(0))
     np.testing.assert_allclose(at_truth.matrix, toy_pose().matrix, atol=1e-9)
+
+
+class ToyPair:
+    """The toy heart in place of a phantom: two views, still through the cycle."""
+
+    def __init__(self, spec: Any) -> None:
+        mr = toy_mr()
+        codes = np.where(mr.values > 200, 2, np.where(mr.values < 130, 1, 0)).astype(np.uint8)
+        self.spec, self.mr_from_tracker, self.center_mm = spec, toy_pose(), CENTER_MM
+        self.targets = Landmarks(tuple(f"t{i}" for i in range(len(TARGETS))), TARGETS)
+        self.preop = Preop(
+            "toy",
+            mr=mr,
+            labels=VolumeSeries(mr.grid, codes, mr.timing),
+            label_names=((1, "wall"), (2, "blood")),
+            organ_labels=(1, 2),
+        )
+
+    def volumes(self, phases: tuple[float, ...], phase_error: float = 0.0) -> tuple[TrackedVolume, ...]:
+        turns = ((0.5, 0.2, -0.4), (-0.6, 0.9, 0.3))
+        seen = [toy_volume(turn, seed) for turn, seed in zip(turns, (1, 101), strict=True)]
+        return tuple(replace(view, model_phase=phase) for view, phase in product(seen, phases))
+
+
+def test_a_trial_measures_the_registration_of_gated_volumes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recordings, "image_pair", ToyPair)
+    recordings._preoperative.cache_clear()
+    settings = {"world": "first", "images": "volumes", "qualities": ["calm"], "disturbed": 0}
+    line = heart_trial(settings, 700)
+    recordings._preoperative.cache_clear()
+    assert (line["heart"], line["quality"], line["disturbed"]) == (7, "calm", False)
+    assert 4.0 <= line["start_mm"] <= 12.0
+    assert line["tre_mm"] <= line["tre_max_mm"] < 1.0
+    json.dumps(line, allow_nan=False)
