@@ -1,7 +1,7 @@
 """The paper's distance map: dilate voxel by voxel and count the layers (Ren 2008, Section III).
 
-Not Euclidean: the count depends on the structuring element and ignores the voxels' shape. Kept as the paper's
-method in `dvf-ig study distance`; models are built from `signed_distance_mm`.
+Not Euclidean: the count depends on the structuring element and ignores the voxels' shape. `dvf-ig study
+distance` compares it as the paper's method; models are built from `signed_distance_mm`.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ NEIGHBOURHOODS = {6: 1, 18: 2, 26: 3}
 
 
 def dilation_distance_mm(mask: BoolArray, spacing_mm: float, neighbours: int) -> FloatArray:
-    """(nx, ny, nz) signed distance by counting layers, positive inside.
+    """Compute (nx, ny, nz) signed distance by counting layers, positive inside.
 
     The surface lies between the last voxel inside and the first outside: layer k on either side is
     (k − 1/2) voxels away.
@@ -36,7 +36,7 @@ def dilation_distance_mm(mask: BoolArray, spacing_mm: float, neighbours: int) ->
 
 
 def _layers(start: BoolArray, element: BoolArray) -> FloatArray:
-    """Number of dilations after which each voxel is reached; 0 in the mask itself."""
+    """Count the dilations after which each voxel is reached; 0 in the mask itself."""
     count = np.zeros(start.shape)
     reached, layer = start, 0
     while not reached.all():
