@@ -62,9 +62,9 @@ def wire_echoes(wires: Sequence[Wire], plane_from_phantom: Rigid, probe: SectorP
 
 def wall_echoes(normal: FloatArray, offset_mm: float, probe: SectorProbe, rng: np.random.Generator) -> Echoes:
     """Compute echoes of a flat wall normal·x = offset (frame "plane") as small patches in the image plane.
-
-    Patches facing the beam add in phase, others cancel: a wall is visible where it is perpendicular to the
-    lines, and elsewhere only by its roughness.
+    Patches facing the beam add in phase, others cancel: a wall is visible at right angles to the lines, and
+    elsewhere only by its roughness.
+        lines, and elsewhere only by its roughness.
     """
     fine = np.linspace(-1.0, 1.0, probe.lines * WALL_LINES) * probe.half_angle_rad
     beams = np.column_stack([np.sin(fine), np.cos(fine), np.zeros(len(fine))])

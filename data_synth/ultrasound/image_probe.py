@@ -53,7 +53,7 @@ class CalibratedImage:
         if not 20.0 <= min(across_mm, down_mm) <= max(across_mm, down_mm) <= 400.0:
             raise InvalidInputError(
                 f"the probe's image is {across_mm:.4g} x {down_mm:.4g} mm; needed 20 to 400 mm each way: "
-                "does the size in pixels belong to this calibration?"
+                "check that the size in pixels belongs to this calibration"
             )
 
     @property

@@ -64,7 +64,7 @@ def test_other_scenarios_are_described_as_before() -> None:
     [
         (["--probe-calibration", RESULTS], "--image-px"),
         (["--image-px", "820", "616"], "--probe-calibration"),
-        (["--probe-calibration", RESULTS, "--image-px", "82", "80"], "does the size in pixels belong"),
+        (["--probe-calibration", RESULTS, "--image-px", "82", "80"], "check that the size in pixels belongs"),
         (
             ["--probe-calibration", DEVICE_SET, "--image-px", "820", "616"],
             "has no transform probe_from_image",
