@@ -119,7 +119,7 @@ def test_a_recording_over_the_gate_still_shows_what_it_gives(data_dir: Path, tmp
     held = json.loads(out.read_text())
     assert (held["tip_mm"], held["refused"]) == (found["tip_mm"], True)
     assert out.with_suffix(".png").stat().st_size > 10_000
-    assert not out.with_suffix(".xml").exists(), "PLUS XML cannot say that a calibration is refused"
+    assert not out.with_suffix(".xml").exists(), "PLUS XML cannot mark a calibration as refused"
     accepted = run("calibrate", "pivot", poses, "-o", out)
     assert accepted["tip_mm"] == found["tip_mm"]
     assert out.with_suffix(".xml").is_file()

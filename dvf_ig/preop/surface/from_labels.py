@@ -110,7 +110,8 @@ def _surface(organ: _Crop, grid: Grid, smoothing_voxels: float) -> Mesh:
     field = _shrinkage_compensated(_block_means(solid, block), smoothing_voxels * mean_mm / spacing_mm)
     if field.max() <= 0.5:
         raise InvalidInputError(
-            f"the labelled region has {np.count_nonzero(organ.mask)} voxels; needed more for a surface"
+            f"the labelled region has {np.count_nonzero(organ.mask)} voxels, fewer than a surface needs; "
+            "check the label values"
         )
     vertices, triangles, _, _ = marching_cubes(field, 0.5, allow_degenerate=False)
     center_of_block = 0.5 * (block - 1)
